@@ -1,11 +1,14 @@
-# Everything is installed into .venv. Stamp files in it tell what is up to date, so a second call
+# Everything is installed into .venv, for another ROS distribution into .venv-NAME. Stamp files in it tell what is up to date, so a second call
 # does nothing, and needs no network.
 
 PYTHON ?= python3
-VENV := .venv
+# ROS 2 distribution: jazzy or kilted.
+DISTRO ?= jazzy
+VENV := .venv$(if $(filter-out jazzy,$(DISTRO)),-$(DISTRO))
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-INSTALL := $(PIP) install --quiet --constraint requirements/constraints.txt
+CONSTRAINTS := requirements/constraints.txt requirements/$(DISTRO)/constraints.txt
+INSTALL := $(PIP) install --quiet $(CONSTRAINTS:%=--constraint %)
 # RotorPy is here without what it asks for and does not import (requirements/examples.txt).
 CONSISTENT := ! $(PIP) check | grep -v -e '^No broken requirements' -e '^rotorpy '
 PACKAGES := feed_axis_common mpc_controller milling_plant bo_tuner tuning_benchmark
@@ -23,9 +26,11 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
+# Up to Fast DDS 2 (Jazzy), and from 3 (Kilted) on.
+PROFILE_VARIABLES := FASTRTPS_DEFAULT_PROFILES_FILE FASTDDS_DEFAULT_PROFILES_FILE
 # Nodes of the checks talk to each other only, and leave no shared memory behind.
 CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDPv4 \
-	FASTRTPS_DEFAULT_PROFILES_FILE='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml' \
+	$(PROFILE_VARIABLES:%=%='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml') \
 	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
 
 # Processes of the benchmark and of the tests.
@@ -34,11 +39,12 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
-.PHONY: help setup tune quadrotor cessna benchmark test lint types format check colcon clean
+.PHONY: help setup interfaces tune quadrotor cessna benchmark test lint types format check colcon clean
 .NOTPARALLEL:
 
 help:
-	@echo 'make setup      install ROS 2 and the packages into $(VENV) (PYTHON=python3.12 picks one)'
+	@echo 'make setup      install ROS 2 and the packages into $(VENV) (PYTHON=python3.12, DISTRO=kilted)'
+	@echo 'make interfaces build the interface packages in a folder into $(VENV) (INTERFACES=~/my_ws/src)'
 	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
 	@echo 'make quadrotor  tune a quadrotor in wind: RotorPy and its controller (docs/examples.md)'
 	@echo 'make cessna     tune a Cessna 172: JSBSim and its autopilot (docs/examples.md)'
@@ -52,6 +58,19 @@ help:
 	@echo 'make clean      remove all of it, but not runs/'
 
 setup: $(VENV)/.packages
+
+# The wheels say where Python and NumPy lay when they were built.
+interfaces: setup $(VENV)/.colcon $(VENV)/.interfaces
+	@test -d '$(INTERFACES)' || { echo 'error: INTERFACES=$(INTERFACES) is not a folder; name one' \
+		'with packages of .msg, .srv or .action files: make interfaces INTERFACES=~/my_ws/src' >&2; \
+		exit 1; }
+	@command -v cmake >/dev/null && command -v c++ >/dev/null || { echo 'error: CMake or a C++' \
+		'compiler is not found; on Debian and Ubuntu: apt install cmake g++ python3-dev' >&2; exit 1; }
+	$(BIN)/python requirements/repair_exports.py
+	PATH='$(CURDIR)/$(BIN)':"$$PATH" AMENT_PREFIX_PATH='$(CURDIR)/$(VENV)' \
+		CMAKE_PREFIX_PATH='$(CURDIR)/$(VENV)' $(BIN)/colcon --log-base $(VENV)/log/colcon build \
+		--base-paths '$(INTERFACES)' --build-base $(VENV)/build --install-base $(VENV) --merge-install
+	@rm -rf $(VENV)/build
 
 tune: setup
 	$(BIN)/tune $(ARGS)
@@ -85,10 +104,12 @@ check: lint types test
 colcon: $(VENV)/.colcon
 
 clean:
-	rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf .venv .venv-* ros2_ws/build ros2_ws/install ros2_ws/log
 	rm -rf .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache .coverage
 
 $(VENV)/.created:
+	@test -d 'requirements/$(DISTRO)' || { \
+		echo 'error: DISTRO=$(DISTRO) is not jazzy or kilted' >&2; exit 1; }
 	@command -v '$(PYTHON)' >/dev/null || { echo 'error: $(PYTHON) not found;' \
 		'install Python 3.11, 3.12 or 3.13, or name one: make PYTHON=python3.12' >&2; exit 1; }
 	@'$(PYTHON)' -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
@@ -100,9 +121,9 @@ $(VENV)/.created:
 	'$(PYTHON)' -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.runtime: requirements/runtime.txt requirements/constraints.txt $(VENV)/.created
-	@echo 'installing ROS 2 and the numerics into $(VENV)'
-	$(INSTALL) --requirement requirements/runtime.txt
+$(VENV)/.runtime: requirements/runtime.txt requirements/$(DISTRO)/runtime.txt $(CONSTRAINTS) $(VENV)/.created
+	@echo 'installing ROS 2 ($(DISTRO)) and the numerics into $(VENV)'
+	$(INSTALL) --requirement requirements/runtime.txt --requirement requirements/$(DISTRO)/runtime.txt
 	@$(CONSISTENT)
 	@$(CHECK_ENV) $(BIN)/python -c 'import rclpy; rclpy.init(); rclpy.create_node("setup")' || { \
 		echo 'error: the ROS packages in $(VENV) cannot create a node; try make clean setup' >&2; \
@@ -121,12 +142,22 @@ $(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
 	@$(CONSISTENT)
 	@touch $@
 
-$(VENV)/.dev $(VENV)/.colcon $(VENV)/.benchmarks: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
+$(VENV)/.dev: requirements/dev.txt requirements/$(DISTRO)/dev.txt $(CONSTRAINTS) $(VENV)/.runtime
+	$(INSTALL) --requirement requirements/dev.txt --requirement requirements/$(DISTRO)/dev.txt
+	@$(CONSISTENT)
+	@touch $@
+
+$(VENV)/.interfaces: requirements/$(DISTRO)/interfaces.txt $(CONSTRAINTS) $(VENV)/.runtime
 	$(INSTALL) --requirement $<
 	@$(CONSISTENT)
 	@touch $@
 
-$(VENV)/.examples: requirements/examples.txt requirements/constraints.txt $(VENV)/.runtime
+$(VENV)/.colcon $(VENV)/.benchmarks: $(VENV)/.%: requirements/%.txt $(CONSTRAINTS) $(VENV)/.runtime
+	$(INSTALL) --requirement $<
+	@$(CONSISTENT)
+	@touch $@
+
+$(VENV)/.examples: requirements/examples.txt $(CONSTRAINTS) $(VENV)/.runtime
 	$(INSTALL) --no-deps --requirement $<
 	@$(CONSISTENT)
 	@touch $@

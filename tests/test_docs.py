@@ -17,7 +17,7 @@ from example_nodes import UNCHANGED, start_script
 from ros_processes import claim_domain
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros.isolation import isolated_environment
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES, isolated_environment
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.cli.executables import COMMANDS as OF_TUNER
 from bo_tuner.storage.journal_reader import read_journal
@@ -322,7 +322,7 @@ def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
 @contextmanager
 def nodes_of_example(folder, monkeypatch, *scripts):
     """Run the nodes of an example by themselves; yields the environment to find them in."""
-    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", *PROFILE_VARIABLES):
         monkeypatch.delenv(name, raising=False)
     domain, lock = claim_domain(os.environ.get("PYTEST_XDIST_WORKER", "gw"))
     environment = isolated_environment(domain) | {"ROS_LOG_DIR": str(folder / "log")}

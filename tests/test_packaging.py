@@ -12,6 +12,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from bo_tuner.storage.distribution import WHEELS
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "ros2_ws" / "src"
 EXECUTABLES = {
@@ -154,19 +156,32 @@ def test_package_xml_and_setup_declare_the_same(package):
 @every_package
 def test_requirements_are_installed_by_make_and_pinned(package):
     def names(path):
-        lines = (ROOT / "requirements" / path).read_text(encoding="utf-8").splitlines()
-        return {re.match(r"[\w.-]+", line)[0] for line in lines if line and line[0] != "#"}
+        return set(requirements(path))
 
     assert pip_names(package) <= names("runtime.txt")
     for path in ("runtime.txt", "dev.txt", "colcon.txt"):
         assert names(path) <= names("constraints.txt")
 
 
-def test_ros_is_installed_by_its_distribution_s_names_only():
-    lines = (ROOT / "requirements" / "runtime.txt").read_text(encoding="utf-8").splitlines()
-    ros = [line for line in lines if line.startswith("ros-")]
-    assert ros
-    assert all(line.startswith("ros-jazzy-") for line in ros)
+def requirements(path):
+    """Names in a file of requirements."""
+    lines = (ROOT / "requirements" / path).read_text(encoding="utf-8").splitlines()
+    return [re.match(r"[\w.-]+", line)[0] for line in lines if line and line[0] != "#"]
+
+
+@pytest.mark.parametrize("distribution", WHEELS)
+def test_ros_is_installed_by_its_distribution_s_names_only(distribution):
+    pinned = requirements(f"{distribution}/constraints.txt")
+    for path in ("runtime.txt", "dev.txt"):
+        names = requirements(f"{distribution}/{path}")
+        assert names
+        assert all(name.startswith(f"ros-{distribution}-") for name in names)
+        assert {*names} <= {*pinned}
+        # Elsewhere no name of ROS stands, whose version would be that of one distribution.
+        assert not any(name.startswith("ros-") for name in requirements(path))
+    assert not any(name.startswith("ros-") for name in requirements("constraints.txt"))
+    others = [f"ros-{name}-" for name in WHEELS if name != distribution]
+    assert not any(name.startswith(tuple(others)) for name in pinned)
 
 
 @every_package

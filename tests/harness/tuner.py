@@ -33,6 +33,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 
 if "exit" in os.environ.get("DRIVE", ""):
     sys.exit("error: no such bus")
@@ -182,7 +183,7 @@ class Tune:
                 without=(
                     "ROS_DOMAIN_ID",
                     "FASTDDS_BUILTIN_TRANSPORTS",
-                    "FASTRTPS_DEFAULT_PROFILES_FILE",
+                    *PROFILE_VARIABLES,
                     "ROS_LOG_DIR",
                 ),
                 stdout=out,

@@ -25,7 +25,7 @@ from bo_tuner.tuning.loop import Tuning
 pytestmark = pytest.mark.ros
 
 # What the tuner sets by itself.
-OWN = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+OWN = ("ROS_DOMAIN_ID", *PROFILE_VARIABLES, "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def study_of(trials=7):
@@ -200,6 +200,7 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
 CLOCK = """\
 import random
 import time
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 real = time.time
 # By up to twelve days forth or back, at each look.
 time.time = lambda: real() + random.uniform(-1e6, 1e6)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from waiting import DEADLINE
 
-from bo_tuner.backends.ros.isolation import isolated_environment
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES, isolated_environment
 
 pytestmark = pytest.mark.ros
 
@@ -36,7 +36,7 @@ print(json.dumps(sorted(found)))
 NETWORK = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "FASTDDS_BUILTIN_TRANSPORTS",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    *PROFILE_VARIABLES,
 )
 
 
@@ -120,12 +120,14 @@ class TestNetwork:
                 isolated.setenv(name, value)
             start_node("milling_plant")
             peer.get_parameters("milling_plant", ["gain"])
-        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        for name in PROFILE_VARIABLES:
+            monkeypatch.delenv(name)
         start_node("mpc_controller")
         assert "milling_plant" not in seen_from(machine, "mpc_controller")
 
     def test_the_plant_is_seen_if_it_is_open(self, machine, start_node, monkeypatch):
-        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        for name in PROFILE_VARIABLES:
+            monkeypatch.delenv(name)
         start_node("milling_plant")
         seen_from(machine, "milling_plant")
 

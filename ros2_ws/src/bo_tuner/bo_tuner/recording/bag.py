@@ -1,4 +1,4 @@
-"""The bag of one trial: rosbag2 in MCAP storage, metadata version 9 as in ROS 2 Jazzy.
+"""The bag of one trial: rosbag2 in MCAP storage, metadata version 9 as in ROS 2 Jazzy and Kilted.
 
 A bag is written to ``<name>.partial`` and renamed when it is whole. Each evaluation is a chunk of
 its own that is handed to the operating system as soon as it is written, so that a kill costs at
@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.distribution import distribution
 
 PARTIAL = ".partial"
 NOTES = "notes.json"
@@ -57,8 +58,11 @@ Message = tuple[Topic, bytes]
 
 @cache
 def typestore() -> Typestore:
-    """Return the message definitions of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    """Return the message definitions of the ROS distribution that is installed, or of Jazzy."""
+    try:
+        return get_typestore(Stores(f"ros2_{distribution()}"))
+    except ValueError:
+        return get_typestore(Stores.LATEST)
 
 
 def make_topic(name: str, message_type: str) -> Topic:
@@ -67,7 +71,7 @@ def make_topic(name: str, message_type: str) -> Topic:
     Raises
     ------
     KeyError
-        If it is of a type that is not in ROS 2 Jazzy's own packages.
+        If it is of a type that is not in the own packages of the ROS distribution.
     """
     _, fields = typestore().fielddefs[message_type]
     name_of_first, description = fields[0]

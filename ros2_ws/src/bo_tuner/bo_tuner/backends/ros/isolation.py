@@ -21,7 +21,8 @@ PORTS_PER_DOMAIN = 250
 UNICAST_OFFSET = 10
 
 FAST_DDS = "rmw_fastrtps"
-PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Of Fast DDS up to 2 (Jazzy), and from 3 (Kilted) on."""
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST = "LOCALHOST"
 LEASE = 3.0
@@ -88,9 +89,10 @@ def isolated_environment(domain: int) -> dict[str, str]:
         return variables
     variables[RANGE_VARIABLE] = LOCALHOST
     fast_dds = os.environ.get("RMW_IMPLEMENTATION", FAST_DDS).startswith(FAST_DDS)
-    if fast_dds and not os.environ.get(PROFILE_VARIABLE):
+    if fast_dds and not any(map(os.environ.get, PROFILE_VARIABLES)):
         variables[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
-        variables[PROFILE_VARIABLE] = str(config_directory() / "fastdds_profile.xml")
+        profile = str(config_directory() / "fastdds_profile.xml")
+        variables |= dict.fromkeys(PROFILE_VARIABLES, profile)
     return variables
 
 
