@@ -27,10 +27,10 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 # Up to Fast DDS 2 (Jazzy), and from 3 (Kilted) on.
-PROFILE_VARIABLES := FASTRTPS_DEFAULT_PROFILES_FILE FASTDDS_DEFAULT_PROFILES_FILE
+PROFILE_VARIABLE := $(if $(filter jazzy,$(DISTRO)),FASTRTPS,FASTDDS)_DEFAULT_PROFILES_FILE
 # Nodes of the checks talk to each other only, and leave no shared memory behind.
 CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDPv4 \
-	$(PROFILE_VARIABLES:%=%='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml') \
+	$(PROFILE_VARIABLE)='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml' \
 	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
 
 # Processes of the benchmark and of the tests.

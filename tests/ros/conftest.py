@@ -12,7 +12,7 @@ from commands import start
 from milling_nodes import Drive, Loop, StandInController, reset_parameters
 from peer import Peer
 from ros_processes import Starter, claim_domain, shared_memory_of
-from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
+from bo_tuner.backends.ros.isolation import profile_variable
 
 PROFILE = Path(__file__).parents[2] / "ros2_ws/src/bo_tuner/config/fastdds_profile.xml"
 
@@ -29,8 +29,7 @@ def ros_environment(tmp_path_factory):
         patch.setenv("ROS_DOMAIN_ID", str(domain))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        for name in PROFILE_VARIABLES:
-            patch.setenv(name, str(PROFILE))
+        patch.setenv(profile_variable(), str(PROFILE))
         patch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
         patch.setenv("RCUTILS_COLORIZED_OUTPUT", "0")
         patch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")

@@ -16,6 +16,7 @@ from short_cuts import small_study
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
@@ -200,7 +201,6 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
 CLOCK = """\
 import random
 import time
-from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 real = time.time
 # By up to twelve days forth or back, at each look.
 time.time = lambda: real() + random.uniform(-1e6, 1e6)

@@ -121,13 +121,13 @@ class TestNetwork:
             start_node("milling_plant")
             peer.get_parameters("milling_plant", ["gain"])
         for name in PROFILE_VARIABLES:
-            monkeypatch.delenv(name)
+            monkeypatch.delenv(name, raising=False)
         start_node("mpc_controller")
         assert "milling_plant" not in seen_from(machine, "mpc_controller")
 
     def test_the_plant_is_seen_if_it_is_open(self, machine, start_node, monkeypatch):
         for name in PROFILE_VARIABLES:
-            monkeypatch.delenv(name)
+            monkeypatch.delenv(name, raising=False)
         start_node("milling_plant")
         seen_from(machine, "milling_plant")
 

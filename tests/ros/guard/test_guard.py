@@ -21,6 +21,7 @@ from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.guard.messages import GUARD
+from bo_tuner.backends.ros.isolation import profile_variable
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
 
@@ -37,12 +38,12 @@ def patience(monkeypatch, tmp_path):
 @pytest.fixture
 def long_lease(tmp_path, monkeypatch):
     """Who is stopped for a moment of a busy computer is not forgotten."""
-    profile = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    profile = Path(os.environ[profile_variable()]).read_text()
     changed = profile.replace("<leaseDuration><sec>2<", "<leaseDuration><sec>60<")
     assert changed != profile
     path = tmp_path / "profile.xml"
     path.write_text(changed)
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(path))
+    monkeypatch.setenv(profile_variable(), str(path))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from typing import IO
 
 from bo_tuner.errors import BackendError
 from bo_tuner.package_files import config_directory
+from bo_tuner.storage.distribution import distribution
 from bo_tuner.storage.run_files import open_file
 
 # RTPS maps domains to UDP ports; above 101 they reach into the ephemeral range.
@@ -22,7 +23,7 @@ UNICAST_OFFSET = 10
 
 FAST_DDS = "rmw_fastrtps"
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Of Fast DDS up to 2 (Jazzy), and from 3 (Kilted) on."""
+"""Of Fast DDS up to 2 (Jazzy), and from 3 (Kilted) on, which warns of the first."""
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST = "LOCALHOST"
 LEASE = 3.0
@@ -76,6 +77,11 @@ class DomainClaim:
             self._lock = None
 
 
+def profile_variable() -> str:
+    """Return the environment variable of the Fast DDS that is installed for a profile."""
+    return PROFILE_VARIABLES[distribution() not in ("humble", "iron", "jazzy")]
+
+
 def isolated_environment(domain: int) -> dict[str, str]:
     """Environment variables to set for nodes that see this machine and `domain` only.
 
@@ -91,8 +97,7 @@ def isolated_environment(domain: int) -> dict[str, str]:
     fast_dds = os.environ.get("RMW_IMPLEMENTATION", FAST_DDS).startswith(FAST_DDS)
     if fast_dds and not any(map(os.environ.get, PROFILE_VARIABLES)):
         variables[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
-        profile = str(config_directory() / "fastdds_profile.xml")
-        variables |= dict.fromkeys(PROFILE_VARIABLES, profile)
+        variables[profile_variable()] = str(config_directory() / "fastdds_profile.xml")
     return variables
 
 
