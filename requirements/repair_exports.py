@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy
 
-BUILT = re.compile(r"/opt/python/cp\d+-cp\d+/(include/python[\d.]+|lib/[^;\"]*/numpy/_core/include)")
+BUILT = re.compile(
+    r"/opt/python/cp\d+-cp\d+/(include/python[\d.]+|lib/[^;\"]*/numpy/_core/include)"
+)
 
 
 def main() -> None:

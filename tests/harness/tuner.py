@@ -14,6 +14,7 @@ from functions import NODE, study_mapping
 from reaper import marked
 from waiting import DEADLINE, wait_until
 
+from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.trials import EvaluationState
 
@@ -33,7 +34,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
-from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 
 if "exit" in os.environ.get("DRIVE", ""):
     sys.exit("error: no such bus")

@@ -12,6 +12,7 @@ from commands import start
 from milling_nodes import Drive, Loop, StandInController, reset_parameters
 from peer import Peer
 from ros_processes import Starter, claim_domain, shared_memory_of
+
 from bo_tuner.backends.ros.isolation import profile_variable
 
 PROFILE = Path(__file__).parents[2] / "ros2_ws/src/bo_tuner/config/fastdds_profile.xml"
