@@ -30,7 +30,9 @@ def recording(seed):
     """Signals at odd times, of which one began before the run."""
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(0.0, 2.0, 200))
-    angle = RecordedSignal(time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), 2, 1)
+    angle = RecordedSignal(
+        time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), lost=2, late=1
+    )
     return Recording(
         {"setpoint": RecordedSignal(np.array([-0.1, 0.1]), np.array([1.0, 1.0])), "angle": angle},
         2.0,

@@ -10,7 +10,6 @@ import json
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from struct import Struct
 from typing import Final
@@ -18,9 +17,8 @@ from typing import Final
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
+from bo_tuner.metrics.stored_messages import typestore
 from bo_tuner.storage.atomic import write_atomically
 
 PARTIAL = ".partial"
@@ -53,12 +51,6 @@ class Topic:
 
 Message = tuple[Topic, bytes]
 """Topic and serialized message (CDR)."""
-
-
-@cache
-def typestore() -> Typestore:
-    """Return the message definitions of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def make_topic(name: str, message_type: str) -> Topic:
