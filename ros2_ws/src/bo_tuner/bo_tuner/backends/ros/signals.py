@@ -407,14 +407,18 @@ class SignalRecorder:
 
     def _refuse_unknown_frames(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Refuse frames that nobody places, or two; a silent topic may have them later."""
-        deadline = time.monotonic() + FRAMES
+        begin = time.monotonic()
 
-        def all_heard() -> bool:
+        def is_known() -> bool:
             self.take()
-            return all(self._tracks[name].stamps for name in self._frames)
+            elapsed = time.monotonic() - begin
+            # Whoever else places a frame shows only after a while.
+            return elapsed > FRAMES or (
+                elapsed > LISTEN and all(self._tracks[name].stamps for name in self._frames)
+            )
 
         if self._frames:
-            wait(lambda: all_heard() or time.monotonic() > deadline)
+            wait(is_known)
         for name, reader in self._frames.items():
             path = ("signals", name, "frames")
             topic = self._topic_of(name).heard.name
