@@ -214,8 +214,11 @@ def _topics(
             why = (
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )
-            item = f"{name}:{arrays[0]}[0]"
-            notes.append(f"{name}: {why}; to record an item, name it: --signals {item}")
+            item, least = f"{name}:{arrays[0]}[0]", f"{name}:min({arrays[0]})"
+            notes.append(
+                f"{name}: {why}; to record an item, or a number of all, name it: --signals "
+                f"{item}, or '{least}'"
+            )
     if bulky:
         notes.append(
             f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
