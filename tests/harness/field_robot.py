@@ -28,6 +28,14 @@ class Driver(Node):
         self.turn += 1
 
 
+class Wheels(Node):
+    """Hears the velocity."""
+
+    def __init__(self, context):
+        super().__init__("wheels", context=context)
+        self.create_subscription(Twist, "cmd_vel", lambda message: None, 10)
+
+
 class Joints(Node):
     """Publishes the state of some joints at 50 Hz on /all_joints, as an arm or a gripper does."""
 

@@ -6,9 +6,12 @@ from functools import partial
 import pytest
 from field_robot import Frames, Planner, Scanner, StillFrames
 from servo import failure, run
+from signal_runs import record_run
 from waiting import wait_until
 
 from bo_tuner.backends.ros import signals as recorders
+from bo_tuner.replay.recompute import recompute
+from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -210,6 +213,38 @@ def test_the_deviation_of_a_path_from_its_plan(backend, join):
     assert made.recording.messages["plan"].time[0] < 0.0
     planner.plan(2.0)
     assert metrics(made)["deviation"] == pytest.approx(2.0)
+
+
+def test_a_bag_gives_the_metrics_of_the_run_again(backend, join, tmp_path):
+    """Bit for bit: of a reduction, of frames, of a plan, and of a function of whole messages."""
+    join(Planner)
+    join(Scanner)
+    join(partial(Frames, "map", "base", x=1.0, speed=0.3, yaw=0.4))
+    (tmp_path / "plan_metrics.py").write_text(
+        "def poses(signals):\n    return len(signals['plan'][1][-1].poses)\n"
+    )
+    made = backend(
+        signals={
+            "clearance": CLEARANCE,
+            "x": in_frames("map", "base", "translation.x"),
+            "y": in_frames("map", "base", "translation.y"),
+            "heading": in_frames("map", "base", "yaw(rotation)"),
+            "plan": {"topic": "plan", "minimum_messages": 0},
+        },
+        run=RUN,
+        metrics={
+            "clearance": mean("clearance - x"),
+            "heading": mean("heading"),
+            "deviation": {"path": ["x", "y"], "plan": "plan", "measure": "rms"},
+            "poses": {"python": "plan_metrics:poses"},
+        },
+        folder=str(tmp_path),
+    )
+    live = metrics(made)
+    assert (live["poses"], live["heading"]) == (2.0, pytest.approx(0.4))
+    record = read_run(record_run(tmp_path / "run", made._study, {0.5: [made.recording]}))
+    (again,) = recompute(record, record.study)
+    assert again.outcome.metrics == live
 
 
 def test_whole_messages_of_a_type_that_is_not_of_ros_itself(refusal, join, monkeypatch):

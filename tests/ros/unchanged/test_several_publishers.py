@@ -3,7 +3,7 @@
 from functools import partial
 
 import pytest
-from field_robot import Driver, Joints
+from field_robot import Driver, Joints, Wheels
 from servo import failure, run
 from waiting import wait_until
 
@@ -164,3 +164,18 @@ def test_without_the_library_a_named_node_is_refused(refusal, join, monkeypatch)
     assert "does not tell of which publisher a message is; expected one publisher" in refusal(
         signals={"speed": SPEED | {"publisher": "smoother"}}
     )
+
+
+def test_a_topic_that_the_study_zeroes_in_the_end(backend, join):
+    """The tuner's own publisher is one more; what it says after a run is not of the signal."""
+    join(partial(Driver, name="smoother", value=0.5))
+    join(Wheels)
+    stop = {"publish": {"topic": "cmd_vel", "message": {"linear": {"x": 0.0}}}}
+    made = backend(
+        signals={"speed": SPEED | {"publisher": "smoother"}},
+        metrics=RANGE,
+        run=RUN | {"before": [{"wait": 0.1}], "after": [stop]},
+    )
+    for _ in range(2):
+        found = metrics(made)
+        assert (found["least"], found["most"]) == (0.5, 0.5)

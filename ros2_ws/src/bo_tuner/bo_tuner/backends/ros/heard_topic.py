@@ -1,8 +1,7 @@
 """A topic that is heard: its messages one by one, decoded, each with who has published it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -17,8 +16,7 @@ DEPTH = 5000
 """Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
 
 
-@dataclass(frozen=True, eq=False)
-class Heard:
+class Heard(NamedTuple):
     """A message: as it is on the wire, decoded, when it came in [ns], and of which node it is.
 
     The node is empty if that is not known.

@@ -7,9 +7,8 @@ Reference: ``rcl/subscription.h`` and ``rmw/types.h`` of ROS 2 Jazzy.
 """
 
 import ctypes
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -19,8 +18,7 @@ GID_SIZE = 16
 """Bytes of the number that a publisher has in the whole graph."""
 
 
-@dataclass(frozen=True)
-class Taken:
+class Taken(NamedTuple):
     """A message: its bytes (CDR), when it came in [ns], its number, and its publisher's."""
 
     data: bytes
