@@ -1,6 +1,7 @@
 """Signals beyond single fields: reductions, frames, whole messages and a path against its plan."""
 
 import math
+import re
 from functools import partial
 
 import pytest
@@ -12,6 +13,7 @@ from waiting import wait_until
 from bo_tuner.backends.ros import signals as recorders
 from bo_tuner.replay.recompute import recompute
 from bo_tuner.storage.record import read_run
+from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -245,6 +247,18 @@ def test_a_bag_gives_the_metrics_of_the_run_again(backend, join, tmp_path):
     record = read_run(record_run(tmp_path / "run", made._study, {0.5: [made.recording]}))
     (again,) = recompute(record, record.study)
     assert again.outcome.metrics == live
+
+
+def test_more_whole_messages_than_a_run_may_have(backend, join, monkeypatch):
+    join(Scanner)
+    made = backend(signals={"scans": {"topic": "scan"}}, run=RUN)
+    metrics(made)
+    assert len(made.recording.messages["scans"].data) > 10
+    monkeypatch.setattr(maxima, "MESSAGES_BYTES", 1000)
+    assert re.fullmatch(
+        "signal scans has [0-9]+ bytes of messages, expected at most 1000 in a run",
+        failure(run(made)),
+    )
 
 
 def test_whole_messages_of_a_type_that_is_not_of_ros_itself(refusal, join, monkeypatch):

@@ -1,13 +1,15 @@
 """Who publishes a topic, and whether their messages would mix in a signal."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.guard.messages import GUARD
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
+from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import Signal
 
 LOOK = 0.1
@@ -97,3 +99,51 @@ def node_of(node: Node, spec: Signal) -> str:
     if spec.publisher.startswith("/"):
         return spec.publisher
     return full_name(node.get_namespace(), spec.publisher)
+
+
+def several_on(node: Node, topic: str, signals: Iterable[Signal]) -> bool:
+    """Whether one of some signals is of a topic that may have publishers of several nodes."""
+    return any(
+        spec.has_several and node.resolve_topic_name(spec.topic) == topic for spec in signals
+    )
+
+
+def expected_publishers(
+    node: Node, topic: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]
+) -> list[TopicEndpointInfo]:
+    """Return the publishers that a signal is of, at least one.
+
+    Parameters
+    ----------
+    node
+        A node of the tuner's.
+    topic
+        Full name of the signal's topic.
+    spec
+        The signal.
+    wait
+        Waits until a condition holds; whether it did in time.
+
+    Raises
+    ------
+    StudyError
+        If there are none, or such of several nodes, which would mix.
+    """
+    publishers = Publishers(node, topic)
+    if not wait(lambda: bool(publishers.now())):
+        near = others.instead(topic, others.topics(node), node)
+        raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
+    if not wait(lambda: bool(publishers.own(spec))):
+        raise StudyError(
+            f"{node_of(node, spec)} does not publish {topic}; expected one of {publishers.names()}",
+            ("publisher",),
+        )
+    # One that was only just found may not have its name yet.
+    wait(lambda: all(info.node_name != UNKNOWN_NODE for info in publishers.now()))
+    if mixed := publishers.mixed(spec):
+        raise StudyError(
+            f"{mixed} ({publishers.names()}), whose messages would mix; name one of them by "
+            "publisher, or take all by merge: true",
+            ("topic",),
+        )
+    return publishers.own(spec)

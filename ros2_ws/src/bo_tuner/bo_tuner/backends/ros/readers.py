@@ -4,10 +4,12 @@ from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 import numpy as np
+from rclpy.node import Node
 
 from bo_tuner.backends.ros.fields import ItemMissingError, field_reader
 from bo_tuner.backends.ros.heard_topic import Heard
 from bo_tuner.backends.ros.messages import has_header, interface_class, type_name
+from bo_tuner.backends.ros.publishers import node_of
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.stored_messages import is_known
 from bo_tuner.numerics.transforms import STILL, Transform, TransformTree, normalized
@@ -170,6 +172,10 @@ class FramesReader:
                 setattr(getattr(self._message, part), name, value)
         yield (self._at if self._by_header else None), self._read(self._message)
 
+    def still(self, heard: Heard) -> Iterator[Stamped]:
+        """Yield the same of a message with transforms that stand still."""
+        return self(heard, is_static=True)
+
     @property
     def missing(self) -> str:
         """Tell in a line why the pose is not known; empty if it is, or nothing was heard."""
@@ -196,6 +202,33 @@ class FramesReader:
                     f"({' and '.join(sorted(nodes))})"
                 )
         return ""
+
+
+def reader_of(
+    spec: Signal, cls: Any, node: Node, feeds: dict[str, TransformFeed]
+) -> FieldReader | FramesReader:
+    """Return what reads a signal.
+
+    Parameters
+    ----------
+    spec
+        The signal.
+    cls
+        Class of the messages.
+    node
+        A node of the tuner's, in whose namespace names are.
+    feeds
+        The transforms of each topic that signals with frames share.
+
+    Raises
+    ------
+    StudyError
+        If the messages do not have what the signal needs.
+    """
+    if spec.frames is None:
+        return FieldReader(spec, cls, node_of(node, spec) if spec.publisher else "")
+    topic = node.resolve_topic_name(spec.topic)
+    return FramesReader(spec, cls, feeds.setdefault(topic, TransformFeed()))
 
 
 def _nanoseconds(header: Any) -> int:

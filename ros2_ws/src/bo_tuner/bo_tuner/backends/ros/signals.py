@@ -3,22 +3,30 @@
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.fields import ItemMissingError
 from bo_tuner.backends.ros.heard_topic import HeardTopic
 from bo_tuner.backends.ros.messages import interface_class, type_name
-from bo_tuner.backends.ros.publishers import Publishers, node_of
-from bo_tuner.backends.ros.readers import FieldReader, FramesReader, Reader, TransformFeed
+from bo_tuner.backends.ros.publishers import (
+    Publishers,
+    expected_publishers,
+    node_of,
+    several_on,
+)
+from bo_tuner.backends.ros.readers import (
+    FieldReader,
+    FramesReader,
+    Reader,
+    TransformFeed,
+    reader_of,
+)
 from bo_tuner.backends.ros.taking import middleware
 from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
@@ -305,7 +313,7 @@ class SignalRecorder:
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
-        found = self._expect_publishers(topic, spec, wait)
+        found = expected_publishers(self.node, topic, spec, wait)
         if len(kinds := sorted({info.topic_type for info in found})) > 1:
             raise StudyError(f"{topic} carries {' and '.join(kinds)}; expected one", ("topic",))
         (kind,) = kinds
@@ -317,14 +325,10 @@ class SignalRecorder:
         if known is not None and known.heard.cls is not cls:
             other = type_name(known.heard.cls)
             raise StudyError(f"{topic} carries {kind}, and {other} for another signal", ("topic",))
-        reader: Reader
-        if spec.frames is not None:
-            feed = self._feeds.setdefault(topic, TransformFeed())
-            reader = self._frames[name] = FramesReader(spec, cls, feed)
-            still = self._topic(f"{topic}{STATIC}", cls)
-            still.readers[name] = partial(reader, is_static=True)
-        else:
-            reader = FieldReader(spec, cls, node_of(self.node, spec) if spec.publisher else "")
+        reader = reader_of(spec, cls, self.node, self._feeds)
+        if isinstance(reader, FramesReader):
+            self._frames[name] = reader
+            self._topic(f"{topic}{STATIC}", cls).readers[name] = reader.still
         here = self._topic(topic, cls)
         if spec.publisher and not here.heard.tells_publisher:
             raise StudyError(
@@ -335,44 +339,11 @@ class SignalRecorder:
         here.readers[name] = reader
         self._tracks[name] = Track(self._clock)
 
-    def _expect_publishers(
-        self, topic: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]
-    ) -> list[TopicEndpointInfo]:
-        """Return the publishers that a signal is of.
-
-        Raises
-        ------
-        StudyError
-            If there are none, or such of several nodes, which would mix.
-        """
-        publishers = Publishers(self.node, topic)
-        if not wait(lambda: bool(publishers.now())):
-            near = others.instead(topic, others.topics(self.node), self.node)
-            raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
-        if not wait(lambda: bool(publishers.own(spec))):
-            raise StudyError(
-                f"{node_of(self.node, spec)} does not publish {topic}; expected one of "
-                f"{publishers.names()}",
-                ("publisher",),
-            )
-        # One that was only just found may not have its name yet.
-        wait(lambda: all(info.node_name != UNKNOWN_NODE for info in publishers.now()))
-        if mixed := publishers.mixed(spec):
-            raise StudyError(
-                f"{mixed} ({publishers.names()}), whose messages would mix; name one of them by "
-                "publisher, or take all by merge: true",
-                ("topic",),
-            )
-        return publishers.own(spec)
-
     def _topic(self, name: str, cls: type) -> "_Topic":
         """Return a topic that is heard, from now on if it is not yet."""
         if name not in self._topics:
             offered = Publishers(self.node, name).now()
-            several = any(
-                spec.has_several and self.node.resolve_topic_name(spec.topic) == name
-                for spec in self._signals.values()
-            )
+            several = several_on(self.node, name, self._signals.values())
             heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
             nodes = {i.node_name for i in offered if i.node_name != UNKNOWN_NODE}
             of_guard = int(name in self._guarded)

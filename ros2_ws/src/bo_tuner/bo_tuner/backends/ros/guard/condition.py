@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -12,8 +11,8 @@ from bo_tuner.backends.ros.fields import ItemMissingError
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.heard_topic import HeardTopic
 from bo_tuner.backends.ros.messages import interface_class
-from bo_tuner.backends.ros.publishers import Publishers, node_of
-from bo_tuner.backends.ros.readers import FieldReader, FramesReader, Reader, TransformFeed, Value
+from bo_tuner.backends.ros.publishers import Publishers, several_on
+from bo_tuner.backends.ros.readers import FramesReader, Reader, TransformFeed, Value, reader_of
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.signals import STATIC, TIME, Signal, expression
@@ -117,22 +116,15 @@ class AbortCondition:
 
     def _read(self, name: str, spec: Signal, topic: str, cls: type) -> None:
         """Hear a signal from now on."""
-        reader: Reader
-        if spec.frames is None:
-            reader = FieldReader(spec, cls, node_of(self._node, spec) if spec.publisher else "")
-        else:
-            reader = FramesReader(spec, cls, self._feeds.setdefault(topic, TransformFeed()))
-            still = partial(reader, is_static=True)
-            self._hear(f"{topic}{STATIC}", cls).readers[name] = still
+        reader = reader_of(spec, cls, self._node, self._feeds)
+        if isinstance(reader, FramesReader):
+            self._hear(f"{topic}{STATIC}", cls).readers[name] = reader.still
         self._hear(topic, cls).readers[name] = reader
 
     def _hear(self, topic: str, cls: type) -> _Topic:
         if topic not in self._topics:
             # Of whom a message is has to be known of a topic from its beginning.
-            several = any(
-                spec.has_several and self._node.resolve_topic_name(spec.topic) == topic
-                for spec in self._wanted.values()
-            )
+            several = several_on(self._node, topic, self._wanted.values())
             offered = Publishers(self._node, topic).now()
             heard = HeardTopic(self._node, topic, cls, offered, tells_publisher=several)
             self._topics[topic] = _Topic(heard)
