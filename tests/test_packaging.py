@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from bo_tuner.storage.distribution import WHEELS
+from bo_tuner.ros_distribution import WHEELS
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "ros2_ws" / "src"

@@ -26,6 +26,7 @@ from test_msgs.action import Fibonacci
 from trajectory_msgs.msg import JointTrajectory
 from waiting import DEADLINE
 
+from bo_tuner.backends.ros.fields import field_reader
 from bo_tuner.backends.ros.graph import _described
 from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.backends.ros.messages import (
@@ -33,13 +34,12 @@ from bo_tuner.backends.ros.messages import (
     is_bulky,
     number_arrays,
     number_fields,
-    number_reader,
 )
 from bo_tuner.backends.ros.survey import _ends, _look
 from bo_tuner.cli import tune
 from bo_tuner.cli.init import numbers
 from bo_tuner.errors import StudyError
-from bo_tuner.study.signals import field_path
+from bo_tuner.study.fields import parsed_field
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 pytestmark = pytest.mark.ros
@@ -170,7 +170,12 @@ class Lidar(Node):
 
 def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tmp_path):
     """As by a study; of an array that the run is to publish, with all items before it."""
-    names = ("/scan:ranges[17]", "/silent:position[elbow]", "/currents:data[2]")
+    names = (
+        "/scan:ranges[17]",
+        "/scan:min(ranges)",
+        "/silent:position[elbow]",
+        "/currents:data[2]",
+    )
     with at_work(Lidar):
         code, _, err = run("tune", "--init", "--signals", *names, folder=tmp_path)
         assert (code, err) == (0, "")
@@ -404,7 +409,7 @@ def test_the_numbers_in_a_message(message, expected):
     found = number_fields(message)
     assert {key: found.get(key) for key in expected} == expected
     for key, value in found.items():
-        assert number_reader(type(message), field_path(key))(message) == value
+        assert field_reader(type(message), parsed_field(key))(message) == value
 
 
 def test_images_are_not_listened_to():

@@ -4,12 +4,12 @@ import contextlib
 from types import SimpleNamespace
 
 import pytest
-from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64
 
 from bo_tuner.backends.ros.clock import WallClock
-from bo_tuner.backends.ros.signals import DEPTH, _Topic, _Track
+from bo_tuner.backends.ros.heard_topic import DEPTH, HeardTopic
+from bo_tuner.backends.ros.tracks import Track
 
 
 class Flood(contextlib.nullcontext):
@@ -28,18 +28,20 @@ class Flood(contextlib.nullcontext):
 
 def test_a_topic_faster_than_its_reader_lets_the_reader_go_on():
     flood = Flood()
-    topic = _Topic("flood", "node", None, SimpleNamespace(handle=flood, msg_type=Float64), False)
-    topic.poll()
+    subscription = SimpleNamespace(handle=flood, msg_type=Float64)
+    node = SimpleNamespace(create_subscription=lambda *args, **named: subscription)
+    topic = HeardTopic(node, "flood", Float64, [])
+    values = [heard.message.data for heard in topic.take()]
+    assert values == list(range(1, flood.taken + 1))
     assert 0 < flood.taken <= DEPTH
-    assert topic.lost.count == 0
+    assert topic.lost() == 0
 
 
 def heard(stamps, in_run=True):
     """A track of a message each second, which tells its number and has one of `stamps` [s]."""
-    track = _Track(lambda message: message.number, True, WallClock(), in_run=in_run)
+    track = Track(WallClock(), in_run=in_run)
     for number, stamp in enumerate(stamps):
-        header = Header(stamp=Time(sec=stamp))
-        track.add(SimpleNamespace(header=header, number=float(number)), number * 1_000_000_000)
+        track.add(stamp * 1_000_000_000, float(number), number * 1_000_000_000)
     return track
 
 

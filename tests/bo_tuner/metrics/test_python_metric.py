@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plans import PATH, plan
 from signal_runs import outcome_of, signal_study
 from waiting import wait_until
 
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.metrics.recording import RecordedMessages, RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.study.study_file import load_study, parse_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
@@ -70,6 +71,14 @@ def loops(signals):
             pass
         except BaseException:
             pass
+def length_of_plans(signals):
+    times, plans = signals["plan"]
+    assert list(times) == [0.0, 2.0]
+    lengths = []
+    for plan in plans:
+        places = np.array([(p.pose.position.x, p.pose.position.y) for p in plan.poses])
+        lengths.append(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    return sum(lengths)
 def loops_in_c(signals):
     mark(str(os.getpid()))
     collections.deque(itertools.repeat(1), maxlen=0)
@@ -114,6 +123,15 @@ def test_what_the_function_is_given():
 def test_a_function_cannot_change_the_recording():
     assert outcome("late").metrics == {"own": 0.0}
     np.testing.assert_array_equal([X.time, X.value], [[-0.7, 1, 3], [0, 2, 4]])
+
+
+def test_a_function_of_whole_messages():
+    """As objects with their fields; the one that holds at the start has the time 0."""
+    data = (plan((0, 0), (3, 4)), plan((0, 0), (1, 0), (1, 1)))
+    heard = RecordedMessages(np.array([-0.3, 2.0]), PATH, data)
+    with_plans = Recording(RECORDING.signals, RECORDING.end, {"plan": heard})
+    found = outcome_of(study("users_metrics:length_of_plans"), with_plans)
+    assert found.metrics == {"own": 7.0}, found.reason
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from signal_runs import outcome_of, signal_study
 
-from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.metrics.recording import (
+    FailedRunError,
+    RecordedMessages,
+    RecordedSignal,
+    Recording,
+)
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study.signals import Signal, expression
@@ -196,3 +201,27 @@ def test_a_signal_with_stamps_of_another_clock(offset, side):
     ):
         with pytest.raises(FailedRunError, match=re.escape(expected)):
             check()
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"minimum_messages": 3}, "signal plan (/plan) has 2 messages in a run of 5 s"),
+        ({"largest_gap": 2.0}, "signal plan (/plan) has no message for 3 s from 2.000 s on"),
+        ({"most_lost": 2}, "signal plan (/plan) has 3 lost and 0 late messages"),
+    ],
+)
+def test_whole_messages_have_the_same_limits(limits, reason):
+    plan = RecordedMessages(np.array([-1.0, 1.0, 2.0]), "a/msg/B", (b"",) * 3, lost=3)
+    run = Recording({}, 5.0, {"plan": plan})
+    run.check({"plan": Signal(name="plan", topic="/plan")})
+    assert run.counts() == {"signals.plan": "2 messages, 3 lost, 0 late"}
+    with pytest.raises(FailedRunError, match=re.escape(reason)):
+        run.check({"plan": Signal(name="plan", topic="/plan", **limits)})
+
+
+def test_what_is_known_of_why_nothing_came_is_told():
+    empty = RecordedSignal(np.array([]), np.array([]), remark="there is no frame 'mpa'")
+    spec = Signal(name="x", frames=["mpa", "base"], field="translation.x")
+    with pytest.raises(FailedRunError, match=r"has 0 messages .*; there is no frame 'mpa'"):
+        Recording({"x": empty}, 2.0).check({"x": spec})

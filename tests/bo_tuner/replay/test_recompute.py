@@ -7,9 +7,11 @@ import json
 import numpy as np
 import pytest
 from commands import run
+from plans import PATH, plan
 from signal_runs import SETPOINT, record_run, signal_study
 
-from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.errors import RunRecordError
+from bo_tuner.metrics.recording import RecordedMessages, RecordedSignal, Recording
 from bo_tuner.recording.signal_bag import recorded_runs
 from bo_tuner.replay.recompute import differing, recompute
 from bo_tuner.storage.record import read_run
@@ -30,7 +32,9 @@ def recording(seed):
     """Signals at odd times, of which one began before the run."""
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(0.0, 2.0, 200))
-    angle = RecordedSignal(time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), 2, 1)
+    angle = RecordedSignal(
+        time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), lost=2, late=1
+    )
     return Recording(
         {"setpoint": RecordedSignal(np.array([-0.1, 0.1]), np.array([1.0, 1.0])), "angle": angle},
         2.0,
@@ -64,6 +68,50 @@ def test_the_same_definition_gives_the_same_number(folder):
     for item, evaluation in zip(found, record.trials[0].evaluations, strict=True):
         assert item.outcome.metrics == evaluation.outcome.metrics
         assert differing(record, record.study, item) == []
+
+
+def test_whole_messages_are_in_the_bag_in_their_order_whatever_their_stamps(tmp_path):
+    """A metric of a plan is recomputed as it was; so is that of runs without any plan."""
+    study = make_study(
+        signals=STUDY["signals"] | {"plan": {"topic": "/plan", "minimum_messages": 0}},
+        metrics=STUDY["metrics"]
+        | {"deviation": {"path": ["angle", "setpoint"], "plan": "plan", "measure": "rms"}},
+    )
+    data = (plan((0, 0), (1, 3)), plan((2, 2)), plan((0, 1), (0, 5), frame="a longer name"))
+    heard = [
+        RecordedMessages(np.array([-0.2, 0.4, 1.1]), PATH, data, lost=1, late=3),
+        RecordedMessages(np.array([]), PATH, ()),
+        RecordedMessages(np.array([0.1]), PATH, data[:1]),
+    ]
+    runs = [dataclasses.replace(recording(k), messages={"plan": h}) for k, h in enumerate(heard)]
+    record = read_run(record_run(tmp_path / "run", study, {0.5: runs}))
+    found = [item.recording for item in recorded_runs(record.path / "bags" / "trial_0000")]
+    for item, expected in zip(found, runs, strict=True):
+        seen, was = item.messages["plan"], expected.messages["plan"]
+        assert np.array_equal(seen.time, was.time)
+        assert (seen.type, seen.data, seen.lost, seen.late) == (PATH, was.data, was.lost, was.late)
+        assert item.signals.keys() == expected.signals.keys()
+    outcomes = [item.outcome for item in recompute(record, study)]
+    recorded = [evaluation.outcome for evaluation in record.trials[0].evaluations]
+    assert [o.state for o in outcomes] == [o.state for o in recorded]
+    assert [o.complete for o in outcomes] == [True, False, True]
+    assert [o.metrics for o in outcomes] == [o.metrics for o in recorded]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"publisher": "/arm"}, {"merge": True}, {"frames": ["map", "base"]}, {"time": "reception"}],
+    ids=str,
+)
+def test_another_source_of_a_signal_was_not_recorded(folder, change):
+    signals = STUDY["signals"] | {"angle": STUDY["signals"]["angle"] | change}
+    with pytest.raises(RunRecordError, match="has no recording of signal angle"):
+        list(recompute(read_run(folder), make_study(signals=signals)))
+
+
+def test_what_a_signal_must_keep_is_no_other_signal(folder):
+    signals = STUDY["signals"] | {"angle": STUDY["signals"]["angle"] | {"largest_gap": 9.0}}
+    assert list(recompute(read_run(folder), make_study(signals=signals)))
 
 
 def test_another_study_measures_the_same_signals(folder):

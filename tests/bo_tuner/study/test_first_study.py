@@ -446,7 +446,7 @@ class TestStudy:
         assert set(study.parameters) == {"kp", "evil"}
 
     def test_several_publishers_are_not_suggested(self):
-        mixed = SeenTopic("/torque", "x_msgs/msg/X", {"data": 0.0}, ("pid", "pid"), ())
+        mixed = SeenTopic("/torque", "x_msgs/msg/X", {"data": 0.0}, ("pid", "spy"), ())
         assert suggested_signals([mixed], ["pid"]) == []
 
 

@@ -291,3 +291,32 @@ class TestStart:
         goal = topic("/goal", "geometry_msgs/msg/Pose", POSE, (), ("base",))
         step = published(signal_offers(goal)[0], 2.0)
         assert step["message"] == {"position": {"x": 2.0}, "orientation": {"w": 1.0}}
+
+
+def test_several_publishers_of_one_node_are_suggested_and_of_several_one_is_named():
+    """Behaviours of one node share its topic; of two nodes somebody has to say which counts."""
+    own = scalar("/effort", ("base", "base"))
+    shared = scalar("/speed", ("a_joystick", "base"))
+    offers = suggested_signals([own, shared], NODES)
+    assert [offer.topic for offer in offers] == [own]
+    assert offers[0].remark == "from base"
+    wanted = SignalOffer(shared, "data")
+    assert wanted.remark == (
+        "from a_joystick and base; CHECK: publisher names the one that counts, merge: true takes "
+        "all"
+    )
+    node = SeenNode("base", {"kp": Described("double", 1.0)})
+    text = first_study(
+        "study.yaml", Seen((node,), (own, shared)), [node], parameter_offers(node)[0], [wanted]
+    )
+    signal = parse_study(text).signals["speed"]
+    assert signal.publisher == "a_joystick"
+    assert "CHECK: publisher names" in text
+
+
+def test_a_number_of_several_fields_is_named_after_all_of_it():
+    wheels = topic("/odom", "nav_msgs/msg/Odometry", ["norm(twist.linear.x, twist.linear.y)"])
+    node = SeenNode("base", {"kp": Described("double", 1.0)})
+    offers = signal_offers(replace(wheels, publishers=("base",)))
+    text = first_study("a.yaml", Seen((node,), ()), [node], parameter_offers(node)[0], offers)
+    assert list(parse_study(text).signals) == ["norm_twist_linear_x_twist_linear_y"]

@@ -182,11 +182,15 @@ def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
 
 
 def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
-    """Return the signals that the run does not publish itself."""
+    """Return the signals that others publish than the run itself."""
     steps = () if study.run is None else study.run.steps
     name = tuner.node.resolve_topic_name
     own = {name(step.publish.topic) for _, step in steps if step.publish is not None}
-    return {n: spec for n, spec in study.signals.items() if name(spec.topic) not in own}
+    return {
+        key: spec
+        for key, spec in study.signals.items()
+        if spec.publisher or name(spec.topic) not in own
+    }
 
 
 def _try(
@@ -206,7 +210,8 @@ def _try(
         heard: list[str] = []
 
         def look(tuner: TunerNode) -> None:
-            heard.extend(_heard(study, tuner))
+            found = _heard(study, tuner)
+            heard.extend(name for name, spec in found.items() if spec.is_number)
             if not attach:
                 _hold_against(study, tuner, attached=False)
 

@@ -26,7 +26,8 @@ BARS = " ▁▂▃▄▅▆▇█"
 def show_signals(recording: Recording, number: int) -> None:
     """Show the signals of a run, and which one it is."""
     console = plain_console()
-    names = max((len(name) for name in recording.signals), default=0)
+    all_names = (*recording.signals, *recording.messages)
+    names = max((len(name) for name in all_names), default=0)
     width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
     table = Table(title=f"signals of run {number}, {recording.end:.3g} s", title_justify="left")
     for column in ("signal", "messages", "least", "over the run", "largest"):
@@ -44,7 +45,9 @@ def show_signals(recording: Recording, number: int) -> None:
             plot(seen.time, seen.value, recording.end, width),
             f"{high:.4g}",
         )
-    if recording.signals:
+    for name, heard in recording.messages.items():
+        table.add_row(name, f"{heard.messages}", "", f"whole messages, {heard.type}", "")
+    if all_names:
         console.print(table)
 
 

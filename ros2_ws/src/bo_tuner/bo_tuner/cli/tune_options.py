@@ -195,7 +195,11 @@ def _add_running_nodes(parser: Parser) -> None:
     for option, what in (
         ("--nodes", "nodes to tune"),
         ("--parameters", "parameters to tune, such as gain or node:gain"),
-        ("--signals", "signals to record, such as /topic, /topic:field or /scan:ranges[0]"),
+        (
+            "--signals",
+            "signals to record, such as /topic, /topic:field, /scan:ranges[0] or "
+            "'/scan:min(ranges)'",
+        ),
     ):
         parser.add_argument(
             option, nargs="+", metavar="NAME", help=f"with --init: {what}, instead of being asked"

@@ -6,7 +6,7 @@ told once is not, and may be silent.
 """
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import astuple, dataclass, replace
 from statistics import median
 
@@ -14,8 +14,8 @@ import numpy as np
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording, named
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.metrics import PythonMetric, SignalMetric
-from bo_tuner.study.signals import Signal, expression
+from bo_tuner.study.metrics import signals_of
+from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Outcome
 
@@ -203,18 +203,8 @@ def _remarks(where: str, seen: RecordedSignal, end: float, usual: Rate) -> list[
 
 def used_signals(study: Study) -> Collection[str]:
     """Return the signals that a metric, or a condition on the end or abortion of a run, needs."""
-    signals: Mapping[str, Signal] = study.signals
-    texts: list[object] = []
-    for metric in study.metrics.values():
-        if isinstance(metric, PythonMetric):
-            return signals.keys()
-        if isinstance(metric, SignalMetric):
-            texts += [metric.of, metric.target]
+    found = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
     if study.run is not None:
-        texts += [study.run.abort_when, study.run.end.when]
-    return {
-        name
-        for text in texts
-        if isinstance(text, str) and text
-        for name in expression(text, signals).names
-    }
+        for text in (study.run.abort_when, study.run.end.when):
+            found |= expression(text, study.signals).names if text else set()
+    return found

@@ -7,16 +7,20 @@ nothing, or nothing and what was wrong, in words. Without signals it only loads 
 import os
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 
+from bo_tuner.metrics.stored_messages import decoded
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, named_code
 
-Signals = Mapping[str, tuple[Array, Array]]
-"""Times (n,) [s] and values (n,) of each signal, by its name."""
+Passed = tuple[Array, Array | tuple[str, Sequence[bytes]]]
+"""Times (n,) [s] and values (n,) of a signal; of whole messages their type and bytes (n)."""
+Signals = Mapping[str, Passed]
+"""The signals by their names."""
 
 
 def serve(connection: Connection) -> None:
@@ -41,7 +45,9 @@ def _loaded(path: str) -> tuple[None, str]:
 def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
     try:
         with named_code.kept_in_place():
-            found = named_code.load(path)(signals)
+            found = named_code.load(path)(
+                {name: (time, _read(said)) for name, (time, said) in signals.items()}
+            )
     except named_code.MovedError as error:
         return None, str(error)
     except named_code.faults() as error:
@@ -53,6 +59,11 @@ def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
     except named_code.faults() as error:
         name = type(found).__name__
         return None, f"returned a {name} that is no number: {named_code.told(error)}"
+
+
+def _read(said: Array | tuple[str, Sequence[bytes]]) -> Any:
+    """Return values as they are, and whole messages as objects with their fields."""
+    return decoded(*said) if isinstance(said, tuple) else said
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The signals of one run."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,16 +21,14 @@ class FailedRunError(Exception):
 
 
 @dataclass(frozen=True)
-class RecordedSignal:
-    """A signal as its messages gave it.
+class Recorded:
+    """When the messages of a signal came.
 
     Attributes
     ----------
     time
         When each message was true (n,) [s] since the start of the run, increasing. The last one
         before the start, if there was one, stands first.
-    value
-        What it said (n,).
     lost
         Messages that the middleware lost.
     late
@@ -38,13 +36,15 @@ class RecordedSignal:
     offset
         Time [s] by which the stamp of the latest message is ahead of the clock of the run at its
         reception; negative if it is behind, 0 without a stamp.
+    remark
+        Why there may be no messages, in words, as far as that is known.
     """
 
     time: Array
-    value: Array
-    lost: int = 0
-    late: int = 0
-    offset: float = 0.0
+    lost: int = field(default=0, kw_only=True)
+    late: int = field(default=0, kw_only=True)
+    offset: float = field(default=0.0, kw_only=True)
+    remark: str = field(default="", kw_only=True)
 
     @property
     def other_clock(self) -> str:
@@ -64,10 +64,42 @@ class RecordedSignal:
 
     def check_finite(self, where: str) -> None:
         """Raise `FailedRunError`, with the name of the signal, if a value is not finite."""
+
+
+@dataclass(frozen=True)
+class RecordedSignal(Recorded):
+    """A number as the messages of a signal gave it.
+
+    Attributes
+    ----------
+    value
+        What each message said (n,).
+    """
+
+    value: Array
+
+    def check_finite(self, where: str) -> None:
+        """Raise `FailedRunError`, with the name of the signal, if a value is not finite."""
         wrong = np.flatnonzero(~np.isfinite(self.value))
         if len(wrong):
             when = self.time[wrong[0]]
             raise FailedRunError(f"{where} is {self.value[wrong[0]]:g} at {when:.3f} s")
+
+
+@dataclass(frozen=True)
+class RecordedMessages(Recorded):
+    """The whole messages of a signal.
+
+    Attributes
+    ----------
+    type
+        Their type, such as `nav_msgs/msg/Path`.
+    data
+        Each message (n) as it is on the wire (CDR).
+    """
+
+    type: str
+    data: tuple[bytes, ...]
 
 
 @dataclass(frozen=True)
@@ -80,13 +112,20 @@ class Recording:
     Attributes
     ----------
     signals
-        By their names in the study.
+        Numbers by their names in the study.
     end
         When the run ended [s] since its start.
+    messages
+        Signals of whole messages, by their names.
     """
 
     signals: Mapping[str, RecordedSignal]
     end: float
+    messages: Mapping[str, RecordedMessages] = field(default_factory=dict)
+
+    def seen(self, name: str) -> Recorded:
+        """Return a signal of either kind."""
+        return self.messages[name] if name in self.messages else self.signals[name]
 
     def check(
         self, specs: Mapping[str, Signal], largest_gaps: Mapping[str, float] = NO_LIMITS
@@ -108,12 +147,13 @@ class Recording:
             topic.
         """
         for name, spec in specs.items():
-            seen = self.signals[name]
+            seen = self.seen(name)
             where = named(name, spec)
             seen.check_finite(where)
             if seen.messages < spec.minimum_messages:
                 before = "; the latest has a stamp before the start" if len(seen.time) else ""
                 before = f"; {seen.other_clock}" if seen.other_clock else before
+                before = f"; {seen.remark}" if seen.remark else before
                 raise FailedRunError(
                     f"{where} has {seen.messages} messages in a run of {self.end:.3g} s, "
                     f"expected at least {spec.minimum_messages}{before}"
@@ -154,7 +194,7 @@ class Recording:
             If a value is not finite, or a signal has no message any more; as by `check`.
         """
         for name, spec in specs.items():
-            seen = self.signals[name]
+            seen = self.seen(name)
             seen.check_finite(named(name, spec))
             since = max(0.0, seen.time[-1]) if len(seen.time) else 0.0
             largest = spec.largest_gap or largest_gaps.get(name)
@@ -163,7 +203,7 @@ class Recording:
 
     def silence(self, name: str, spec: Signal) -> float:
         """Return how long [s] no message of a signal has come if that is too long, and else 0."""
-        seen = self.signals[name]
+        seen = self.seen(name)
         if spec.largest_gap is None or not len(seen.time):
             return 0.0
         silence = self.end - float(seen.time[-1])
@@ -194,7 +234,21 @@ class Recording:
         MissingMetricError
             If a signal has no message.
         """
-        used = {name: self.signals[name] for name in expression.names - {TIME}}
+        time, values = self.held(expression.names - {TIME}, held, since)
+        found = expression(values | {TIME: time})
+        return time, np.broadcast_to(found, time.shape).astype(np.float64)
+
+    def held(
+        self, names: Iterable[str], held: bool = True, since: float = 0.0
+    ) -> tuple[Array, dict[str, Array]]:
+        """Return the values of signals at the time of each message of them, as `sample`.
+
+        Returns
+        -------
+        tuple
+            Times (n,) [s] and by name the values (n,).
+        """
+        used = {name: self.signals[name] for name in names}
         for name, seen in used.items():
             if not len(seen.time):
                 raise MissingMetricError(f"signal {name} has no message")
@@ -211,15 +265,13 @@ class Recording:
             name: seen.value[np.cumsum(source == k)[keep] - 1]
             for k, (name, seen) in enumerate(used.items(), start=1)
         }
-        time = time[keep]
-        found = expression(values | {TIME: time})
-        return time, np.broadcast_to(found, time.shape).astype(np.float64)
+        return time[keep], values
 
     def counts(self) -> dict[str, str]:
         """Say in words how many messages of each signal came."""
         return {
             f"signals.{name}": f"{seen.messages} messages, {seen.lost} lost, {seen.late} late"
-            for name, seen in self.signals.items()
+            for name, seen in (*self.signals.items(), *self.messages.items())
         }
 
 
@@ -228,11 +280,11 @@ NOTHING_RECORDED = Recording({}, 0.0)
 
 def named(name: str, spec: Signal) -> str:
     """Name a signal with its topic."""
-    return f"signal {name} ({spec.topic})"
+    return f"signal {name} ({spec.source})"
 
 
 def _gap(
-    name: str, spec: Signal, seen: RecordedSignal, length: float, since: float, largest: float
+    name: str, spec: Signal, seen: Recorded, length: float, since: float, largest: float
 ) -> FailedRunError:
     why = "" if spec.largest_gap else ", as in the first runs; largest_gap of the signal limits it"
     why += f"; {seen.other_clock}" if seen.other_clock else ""

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from bo_tuner.errors import StudyError
+from bo_tuner.metrics.path_source import PathSource
 from bo_tuner.metrics.python_process import PythonProcess
+from bo_tuner.metrics.python_worker import Passed
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
 from bo_tuner.numerics.expressions import Expression
@@ -17,6 +19,7 @@ from bo_tuner.numerics.signal_metrics import (
     options_of,
 )
 from bo_tuner.study.metrics import PythonMetric, SignalMetric
+from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
 
@@ -79,7 +82,8 @@ class PythonSource:
     It runs in a process of its own. It is passed, by their names, the times (n,) [s] and values
     (n,) of all signals that have messages, and returns the value. As for the other measures the
     first time is 0, or that of the first message, the last one is the end of the run, and a value
-    holds until the next one.
+    holds until the next one. Of a signal of whole messages it has the time and each of them (n),
+    where the one that holds at the start has the time 0.
 
     Parameters
     ----------
@@ -108,11 +112,14 @@ class PythonSource:
     def value(self, results: Results) -> float:
         """Return the value; of `results` nothing is needed."""
         recording = self._recording()
-        signals = {
+        signals: dict[str, Passed] = {
             name: recording.sample(Expression(name, (name,)))
             for name, seen in recording.signals.items()
             if len(seen.time)
         }
+        for name, heard in recording.messages.items():
+            if len(heard.time):
+                signals[name] = (np.maximum(heard.time, 0.0), (heard.type, heard.data))
         metric = self._metric
         try:
             return self._process.compute(metric.python, signals, metric.timeout)
@@ -152,6 +159,8 @@ def signal_sources(
         for name, metric in study.metrics.items():
             if isinstance(metric, SignalMetric):
                 sources[name] = SignalSource(metric, study, recording)
+            elif isinstance(metric, PathMetric):
+                sources[name] = PathSource(metric, study, recording)
             elif isinstance(metric, PythonMetric):
                 sources[name] = PythonSource(metric, recording, process)
         yield sources

@@ -10,7 +10,6 @@ import json
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from struct import Struct
 from typing import Final
@@ -18,11 +17,9 @@ from typing import Final
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
+from bo_tuner.metrics.stored_messages import typestore
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.distribution import distribution
 
 PARTIAL = ".partial"
 NOTES = "notes.json"
@@ -54,15 +51,6 @@ class Topic:
 
 Message = tuple[Topic, bytes]
 """Topic and serialized message (CDR)."""
-
-
-@cache
-def typestore() -> Typestore:
-    """Return the message definitions of the ROS distribution that is installed, or of Jazzy."""
-    try:
-        return get_typestore(Stores(f"ros2_{distribution()}"))
-    except ValueError:
-        return get_typestore(Stores.LATEST)
 
 
 def make_topic(name: str, message_type: str) -> Topic:

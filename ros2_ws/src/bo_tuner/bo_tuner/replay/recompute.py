@@ -1,5 +1,6 @@
 """Metrics of recorded runs, computed again from their bags, or from what nodes reported."""
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -53,8 +54,8 @@ def check_recorded(record: RunRecord, study: Study) -> None:
         known = recorded.get(name)
         if known is None or _source(known) != _source(signal):
             raise RunRecordError(
-                f"{record.path}: has no recording of signal {name} ({signal.topic} "
-                f"{signal.field}); it has {', '.join(recorded) or 'none'}"
+                f"{record.path}: has no recording of signal {name} ({signal.source} "
+                f"{signal.field or 'whole messages'}); it has {', '.join(recorded) or 'none'}"
             )
 
 
@@ -160,9 +161,11 @@ def _from_reports(
     return Collector(study).outcome({node: pairs for node, pairs in results.items() if pairs})
 
 
-def _source(signal: Signal) -> tuple[str, str, str]:
-    """Return what decides which numbers a signal has, at which times."""
-    return signal.topic, signal.field, signal.time
+def _source(signal: Signal) -> Signal:
+    """Return what decides which values a signal has, at which times: not what it must keep."""
+    return dataclasses.replace(
+        signal, type="", minimum_messages=1, largest_gap=None, most_lost=None
+    )
 
 
 def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:

@@ -39,11 +39,10 @@ from bo_tuner.study.metrics import (
     COMPUTED,
     PythonMetric,
     RelativeMetric,
-    SignalMetric,
     StudyMetric,
+    signals_of,
 )
 from bo_tuner.study.parts import LOG
-from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
@@ -411,11 +410,8 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
         return all(_same_metric(one, earlier, then, now) for one, earlier in pairs)
     if isinstance(metric, PythonMetric):
         return then.signals == now.signals
-    if isinstance(metric, SignalMetric):
-        texts = (text for text in (metric.of, metric.target) if isinstance(text, str))
-        used = {name for text in texts for name in expression(text, now.signals).names}
-        return all(then.signals.get(name) == now.signals.get(name) for name in used)
-    return True
+    used = signals_of(metric, now.signals)
+    return all(then.signals.get(name) == now.signals.get(name) for name in used)
 
 
 def _same_default(then: Study, now: Study) -> bool:

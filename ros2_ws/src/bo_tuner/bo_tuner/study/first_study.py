@@ -208,6 +208,8 @@ def _short_name(offer: SignalOffer) -> str:
         return _words(f"{last}_{offer.joint}")
     if offer.field == "data":
         return _words(last)
+    if offer.field.endswith(")"):
+        return _words(offer.field)
     # As linear.x of twist.twist.linear.x: one letter alone says too little.
     return _words(".".join(offer.field.split(".")[-2:]))
 
@@ -227,6 +229,8 @@ def _is_signal(name: str, offer: SignalOffer) -> bool:
 def _signal_lines(topics: Iterable[SeenTopic], names: Mapping[SignalOffer, str]) -> Iterator[str]:
     for offer, name in names.items():
         fields = {"topic": offer.topic.name, "field": offer.field}
+        if len(offer.topic.nodes) > 1:
+            fields["publisher"] = offer.topic.nodes[0]
         yield f"  {name}: {dump_line(fields)}  # {offer.topic.type}, {offer.remark}"
     for topic in topics:
         left = [offer.field for offer in signal_offers(topic) if offer not in names]

@@ -37,6 +37,8 @@ ANSWER = 1_000
 """Keys in what a node says of an evaluation."""
 MESSAGE_BYTES = 10_000_000
 """Of a result, an event of parameters or a message with a signal; a larger one is not decoded."""
+MESSAGES_BYTES = 200_000_000
+"""Of all messages of a run in a signal of whole messages."""
 JOURNAL_BYTES = 2_000_000_000
 FILE_BYTES = 50_000_000
 """Of a summary, a certificate or a parameter file."""

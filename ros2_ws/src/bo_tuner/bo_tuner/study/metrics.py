@@ -5,7 +5,7 @@ value.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -13,9 +13,10 @@ import numpy as np
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
-from bo_tuner.study.signals import TIME, expression, named_expression
+from bo_tuner.study.measures import check_measure
+from bo_tuner.study.path_metric import PathMetric
+from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
 
 
 class Metric(Protocol):
@@ -118,21 +119,7 @@ class SignalMetric:
         checks.parameter_name(self.name)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
-        checks.choice(self.measure, (*MEASURES, *SYNONYMS), "measure")
-        object.__setattr__(self, "measure", SYNONYMS.get(self.measure, self.measure))
-        options = options_of(self.measure)
-        for key in ("target", "percent", "band"):
-            value = getattr(self, key)
-            if value is None and options.get(key):
-                raise StudyError(f"missing; {self.measure} needs one", (key,))
-            if value is not None and key not in options:
-                raise StudyError(f"{self.measure} has none", (key,))
-            if value is not None and not (key == "target" and isinstance(value, str)):
-                object.__setattr__(self, key, checks.magnitude(value, key))
-        if self.percent is not None and not 0.0 <= self.percent <= 100.0:
-            raise StudyError(f"expected 0 to 100, found {self.percent:g}", ("percent",))
-        if self.band is not None:
-            checks.positive(self.band, "band")
+        check_measure(self)
 
     def check_signals(self, signals: Iterable[str]) -> None:
         """Refuse expressions with signals that the study does not have."""
@@ -147,6 +134,17 @@ class SignalMetric:
             )
         if isinstance(self.target, str):
             expression(self.target, signals, "target")
+
+    def check_kinds(self, signals: Mapping[str, Signal]) -> None:
+        """Refuse expressions with signals that are no numbers."""
+        only_numbers(self.of, signals, "of")
+        if isinstance(self.target, str):
+            only_numbers(self.target, signals, "target")
+
+    @property
+    def expressions(self) -> list[str]:
+        """The expressions of signals that it needs."""
+        return [text for text in (self.of, self.target) if isinstance(text, str)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +206,7 @@ class CombinedMetric:
     unit: str = ""
 
     _of: ClassVar[Expression]
-    parts: ClassVar[tuple[ReportedMetric | SignalMetric | PythonMetric, ...]] = ()
+    parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
     """The metrics that it is computed from; there as soon as it is `joined` to a study."""
 
     def __post_init__(self) -> None:
@@ -346,12 +344,27 @@ def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:
     return units.pop() if len(units) == 1 and keeps else ""
 
 
-StudyMetric = ReportedMetric | SignalMetric | PythonMetric | CombinedMetric | RelativeMetric
+StudyMetric = (
+    ReportedMetric | SignalMetric | PathMetric | PythonMetric | CombinedMetric | RelativeMetric
+)
+
+
+def signals_of(metric: object, signals: Iterable[str]) -> Iterator[str]:
+    """Yield the names of the signals that a metric is computed from, of those of a study."""
+    if isinstance(metric, PythonMetric):
+        yield from signals
+    elif isinstance(metric, PathMetric):
+        yield from metric.signals
+    elif isinstance(metric, SignalMetric):
+        for text in metric.expressions:
+            yield from expression(text, signals).names - {TIME}
 
 
 def metric_kind(fields: object) -> type[StudyMetric]:
     """Return the kind of metric that the keys of an entry of `metrics` in a study file mean."""
     keys = fields.keys() if isinstance(fields, dict) else ()
+    if "plan" in keys or "path" in keys:
+        return PathMetric
     if "of" in keys or "measure" in keys:
         return SignalMetric
     if "expression" in keys:

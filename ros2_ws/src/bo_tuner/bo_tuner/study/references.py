@@ -28,8 +28,9 @@ from bo_tuner.study.parts import (
     SeedParameter,
     Trigger,
 )
+from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.run import Run
-from bo_tuner.study.signals import Signal
+from bo_tuner.study.signals import Signal, only_numbers
 
 
 def check_objectives(
@@ -70,9 +71,13 @@ def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric |
     """
     checks.reference(constraint.metric, "metric", metrics, "metric")
     metric = metrics[constraint.metric]
+    # A distance is never negative, whatever is measured of it.
+    never_negative = isinstance(metric, PathMetric) or (
+        isinstance(metric, SignalMetric) and metric.measure in NEVER_NEGATIVE
+    )
     if (
-        isinstance(metric, SignalMetric)
-        and metric.measure in NEVER_NEGATIVE
+        isinstance(metric, SignalMetric | PathMetric)
+        and never_negative
         and constraint.upper is not None
         and constraint.upper < 0.0
     ):
@@ -107,12 +112,27 @@ def check_signals(
     """Refuse expressions with signals that are not there, in metrics and in a run."""
     findings = Findings()
     for name, metric in metrics.items():
-        if isinstance(metric, SignalMetric):
+        if isinstance(metric, SignalMetric | PathMetric):
             with findings.under("metrics", name):
                 metric.check_signals(signals)
     if run is not None:
         with findings.under():
             run.check_references(signals, nodes)
+    findings.check()
+
+
+def check_kinds(
+    run: Run | None, metrics: Mapping[str, object], signals: Mapping[str, Signal]
+) -> None:
+    """Refuse whole messages where numbers are computed with, and the other way round."""
+    findings = Findings()
+    for name, metric in metrics.items():
+        if isinstance(metric, SignalMetric | PathMetric):
+            with findings.under("metrics", name):
+                metric.check_kinds(signals)
+    for text, path in () if run is None else run.conditions:
+        with findings.under():
+            only_numbers(text, signals, *path)
     findings.check()
 
 

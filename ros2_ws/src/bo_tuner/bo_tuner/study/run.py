@@ -121,23 +121,27 @@ class Run:
             for index, step in enumerate(getattr(self, phase)):
                 yield ("run", phase, index), step
 
+    @property
+    def conditions(self) -> Iterator[tuple[str, KeyPath]]:
+        """All conditions on signals, each with its key path in the study."""
+        if self.end.when:
+            yield self.end.when, ("run", "end", "when")
+        if self.abort_when:
+            yield self.abort_when, ("run", "abort_when")
+        for path, step in self.steps:
+            if step.wait_until is not None:
+                yield step.wait_until.condition, (*path, "wait_until", "condition")
+
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
         """Refuse conditions with signals, and restarts of nodes, that the study does not have."""
         findings = Findings()
-        conditions: list[tuple[str, KeyPath]] = [
-            (self.end.when, ("run", "end", "when")),
-            (self.abort_when, ("run", "abort_when")),
-        ]
         for path, step in self.steps:
-            if step.wait_until is not None:
-                conditions.append((step.wait_until.condition, (*path, "wait_until", "condition")))
             if step.restart:
                 with findings.under():
                     checks.reference(step.restart, "node", nodes, *path, "restart")
-        for condition, path in conditions:
-            if condition:
-                with findings.under():
-                    expression(condition, signals, *path)
+        for condition, path in self.conditions:
+            with findings.under():
+                expression(condition, signals, *path)
         findings.check()
 
 

@@ -36,7 +36,7 @@ class SeenTopic:
         The numbers that can be signals: their value in a message that was heard, by field. Of a
         topic that was silent those that every message has, as in an empty one.
     publishers, listeners
-        Names of nodes.
+        Names of nodes, one for each end: a node may have several.
     joints
         Those of a trajectory that a controller waits for, in the order of `fields`.
     is_silent
@@ -50,6 +50,11 @@ class SeenTopic:
     listeners: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     is_silent: bool = False
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the nodes that publish it, each once."""
+        return tuple(dict.fromkeys(self.publishers))
 
 
 @dataclass(frozen=True)

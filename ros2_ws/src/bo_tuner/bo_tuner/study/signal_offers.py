@@ -9,6 +9,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
+from bo_tuner.study.offers import CHECK
 from bo_tuner.study.seen import SeenTopic
 
 MOST_SIGNALS = 6
@@ -63,8 +64,9 @@ class SignalOffer:
         """Who publishes it."""
         if not self.topic.publishers:
             return "nobody publishes it, so the run will"
-        names = " and ".join(self.topic.publishers)
-        mixed = ", which would mix" if len(self.topic.publishers) > 1 else ""
+        names = " and ".join(self.topic.nodes)
+        several = f"; {CHECK}: publisher names the one that counts, merge: true takes all"
+        mixed = several if len(self.topic.nodes) > 1 else ""
         now = "; silent now" if self.topic.is_silent else ""
         return f"from {names}{mixed}{now}" + ("" if self.is_finite else "; not finite now")
 
@@ -99,7 +101,7 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     """Return the signals that are taken unless somebody says otherwise, the most useful first.
 
     These are the reference and what follows it, where names say which, and what the tuned nodes
-    publish and hear from others, each from one publisher: plain numbers before parts of larger
+    publish and hear from others, each from one node: plain numbers before parts of larger
     messages. All topics serve if that is nothing.
 
     Parameters
@@ -110,7 +112,7 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
         Names of the nodes that are tuned.
     """
     topics = list(topics)
-    single = [topic for topic in topics if len(topic.publishers) == 1]
+    single = [topic for topic in topics if len(topic.nodes) == 1]
     near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
     # What is silent may be published in runs only, or never.
     pools = ([t for t in near if not t.is_silent], [t for t in single if not t.is_silent], near)
@@ -146,7 +148,7 @@ def reference(offers: Sequence[SignalOffer], nodes: Collection[str]) -> SignalOf
         offer
         for offer in offers
         if REFERENCE.search(offer.topic.name)
-        and len(offer.topic.publishers) <= 1
+        and len(offer.topic.nodes) <= 1
         and not set(offer.topic.publishers) & set(nodes)
     ]
     # What nobody publishes the run can.

@@ -2,7 +2,7 @@
 
 import keyword
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from bo_tuner.errors import StudyError
@@ -13,6 +13,7 @@ from bo_tuner.numerics.expressions import (
     UnknownNameError,
 )
 from bo_tuner.study import checks
+from bo_tuner.study.fields import parsed_field
 
 HEADER, RECEPTION = "header", "reception"
 TIME = "t"
@@ -20,58 +21,36 @@ TIME = "t"
 
 SIGNAL_NAME = re.compile(r"[A-Za-z_]\w{0,63}", re.ASCII)
 GRAPH_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-FIELD_PART = re.compile(r"([A-Za-z]\w*)(?:\[([^\[\]]+)\])?", re.ASCII)
+FRAME = re.compile(r"[^\s/][^\s]*")
+TF = "/tf"
+"""Topic of transforms; what never changes is on the topic of that name with `STATIC` behind."""
+STATIC = "_static"
 MESSAGE_TYPE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
-
-
-@dataclass(frozen=True)
-class FieldPart:
-    """A step into a message: the field `name`, and of an array the item `item`, if any.
-
-    An item is a number, or a name that stands in the array `name` beside the field, as that of a
-    joint in a `sensor_msgs/msg/JointState`.
-    """
-
-    name: str
-    item: int | str | None = None
-
-
-def field_path(text: str) -> tuple[FieldPart, ...]:
-    """Split the path of a field, such as ``pose.pose.position.x`` or ``position[motor]``.
-
-    Raises
-    ------
-    StudyError
-        If it is none.
-    """
-    parts = []
-    for part in re.split(r"\.(?![^\[]*\])", text):
-        match = FIELD_PART.fullmatch(part)
-        if match is None:
-            raise StudyError(
-                f"expected a field such as data, pose.pose.position.x, data[3] or "
-                f"position[motor], found {checks.show(text)}",
-                ("field",),
-            )
-        item = match[2]
-        is_number = item is not None and item.isascii() and item.isdigit()
-        parts.append(FieldPart(match[1], int(item) if is_number else item))
-    return tuple(parts)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signal:
-    """A number in the messages of a topic, over the time of a run.
+    """What a study records over the time of a run: a number in messages, or whole messages.
 
     Attributes
     ----------
     name : str
         Name in the study and in expressions.
     topic : str
-        The topic, relative to the tuner's namespace or absolute.
+        The topic, relative to the tuner's namespace or absolute; `/tf` of `frames` unless given.
     field : str
         Path of the field, such as `data`, `pose.pose.position.x`, `data[3]`, or `position[motor]`
-        for the joint `motor` of a JointState.
+        for the joint `motor` of a JointState; or a number that is computed of fields, such as
+        `min(ranges)`, `norm(twist.twist.linear)`, `len(poses)` or `yaw(pose.pose.orientation)`.
+        Without it the signal is the whole messages, for Python functions and plans.
+    frames : pair of str, optional
+        Two frames, as `[map, base_link]`: the signal is of where the second one is in the first,
+        by the transforms of the topic, and `field` is one of a Transform, such as `translation.x`
+        or `yaw(rotation)`.
+    publisher : str
+        The node whose messages count where several publish the topic.
+    merge : bool
+        Whether the messages of all publishers count, where there are several.
     type : str
         Type of the messages, such as `std_msgs/msg/Float64`; what the publisher says unless given.
     time : str
@@ -87,8 +66,11 @@ class Signal:
     """
 
     name: str
-    topic: str
-    field: str
+    topic: str = ""
+    field: str = ""
+    frames: tuple[str, str] | None = None
+    publisher: str = ""
+    merge: bool = False
     type: str = ""
     time: str = ""
     minimum_messages: int = 1
@@ -99,8 +81,21 @@ class Signal:
         checks.matching(self.name, SIGNAL_NAME, "a name of letters, digits and _")
         if self.name == TIME or self.name in FUNCTIONS or keyword.iskeyword(self.name):
             raise StudyError(f"'{self.name}' has a meaning in expressions; choose another name")
+        self._check_frames()
+        if self.topic == "":
+            raise StudyError("missing", ("topic",))
         checks.matching(self.topic, GRAPH_NAME, "a topic name such as /joint_states", "topic")
-        field_path(checks.text(self.field, "field"))
+        if checks.text(self.field, "field"):
+            parsed_field(self.field)
+        checks.boolean(self.merge, "merge")
+        if self.publisher != "":
+            checks.matching(self.publisher, GRAPH_NAME, "a node name such as /arm", "publisher")
+            if self.merge or self.frames is not None:
+                beside = "merge" if self.merge else "frames"
+                raise StudyError(
+                    f"messages of one node or of all; leave out publisher or {beside}",
+                    ("publisher",),
+                )
         if self.type != "":
             checks.matching(
                 self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
@@ -113,6 +108,57 @@ class Signal:
             object.__setattr__(self, "largest_gap", gap)
         if self.most_lost is not None:
             checks.integer(self.most_lost, "most_lost", at_least=0)
+
+    def _check_frames(self) -> None:
+        if self.frames is None:
+            return
+        expected = "[frame, other], as [map, base_link]"
+        one, other = checks.pair(self.frames, expected, "frames")
+        pair = tuple(
+            checks.matching(frame, FRAME, "a frame such as map", "frames", index)
+            for index, frame in enumerate((one, other))
+        )
+        object.__setattr__(self, "frames", pair)
+        if pair[0] == pair[1]:
+            raise StudyError(f"expected two frames, found '{pair[0]}' twice", ("frames",))
+        if self.topic == "":
+            object.__setattr__(self, "topic", TF)
+        if self.field == "":
+            raise StudyError(
+                "missing; expected a field of a transform such as translation.x or yaw(rotation)",
+                ("field",),
+            )
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it has numbers, and not whole messages."""
+        return self.field != ""
+
+    @property
+    def has_several(self) -> bool:
+        """Whether its topic may have publishers of several nodes."""
+        return self.merge or self.publisher != "" or self.frames is not None
+
+    @property
+    def source(self) -> str:
+        """Where it comes from, in a few words: its topic, and the frames that are meant there."""
+        return " ".join([self.topic, *([] if self.frames is None else self.frames)])
+
+
+def only_numbers(text: str, signals: Mapping[str, Signal], *path: str | int) -> None:
+    """Refuse an expression of signals that are whole messages.
+
+    Raises
+    ------
+    StudyError
+        If it has one.
+    """
+    for name in sorted(expression(text, signals, *path).names - {TIME}):
+        if not signals[name].is_number:
+            raise StudyError(
+                f"signal {name} has no field: it is whole messages, and no number to compute with",
+                path,
+            )
 
 
 def expression(text: object, signals: Iterable[str], *path: str | int) -> Expression:

@@ -29,6 +29,7 @@ from bo_tuner.study.park import Park
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import (
     check_constraint,
+    check_kinds,
     check_objectives,
     check_run,
     check_signals,
@@ -154,6 +155,7 @@ class Study:
         if self.run is not None:
             with findings.under():
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
+                check_kinds(self.run, self.metrics, self.signals)
         # The others lead through the references to nodes.
         if has_nodes:
             with findings.under():

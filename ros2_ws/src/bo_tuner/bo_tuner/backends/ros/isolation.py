@@ -10,7 +10,7 @@ from typing import IO
 
 from bo_tuner.errors import BackendError
 from bo_tuner.package_files import config_directory
-from bo_tuner.storage.distribution import distribution
+from bo_tuner.ros_distribution import distribution
 from bo_tuner.storage.run_files import open_file
 
 # RTPS maps domains to UDP ports; above 101 they reach into the ephemeral range.

@@ -1,8 +1,8 @@
-"""Messages of any installed type: numbers out of them, and messages out of YAML."""
+"""Messages of any installed type: the numbers in them, and messages out of YAML."""
 
 import importlib
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.type_support import check_for_type_support
@@ -20,8 +20,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
 from bo_tuner.study.offers import MOST_ITEMS
-from bo_tuner.study.signals import FieldPart
-from bo_tuner.text import brief, one_line
+from bo_tuner.text import one_line
 
 FLOATS = ("float", "double", "long double")
 OCTET = "octet"
@@ -34,22 +33,6 @@ NO_SIGNALS = (
     "std_msgs/msg/MultiArrayLayout",
 )
 """Messages within messages whose numbers say when, or in which order, not what."""
-
-
-class ItemMissingError(Exception):
-    """A message has not the item of an array that a signal needs.
-
-    Parameters
-    ----------
-    problem
-        What it has not.
-    names
-        Those of its items, if the one that is needed is not among them.
-    """
-
-    def __init__(self, problem: str, names: Sequence[str] = ()) -> None:
-        super().__init__(problem)
-        self.names = names
 
 
 def interface_class(name: str) -> Any:
@@ -94,7 +77,7 @@ def _arrays(cls: Any) -> dict[str, AbstractNestedType]:
     """Return the types of the fields that are arrays of numbers, truth values or bytes."""
     return {
         name: kind
-        for name, kind in _types(cls).items()
+        for name, kind in field_types(cls).items()
         if isinstance(kind, AbstractNestedType) and isinstance(kind.value_type, BasicType)
     }
 
@@ -110,62 +93,13 @@ def has_header(cls: Any) -> bool:
     return bool(cls.get_fields_and_field_types().get("header") == "std_msgs/Header")
 
 
-def number_reader(cls: Any, path: Sequence[FieldPart]) -> Callable[[Any], float]:
-    """Return a function that takes a number out of a message.
-
-    It raises `ItemMissingError` for a message whose array does not have the item.
-
-    Raises
-    ------
-    StudyError
-        If messages of this type do not have the field, or it is no single number.
-    """
-    here = cls
-    for depth, part in enumerate(path):
-        shown = ".".join(p.name for p in path[: depth + 1])
-        if here is None:
-            raise StudyError(f"{shown.rpartition('.')[0]} is a number and has no fields")
-        types = _types(here)
-        if part.name not in types:
-            raise StudyError(
-                f"{type_name(here)} has no field '{part.name}'; "
-                f"{checks.suggestion(part.name, types)}"
-            )
-        kind = _item_type(types, part, shown)
-        if isinstance(kind, NamespacedType):
-            here = interface_class("/".join(kind.namespaced_name()))
-        elif isinstance(kind, BasicType) and kind.typename != OCTET:
-            here = None
-        else:
-            raise StudyError(f"{shown} is text; expected a number")
-    if here is not None:
-        raise StudyError(
-            f"{shown} is a {type_name(here)}; name one of its fields {', '.join(_types(here))}"
-        )
-
-    def read(message: Any) -> float:
-        value = message
-        for part in path:
-            holder, value = value, getattr(value, part.name)
-            if part.item is None:
-                continue
-            try:
-                index = part.item
-                value = value[list(holder.name).index(index) if isinstance(index, str) else index]
-            except (ValueError, IndexError):
-                raise _missing(part, holder, value) from None
-        return float(value)
-
-    return read
-
-
 def number_fields(message: Any) -> dict[str, bool | int | float]:
-    """Return the numbers in a message that can be signals, by the path that `number_reader` takes.
+    """Return the numbers in a message that can be signals, by the path of a signal's field.
 
     An array has the items that it has in this message, by the names beside it where there are any.
     """
     found: dict[str, bool | int | float] = {}
-    for name, kind in _types(type(message)).items():
+    for name, kind in field_types(type(message)).items():
         value = getattr(message, name)
         if isinstance(kind, BasicType):
             if kind.typename != OCTET:
@@ -192,7 +126,7 @@ def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> A
     StudyError
         If the type does not have a field, or the field cannot hold the value.
     """
-    types = _types(cls)
+    types = field_types(cls)
     arguments = {}
     for name, value in values.items():
         if name not in types:
@@ -233,31 +167,9 @@ def _labels(message: Any, size: int) -> list[str]:
     return names if readable else [str(index) for index in range(size)]
 
 
-def _types(cls: Any) -> dict[str, AbstractType]:
+def field_types(cls: Any) -> dict[str, AbstractType]:
+    """Return the types of the fields of a message class, by their names."""
     return dict(zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True))
-
-
-def _item_type(types: Mapping[str, AbstractType], part: FieldPart, shown: str) -> AbstractType:
-    kind = types[part.name]
-    if not isinstance(kind, AbstractNestedType):
-        if part.item is not None:
-            raise StudyError(f"{shown} is no array; leave out [{part.item}]")
-        return kind
-    if part.item is None:
-        by_name = f" or {shown}[NAME]" if "name" in types else ""
-        raise StudyError(f"{shown} is an array; name one item, such as {shown}[0]{by_name}")
-    if isinstance(part.item, str) and not isinstance(types.get("name"), AbstractNestedType):
-        raise StudyError(f"{shown} has no array of names beside it; expected a number in [ ]")
-    if isinstance(kind, Array) and isinstance(part.item, int) and part.item >= kind.size:
-        raise StudyError(f"{shown} has {kind.size} items, the last one is {shown}[{kind.size - 1}]")
-    return kind.value_type
-
-
-def _missing(part: FieldPart, holder: Any, value: Sequence[object]) -> ItemMissingError:
-    if isinstance(part.item, str) and part.item not in list(holder.name):
-        near = brief(checks.suggestion(part.item, holder.name))
-        return ItemMissingError(f"has no '{part.item}' among its names; {near}", holder.name)
-    return ItemMissingError(f"has {len(value)} items in {part.name}, none for [{part.item}]")
 
 
 def _value(kind: AbstractType, value: object) -> Any:

@@ -178,7 +178,7 @@ class Procedure:
             raise FailedRunError(problems[0])
         for index in self._due.copy():
             self._perform_after(index)
-        if mixed := self._recorder.mixed:
+        if mixed := self._recorder.mixed or self._recorder.mixed_frames:
             raise DisturbedError(mixed)
         self.recording.check(self._study.signals, largest_gaps)
 

@@ -1,7 +1,6 @@
-"""Hears the signals of a study, each from the one node that publishes it."""
+"""Hears the signals of a study, each from the node that publishes it, or those that may."""
 
 import time
-from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,35 +8,47 @@ from typing import Any
 import numpy as np
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
-from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.guard.messages import GUARD
-from bo_tuner.backends.ros.lost_messages import LostMessages
-from bo_tuner.backends.ros.messages import (
-    ItemMissingError,
-    has_header,
-    interface_class,
-    number_reader,
+from bo_tuner.backends.ros.fields import ItemMissingError
+from bo_tuner.backends.ros.heard_topic import HeardTopic
+from bo_tuner.backends.ros.messages import interface_class, type_name
+from bo_tuner.backends.ros.publishers import (
+    Publishers,
+    expected_publishers,
+    node_of,
+    several_on,
 )
+from bo_tuner.backends.ros.readers import (
+    FieldReader,
+    FramesReader,
+    Reader,
+    TransformFeed,
+    reader_of,
+)
+from bo_tuner.backends.ros.taking import middleware
+from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
 from bo_tuner.errors import StudyError
-from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.metrics.recording import (
+    FailedRunError,
+    RecordedMessages,
+    RecordedSignal,
+    Recording,
+)
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import maxima
 from bo_tuner.study.building import under
-from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
+from bo_tuner.study.fields import has_names, parsed_field
+from bo_tuner.study.signals import STATIC, Signal
 
 NODE_NAME = f"{TUNER}_signals"
-DEPTH = 5000
-"""Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the names of items."""
+FRAMES = 3.0
+"""Time [s] to hear of all frames on the way between two."""
 
 
 class SignalRecorder:
@@ -70,7 +81,10 @@ class SignalRecorder:
         self.node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
         )
-        self._heard: dict[str, _Topic] = {}
+        self._topics: dict[str, _Topic] = {}
+        self._tracks: dict[str, Track] = {}
+        self._frames: dict[str, FramesReader] = {}
+        self._feeds: dict[str, TransformFeed] = {}
         self._began = 0
         self._watch = Stopwatch(self._clock)
 
@@ -87,37 +101,52 @@ class SignalRecorder:
         Raises
         ------
         StudyError
-            If a topic has no publisher, or two, or other messages than expected, also in that
-            they name the items of an array, and not the one of the signal.
+            If a topic has no publisher, or such of several nodes and the study does not say which,
+            or other messages than expected, also in that they name the items of an array, or
+            frames, and not the one of the signal.
         """
         self._clock = clock
         for name, spec in self._signals.items():
             with under("signals", name):
                 self._connect(name, spec, wait)
+        published = [topic for topic in self._topics.values() if topic.publishes]
         # What is published before a subscription is known to the publisher is lost.
-        wait(lambda: all(heard.publishers for heard in self._heard.values()))
+        wait(lambda: all(topic.publishers for topic in published))
         # So that also what is published only now and then has a value when a run starts.
-        latched = [heard for heard in self._heard.values() if heard.is_latched]
-        wait(lambda: all(heard.has_message() for heard in latched))
+        latched = [topic for topic in published if topic.heard.is_latched]
+
+        def all_heard() -> bool:
+            self.take()
+            return all(topic.has_message for topic in latched)
+
+        wait(all_heard)
         self._refuse_unknown_items(wait)
+        self._refuse_unknown_frames(wait)
 
     @property
     def publishers(self) -> set[str]:
         """Full names of the nodes that publish the signals, as far as the graph tells."""
         return {
             full_name(info.node_namespace, info.node_name)
-            for topic in self._heard
-            for info in self.node.get_publishers_info_by_topic(topic)
+            for topic in self._topics.values()
+            for info in topic.heard.publishers.now()
             if info.node_name != UNKNOWN_NODE
         }
 
     @property
     def mixed(self) -> str:
-        """Tell in a line of a topic that more than one node publishes; empty if none."""
-        for heard in self._heard.values():
-            if heard.publishers > 1:
-                return f"{heard.name} has {heard.publishers} publishers, whose messages mix"
+        """Tell in a line of a signal that more than one node publishes; empty if none."""
+        for name, spec in self._signals.items():
+            topic = self._topic_of(name)
+            if topic.publishers > 1 and (mixed := topic.heard.publishers.mixed(spec)):
+                return f"{mixed}, whose messages mix"
         return ""
+
+    @property
+    def mixed_frames(self) -> str:
+        """Tell in a line of a frame that more than one node has placed since `begin`."""
+        mixed = next(filter(None, (reader.mixed for reader in self._frames.values())), "")
+        return mixed and f"{mixed}, whose messages mix"
 
     @property
     def unpublished(self) -> str:
@@ -126,11 +155,13 @@ class SignalRecorder:
 
     def unpublished_of(self, names: Iterable[str]) -> str:
         """Tell as `unpublished`, of the topics of some signals."""
-        wanted = set(names)
-        for heard in self._heard.values():
-            if heard.publishers == 0 and not wanted.isdisjoint(heard.tracks):
-                of = f", which was {heard.node}" if heard.node != UNKNOWN_NODE else ""
-                return f"{heard.name} has no publisher any more{of}"
+        for name in names:
+            spec, topic = self._signals[name], self._topic_of(name)
+            if topic.publishers == 0:
+                of = f", which was {topic.nodes}" if topic.nodes else ""
+                return f"{topic.heard.name} has no publisher any more{of}"
+            if spec.publisher and not topic.heard.publishers.has_own(spec):
+                return f"{topic.heard.name} is not published by {spec.publisher} any more"
         return ""
 
     def expect_publishers(self) -> None:
@@ -146,10 +177,10 @@ class SignalRecorder:
         that was wrong, or of a clock that was set or stands still.
         """
         for name, spec in self._signals.items():
-            stale = self._track(name).stale * 1e-9
+            stale = self._tracks[name].stale * 1e-9
             if stale > LARGEST_JUMP:
                 return (
-                    f"the stamps of signal {name} ({spec.topic}) stand still or go back, "
+                    f"the stamps of signal {name} ({spec.source}) stand still or go back, "
                     f"for {stale:.3g} s"
                 )
         return ""
@@ -160,18 +191,20 @@ class SignalRecorder:
         In a run a message whose stamp is not after that of the one before is late; otherwise what
         comes last holds, as a simulation may be reset.
         """
-        for heard in self._heard.values():
-            heard.poll()
+        self.take()
         self._began = self._clock.now
         self._watch = Stopwatch(self._clock)
-        for heard in self._heard.values():
-            heard.begin(self._began, in_run)
+        for topic in self._topics.values():
+            topic.heard.begin()
+        for feed in self._feeds.values():
+            feed.tree.begin()
+        for track in self._tracks.values():
+            track.begin(self._began, in_run)
 
     def end(self) -> None:
         """End a run."""
-        for heard in self._heard.values():
-            for track in heard.tracks.values():
-                track.in_run = False
+        for track in self._tracks.values():
+            track.in_run = False
 
     @property
     def seconds(self) -> float:
@@ -189,12 +222,7 @@ class SignalRecorder:
 
         It may lie ahead, by as much as the clock of another machine is ahead of this one's.
         """
-        stamps = [
-            track.stamps[-1]
-            for heard in self._heard.values()
-            for track in heard.tracks.values()
-            if track.stamps
-        ]
+        stamps = [track.stamps[-1] for track in self._tracks.values() if track.stamps]
         return (max(stamps, default=self._began) - self._began) * 1e-9
 
     def poll(self) -> None:
@@ -210,257 +238,196 @@ class SignalRecorder:
 
     def take(self) -> str:
         """Take what came in; returns in a line what `poll` would raise, or an empty one."""
-        problems = []
-        for heard in self._heard.values():
-            heard.poll()
-            problems.append(heard.problem)
-            heard.problem = ""
-        return next(filter(None, problems), "")
+        found = ""
+        for topic in self._topics.values():
+            for heard in topic.heard.take():
+                topic.has_message = True
+                for name, reader in topic.readers.items():
+                    track = self._tracks[name]
+                    try:
+                        for stamp, value in reader(heard):
+                            track.add(stamp, value, heard.received)
+                    except ItemMissingError as error:
+                        found = f"a message on {topic.heard.name} {error}"
+                    if track.size > maxima.MESSAGES_BYTES:
+                        found = (
+                            f"signal {name} has {track.size} bytes of messages, expected at most "
+                            f"{maxima.MESSAGES_BYTES} in a run"
+                        )
+            found, topic.heard.problem = topic.heard.problem or found, ""
+        return found
 
     def take_late(self) -> Iterator[dict[str, Array]]:
         """Yield the late messages of a topic that came since the last call, and what came last.
 
         Values (n,) of its signals by their names, and beside them the newest of the others, ().
         """
-        newest = {name: np.array(self._track(name).newest) for name in self._signals}
-        for heard in self._heard.values():
-            late = {name: track.take_late() for name, track in heard.tracks.items()}
+        numbers = {name for name, spec in self._signals.items() if spec.is_number}
+        newest = {name: np.array(self._tracks[name].newest) for name in numbers}
+        for topic in self._topics.values():
+            late = {
+                name: self._tracks[name].take_late() for name in topic.readers if name in numbers
+            }
             if any(map(len, late.values())):
                 yield newest | {name: values for name, values in late.items() if len(values)}
 
     def recording(self, end: float, since: float = -np.inf) -> Recording:
         """Return what was recorded until `end` [s], from the last message before `since` [s] on."""
-        latest = self._began + round(end * 1e9)
-        signals = {}
+        signals, messages = {}, {}
         for name, spec in self._signals.items():
-            heard = self._heard[self.node.resolve_topic_name(spec.topic)]
-            track = heard.tracks[name]
-            first = 0
-            if since > -np.inf:
-                first = max(bisect_right(track.stamps, self._began + round(since * 1e9)) - 1, 0)
-            last = bisect_right(track.stamps, latest)
-            # Of those before the start the last one holds there.
-            first = max(first, bisect_right(track.stamps, self._began - 1) - 1)
-            stamps = np.array(track.stamps[first:last], dtype=np.int64) - self._began
-            signals[name] = RecordedSignal(
-                (stamps * 1e-9).astype(np.float64),
-                np.array(track.values[first:last]),
-                heard.lost.count,
-                track.late,
-                track.offset * 1e-9,
-            )
-        return Recording(signals, end)
+            topic, track = self._topic_of(name), self._tracks[name]
+            times, values = track.between(self._began, since, end)
+            node = node_of(self.node, spec) if spec.publisher else ""
+            seen: dict[str, Any] = {
+                "lost": topic.heard.lost(node),
+                "late": track.late,
+                "offset": track.offset * 1e-9,
+                "remark": self._remark(name),
+            }
+            if spec.is_number:
+                signals[name] = RecordedSignal(times, np.array(values, dtype=np.float64), **seen)
+            else:
+                kind = type_name(topic.heard.cls)
+                data = tuple(value for value in values if isinstance(value, bytes))
+                messages[name] = RecordedMessages(times, kind, data, **seen)
+        return Recording(signals, end, messages)
 
     def close(self) -> None:
         """Hear no more."""
         self.node.destroy_node()
 
-    def _track(self, name: str) -> "_Track":
-        return self._heard[self.node.resolve_topic_name(self._signals[name].topic)].tracks[name]
+    def _topic_of(self, name: str) -> "_Topic":
+        return self._topics[self.node.resolve_topic_name(self._signals[name].topic)]
+
+    def _remark(self, name: str) -> str:
+        """Tell why a signal has no message, as far as that is known."""
+        if self._tracks[name].stamps:
+            return ""
+        if name in self._frames:
+            missing = self._frames[name].missing
+            return f"there is {missing}" if missing.startswith("no ") else missing
+        heard = self._topic_of(name).heard
+        if self._signals[name].publisher and heard.unidentified:
+            return f"{middleware()} does not tell of which publisher a message is"
+        return ""
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
-        publishers = self.node.get_publishers_info_by_topic
-
-        def present() -> list[TopicEndpointInfo]:
-            return [info for info in publishers(topic) if info.node_name != GUARD]
-
-        if not wait(lambda: bool(present())):
-            near = others.instead(topic, others.topics(self.node), self.node)
-            raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
-        found = present()
-        if len(found) > 1:
-            nodes = " and ".join(sorted(i.node_name for i in found if i.node_name != UNKNOWN_NODE))
-            raise StudyError(
-                f"{topic} has {len(found)} publishers ({nodes}), whose messages would mix",
-                ("topic",),
-            )
-        (publisher,) = found
-        if spec.type not in ("", publisher.topic_type):
-            raise StudyError(
-                f"{topic} carries {publisher.topic_type}, expected {spec.type}", ("type",)
-            )
+        found = expected_publishers(self.node, topic, spec, wait)
+        if len(kinds := sorted({info.topic_type for info in found})) > 1:
+            raise StudyError(f"{topic} carries {' and '.join(kinds)}; expected one", ("topic",))
+        (kind,) = kinds
+        if spec.type not in ("", kind):
+            raise StudyError(f"{topic} carries {kind}, expected {spec.type}", ("type",))
         with under("topic"):
-            cls = interface_class(publisher.topic_type)
-        if spec.time == HEADER and not has_header(cls):
+            cls = interface_class(kind)
+        known = self._topics.get(topic)
+        if known is not None and known.heard.cls is not cls:
+            other = type_name(known.heard.cls)
+            raise StudyError(f"{topic} carries {kind}, and {other} for another signal", ("topic",))
+        reader = reader_of(spec, cls, self.node, self._feeds)
+        if isinstance(reader, FramesReader):
+            self._frames[name] = reader
+            self._topic(f"{topic}{STATIC}", cls).readers[name] = reader.still
+        here = self._topic(topic, cls)
+        if spec.publisher and not here.heard.tells_publisher:
             raise StudyError(
-                f"{publisher.topic_type} has no header; expected {RECEPTION}", ("time",)
+                f"{middleware()} does not tell of which publisher a message is; expected one "
+                "publisher, or merge: true",
+                ("publisher",),
             )
-        try:
-            read = number_reader(cls, field_path(spec.field))
-        except StudyError as error:
-            raise StudyError(error.problem, ("field",)) from None
-        if topic not in self._heard:
-            subscribed = self._subscribe(topic, cls, publisher.qos_profile)
-            of_guard = int(topic in self._guarded)
-            self._heard[topic] = _Topic(
-                topic, publisher.node_name, self._clock, *subscribed, of_guard
+        here.readers[name] = reader
+        self._tracks[name] = Track(self._clock)
+
+    def _topic(self, name: str, cls: type) -> "_Topic":
+        """Return a topic that is heard, from now on if it is not yet."""
+        if name not in self._topics:
+            offered = Publishers(self.node, name).now()
+            several = several_on(self.node, name, self._signals.values())
+            heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
+            nodes = {i.node_name for i in offered if i.node_name != UNKNOWN_NODE}
+            of_guard = int(name in self._guarded)
+            self._topics[name] = _Topic(
+                heard, " and ".join(sorted(nodes)), of_guard, publishes=bool(offered)
             )
-        by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
-        self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
+        return self._topics[name]
 
     def _refuse_unknown_items(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Refuse an item by a name that messages do not have; a silent topic may have it later."""
         named = [
-            (name, self._heard[self.node.resolve_topic_name(spec.topic)])
+            name
             for name, spec in self._signals.items()
-            if any(isinstance(part.item, str) for part in field_path(spec.field))
+            if spec.is_number and has_names(parsed_field(spec.field))
         ]
         deadline = time.monotonic() + LISTEN
 
         def all_heard() -> bool:
-            for _, heard in named:
-                heard.poll()
-            return all(heard.tracks[name].stamps for name, heard in named)
+            self.take()
+            return all(self._tracks[name].stamps for name in named)
 
         wait(lambda: all_heard() or time.monotonic() > deadline)
-        for name, heard in named:
-            track = heard.tracks[name]
-            if track.stamps or heard.message is None:
+        for name in named:
+            topic = self._topic_of(name)
+            reader = topic.readers[name]
+            if self._tracks[name].stamps or not isinstance(reader, FieldReader):
                 continue
-            try:
-                track.read(heard.message)
-            except ItemMissingError as error:
-                # Without any name a message tells nothing: it may be filled once the machine runs.
-                if error.names:
-                    problem = f"a message on {heard.name} {error}"
-                    raise StudyError(problem, ("signals", name, "field")) from None
+            # Without any name a message tells nothing: it may be filled once the machine runs.
+            if reader.missing is not None and reader.missing.names:
+                problem = f"a message on {topic.heard.name} {reader.missing}"
+                raise StudyError(problem, ("signals", name, "field"))
 
-    def _subscribe(self, topic: str, cls: Any, offered: QoSProfile) -> tuple[Subscription, bool]:
-        qos = QoSProfile(
-            depth=DEPTH, reliability=offered.reliability, durability=offered.durability
-        )
-        # It is in no executor, which would call this.
-        subscription = self.node.create_subscription(
-            cls, topic, lambda message: None, qos, raw=True
-        )
-        latched = offered.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-        return subscription, latched and offered.reliability == QoSReliabilityPolicy.RELIABLE
+    def _refuse_unknown_frames(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+        """Refuse frames that nobody places, or two; a silent topic may have them later."""
+        begin = time.monotonic()
 
+        def is_known() -> bool:
+            self.take()
+            elapsed = time.monotonic() - begin
+            # Whoever else places a frame shows only after a while.
+            return elapsed > FRAMES or (
+                elapsed > LISTEN and all(self._tracks[name].stamps for name in self._frames)
+            )
 
-@dataclass
-class _Track:
-    """The values of one signal, and when each was true [ns since the epoch].
-
-    Attributes
-    ----------
-    newest
-        What came last, late or not.
-    late
-        Messages in the run whose stamp is not after that of one before.
-    offset
-        Time [ns] by which the stamp of the newest is ahead of the clock at its reception.
-    stale
-        Longest time [ns] for which several of them in a row lie behind, or have come.
-    """
-
-    read: Callable[[Any], float]
-    by_header: bool
-    clock: RunClock
-    stamps: list[int] = field(default_factory=list)
-    values: list[float] = field(default_factory=list)
-    newest: float = np.nan
-    late: int = 0
-    stale: int = 0
-    in_run: bool = False
-    offset: int = 0
-    late_values: list[float] = field(default_factory=list)
-    in_a_row: int = 0
-    row_began: int = 0
-
-    def add(self, message: Any, received: int) -> None:
-        value = self.newest = self.read(message)
-        if self.by_header:
-            stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-            self.offset = stamp - self.clock.at(received)
-        else:
-            stamp = self.clock.at(received)
-            if self.clock.coarse and self.stamps and stamp == self.stamps[-1]:
-                # Of what comes between two ticks of the clock the last one holds.
-                self.values[-1] = value
-                return
-        if self.stamps and stamp <= self.stamps[-1]:
-            if self.in_run:
-                self._add_late(value, self.stamps[-1] - stamp, self.clock.at(received))
-                return
-            # What was said of later times holds no more, as of a simulation that was reset.
-            while self.stamps and self.stamps[-1] >= stamp:
-                self.stamps.pop()
-                self.values.pop()
-        self.in_a_row = 0
-        self.stamps.append(stamp)
-        self.values.append(value)
-
-    def take_late(self) -> Array:
-        """Return the late values since the last call, and what came last if that is behind."""
-        values = [*self.late_values, self.newest] if self.late_values or self.in_a_row else []
-        self.late_values.clear()
-        return np.array(values)
-
-    def _add_late(self, value: float, behind: int, received: int) -> None:
-        self.late += 1
-        self.late_values.append(value)
-        self.in_a_row += 1
-        if self.in_a_row == 1:
-            self.row_began = received
-        else:
-            self.stale = max(self.stale, behind, received - self.row_began)
-
-    def begin(self, now: int, in_run: bool) -> None:
-        self.in_run = in_run
-        del self.stamps[:-1], self.values[:-1]
-        # A stamp may lie ahead, as of a clock that was set back: the value holds now all the same.
-        self.stamps[:] = [min(stamp, now - 1) for stamp in self.stamps]
-        self.late = self.stale = self.in_a_row = 0
-        self.late_values.clear()
+        if self._frames:
+            wait(is_known)
+        for name, reader in self._frames.items():
+            path = ("signals", name, "frames")
+            topic = self._topic_of(name).heard.name
+            if missing := reader.missing:
+                raise StudyError(f"{topic}: {missing}", path)
+            if mixed := reader.mixed:
+                raise StudyError(f"{topic}: {mixed}, whose messages would mix", path)
 
 
 @dataclass
 class _Topic:
-    """A subscription, the signals in its messages, and the last one that could be read."""
+    """A topic, and what reads its messages.
 
-    name: str
-    node: str
-    clock: RunClock
-    subscription: Subscription
-    is_latched: bool
-    of_guard: int = 0
-    tracks: dict[str, _Track] = field(default_factory=dict)
-    lost: LostMessages = field(default_factory=LostMessages)
-    problem: str = ""
-    message: Any = None
+    Attributes
+    ----------
+    heard
+        Takes its messages.
+    nodes
+        Names of the nodes that published it when it was first heard.
+    of_guard
+        How many publishers of it are those of a guard.
+    publishes
+        Whether anybody did then; transforms that stand still need not have a publisher.
+    readers
+        The signals in it, by name.
+    has_message
+        Whether anything ever came.
+    """
 
-    def begin(self, now: int, in_run: bool) -> None:
-        self.lost.count = 0
-        self.problem = ""
-        for track in self.tracks.values():
-            track.begin(now, in_run)
+    heard: HeardTopic
+    nodes: str
+    of_guard: int
+    publishes: bool
+    readers: dict[str, Reader] = field(default_factory=dict)
+    has_message: bool = False
 
     @property
     def publishers(self) -> int:
         """How many publishers are known here, without that of a guard."""
-        found: int = self.subscription.handle.get_publisher_count()
+        found: int = self.heard.subscription.handle.get_publisher_count()
         return max(found - self.of_guard, 0)
-
-    def has_message(self) -> bool:
-        """Whether anything ever came."""
-        self.poll()
-        return any(track.stamps for track in self.tracks.values())
-
-    def poll(self) -> None:
-        """Take what waits."""
-        handle, publishers = self.subscription.handle, self.publishers
-        with handle:
-            # No more than can wait: a topic that is faster than this loop always has another.
-            for _ in range(DEPTH):
-                item = handle.take_message(self.subscription.msg_type, True)
-                if item is None:
-                    break
-                data, info = item
-                self.lost.note(info["publication_sequence_number"], publishers)
-                try:
-                    message = self.message = decode(data, self.subscription.msg_type)
-                    for track in self.tracks.values():
-                        track.add(message, info["received_timestamp"])
-                except (UnreadableError, ItemMissingError) as error:
-                    self.problem = f"a message on {self.name} {error}"

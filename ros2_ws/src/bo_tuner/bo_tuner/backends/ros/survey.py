@@ -11,19 +11,19 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.fields import ItemMissingError, field_reader
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import (
-    ItemMissingError,
     interface_class,
     is_bulky,
     number_arrays,
     number_fields,
-    number_reader,
     type_name,
 )
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.study.fields import parsed_field
 from bo_tuner.study.seen import (
     JOINT_TRAJECTORY,
     Seen,
@@ -32,7 +32,6 @@ from bo_tuner.study.seen import (
     SeenTopic,
     with_joints,
 )
-from bo_tuner.study.signals import field_path
 
 QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
@@ -215,8 +214,11 @@ def _topics(
             why = (
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )
-            item = f"{name}:{arrays[0]}[0]"
-            notes.append(f"{name}: {why}; to record an item, name it: --signals {item}")
+            item, least = f"{name}:{arrays[0]}[0]", f"{name}:min({arrays[0]})"
+            notes.append(
+                f"{name}: {why}; to record an item, or a number of all, name it: --signals "
+                f"{item}, or '{least}'"
+            )
     if bulky:
         notes.append(
             f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
@@ -241,15 +243,14 @@ def _named(
         Whether there was one, and whether nobody publishes it.
     """
     try:
-        parts = field_path(path)
-        read = number_reader(type(message), parts)
-        return {path: read(message)}
+        parsed = parsed_field(path)
+        return {path: field_reader(type(message), parsed)(message)}
     except StudyError as error:
         raise StudyError(f"--signals: {topic}:{path}: {error.problem}") from None
     except ItemMissingError as error:
         if heard:
             raise StudyError(f"--signals: {topic}:{path}: a message {error}") from None
-    item = parts[-1].item
+    item = parsed[-1].item if isinstance(parsed, tuple) else None
     if silent and isinstance(item, int):
         array = path.removesuffix(f"[{item}]")
         return {f"{array}[{index}]": 0.0 for index in range(item + 1)}

@@ -2,32 +2,29 @@
 
 import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 
 from bo_tuner.backends.ros.conditions import known
-from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.fields import ItemMissingError
 from bo_tuner.backends.ros.guard.plan import Plan
-from bo_tuner.backends.ros.messages import ItemMissingError, interface_class, number_reader
+from bo_tuner.backends.ros.heard_topic import HeardTopic
+from bo_tuner.backends.ros.messages import interface_class
+from bo_tuner.backends.ros.publishers import Publishers, several_on
+from bo_tuner.backends.ros.readers import FramesReader, Reader, TransformFeed, Value, reader_of
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.signals import TIME, expression, field_path
+from bo_tuner.study.signals import STATIC, TIME, Signal, expression
 
-DEPTH = 1000
-"""Messages of a topic that may wait between two looks at it."""
 LOOK = 0.5
 """Time [s] between two looks for a topic that nobody publishes yet."""
 
 
 @dataclass
 class _Topic:
-    subscription: Subscription
-    kind: Any
-    read: dict[str, Any] = field(default_factory=dict)
+    heard: HeardTopic
+    readers: dict[str, Reader] = field(default_factory=dict)
 
 
 class AbortCondition:
@@ -51,13 +48,14 @@ class AbortCondition:
         names = () if self._condition is None else self._condition.names - {TIME}
         self._wanted = {name: signals[name] for name in names}
         self._topics: dict[str, _Topic] = {}
-        self._newest: dict[str, float] = dict.fromkeys(self._wanted, np.nan)
+        self._feeds: dict[str, TransformFeed] = {}
+        self._newest: dict[str, Value] = dict.fromkeys(self._wanted, np.nan)
         self._looked = -np.inf
 
     @property
     def missing(self) -> list[str]:
         """Names of the signals that nothing publishes, or that cannot be read."""
-        heard = {name for topic in self._topics.values() for name in topic.read}
+        heard = {name for topic in self._topics.values() for name in topic.readers}
         return sorted(self._wanted.keys() - heard)
 
     def holds(self, seconds: float) -> bool:
@@ -93,43 +91,41 @@ class AbortCondition:
 
     def _take(self, topic: _Topic) -> dict[str, Array]:
         """Return the values (n,) of what waits on a topic, by the names of its signals."""
-        heard: dict[str, list[float]] = {name: [] for name in topic.read}
-        handle = topic.subscription.handle
-        with handle:
-            for _ in range(DEPTH):
-                item = handle.take_message(topic.subscription.msg_type, True)
-                if item is None:
-                    break
+        found: dict[str, list[Value]] = {name: [] for name in topic.readers}
+        for heard in topic.heard.take():
+            for name, reader in topic.readers.items():
                 try:
-                    message = decode(item[0], topic.kind)
-                    values = {name: read(message) for name, read in topic.read.items()}
-                except (UnreadableError, ItemMissingError):
+                    found[name] += [value for _, value in reader(heard)]
+                except ItemMissingError:
                     # The tuner fails the run for that.
                     continue
-                for name, value in values.items():
-                    heard[name].append(value)
-        return {name: np.array(values) for name, values in heard.items() if values}
+        return {name: np.array(values) for name, values in found.items() if values}
 
     def _subscribe(self) -> None:
         for name in self.missing:
             spec = self._wanted[name]
             topic = self._node.resolve_topic_name(spec.topic)
-            found = self._node.get_publishers_info_by_topic(topic)
-            if not found:
+            offered = Publishers(self._node, topic).own(spec)
+            if not offered:
                 continue
             try:
-                kind = interface_class(found[0].topic_type)
-                read = number_reader(kind, field_path(spec.field))
+                self._read(name, spec, topic, interface_class(offered[0].topic_type))
             except StudyError:
                 # The tuner refuses the study.
                 continue
-            if topic not in self._topics:
-                offered = found[0].qos_profile
-                qos = QoSProfile(
-                    depth=DEPTH, reliability=offered.reliability, durability=offered.durability
-                )
-                subscription = self._node.create_subscription(
-                    kind, topic, lambda message: None, qos, raw=True
-                )
-                self._topics[topic] = _Topic(subscription, kind)
-            self._topics[topic].read[name] = read
+
+    def _read(self, name: str, spec: Signal, topic: str, cls: type) -> None:
+        """Hear a signal from now on."""
+        reader = reader_of(spec, cls, self._node, self._feeds)
+        if isinstance(reader, FramesReader):
+            self._hear(f"{topic}{STATIC}", cls).readers[name] = reader.still
+        self._hear(topic, cls).readers[name] = reader
+
+    def _hear(self, topic: str, cls: type) -> _Topic:
+        if topic not in self._topics:
+            # Of whom a message is has to be known of a topic from its beginning.
+            several = several_on(self._node, topic, self._wanted.values())
+            offered = Publishers(self._node, topic).now()
+            heard = HeardTopic(self._node, topic, cls, offered, tells_publisher=several)
+            self._topics[topic] = _Topic(heard)
+        return self._topics[topic]
