@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from bo_tuner.errors import ParameterError, RunRecordError, StudyError
+from bo_tuner.errors import ConditionError, ParameterError, RunRecordError, StudyError
 from bo_tuner.metrics.collect import judged
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
@@ -269,6 +269,8 @@ class _Taking:
                 raise _LeftOutError(f"off the step of {name}") from None
         try:
             complete = self._space.permitted(tuned)
+        except ConditionError as error:
+            raise _LeftOutError(f"against the condition {error.condition}") from None
         except ParameterError:
             raise _LeftOutError("against the order of the parameters") from None
         for name, value in complete.items():

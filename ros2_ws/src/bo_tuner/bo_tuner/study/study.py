@@ -36,7 +36,7 @@ from bo_tuner.study.references import (
     node_references,
 )
 from bo_tuner.study.run import Run
-from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.trials import Value
 
@@ -51,6 +51,7 @@ MOST = {
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
     "order": maxima.PARAMETERS,
+    "where": maxima.CONDITIONS,
     "start": maxima.TRIALS,
 }
 
@@ -97,6 +98,8 @@ class Study:
         What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
+    where : tuple of str
+        Conditions that every parameter set satisfies, such as `ki <= kp / 2`.
     start : tuple of mapping or str
         Parameter sets that are tried first: ``default``, or values of parameters by name, where
         those that are left out are the defaults. Without this key, only the default.
@@ -133,6 +136,7 @@ class Study:
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
+    where: tuple[str, ...] = ()
     start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
     seed: int = 1
@@ -187,6 +191,10 @@ class Study:
         with findings.under():
             order = _order(self.order)
         object.__setattr__(self, "order", order)
+        where: tuple[str, ...] = ()
+        with findings.under("where"):
+            where = _where(self.where)
+        object.__setattr__(self, "where", where)
         start: tuple[Mapping[str, Value] | str, ...] = ()
         with findings.under():
             start = _start(self.start)
@@ -263,13 +271,13 @@ class Study:
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
-        return SearchSpace(self.parameters.values(), self.order)
+        return search_space(tuple(self.parameters.values()), self.order, self.where)
 
     @property
     def safe_parameters(self) -> dict[str, Value]:
         """All parameters, as they are while no run is performed."""
         space = self.search_space()
-        return space.completed(space.defaults | dict(self.park.parameters))
+        return space.permitted(space.defaults | dict(self.park.parameters))
 
     def without_safe_parameters(self) -> "Study":
         """Return the study as it is if ``park`` names no parameters."""
@@ -553,6 +561,12 @@ def _order(order: object) -> tuple[tuple[str, str], ...]:
             (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
         )
     return tuple(pairs)
+
+
+def _where(where: object) -> tuple[str, ...]:
+    expected = "a list of conditions such as ki <= kp / 2"
+    items = checks.sequence(where, expected)
+    return tuple(checks.text(item, index) for index, item in enumerate(items))
 
 
 def _start(start: object) -> tuple[Mapping[str, Value] | str, ...]:
