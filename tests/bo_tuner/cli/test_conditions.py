@@ -67,7 +67,7 @@ def test_a_file_with_a_bad_condition_names_its_line(folder):
     code, out, err = run("tune", "--study", "./bad.yaml", "--backend", "inprocess", folder=folder)
     assert (code, out) == (2, "")
     assert err.splitlines() == [
-        f"error: bad.yaml:{number}: where[0]: there is no parameter or function 'trimm'; "
+        f"error: ./bad.yaml:{number}: where[0]: there is no parameter or function 'trimm'; "
         "did you mean 'trim'?"
     ]
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording, named
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.metrics import PythonMetric, SignalMetric
 from bo_tuner.study.signals import Signal, expression
 from bo_tuner.study.study import Study
@@ -216,5 +217,5 @@ def used_signals(study: Study) -> Collection[str]:
         name
         for text in texts
         if isinstance(text, str) and text
-        for name in expression(text, signals).names
+        for name in expression(without_contexts(text), signals).names
     }

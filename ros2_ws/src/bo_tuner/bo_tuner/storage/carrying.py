@@ -32,6 +32,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
@@ -53,6 +54,7 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
+    Value,
     WorstCase,
     count_evaluations,
 )
@@ -382,10 +384,10 @@ def _moved_contexts(then: Study, now: Study) -> list[str]:
     ]
 
 
-def _is_possible(distribution: Distribution, value: float) -> bool:
+def _is_possible(distribution: Distribution, value: Value) -> bool:
     if isinstance(distribution, Discrete):
-        return value in distribution.values
-    return distribution.lower <= value <= distribution.upper
+        return any(checks.same_value(value, possible) for possible in distribution.values)
+    return distribution.lower <= distribution.number(value) <= distribution.upper
 
 
 def _searched(constraint: Constraint, then: Study, now: Study) -> str | None:

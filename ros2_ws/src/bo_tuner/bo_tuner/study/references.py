@@ -30,6 +30,7 @@ from bo_tuner.study.parts import (
 )
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal
+from bo_tuner.study.step_contexts import check_contexts
 
 
 def check_objectives(
@@ -90,7 +91,7 @@ def node_references(
     """Yield where a study refers to nodes, and by which key, in sections of parts by name."""
     for section, items in parts:
         for name, item in items.items():
-            if isinstance(item, Parameter | ContextVariable | ReportedMetric):
+            if isinstance(item, Parameter | ContextVariable | ReportedMetric) and item.node:
                 yield (section, name), item.node
     if trigger is not None:
         yield ("trigger",), trigger.node
@@ -176,6 +177,10 @@ def check_names(
     if {"signals", "nodes"} <= names.keys():
         with findings.under():
             check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
+    if "contexts" in names and ("run" in parts or "run" not in names):
+        with findings.under():
+            contexts = dict.fromkeys(names["contexts"]) | named["contexts"]
+            check_contexts(parts.get("run"), contexts)
     if "metrics" not in names:
         return
     metrics = dict.fromkeys(names["metrics"]) | named["metrics"]
@@ -211,6 +216,7 @@ def check_targets(
         ((section, name), item.node, item.parameter)
         for section, items in (("parameters", parameters), ("contexts", contexts))
         for name, item in items.items()
+        if item.node
     ]
     if seed is not None:
         targets.append((("seed_parameter",), seed.node, seed.parameter))

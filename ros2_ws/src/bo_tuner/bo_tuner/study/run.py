@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import Step, build_steps
@@ -137,7 +138,7 @@ class Run:
         for condition, path in conditions:
             if condition:
                 with findings.under():
-                    expression(condition, signals, *path)
+                    expression(without_contexts(condition), signals, *path)
         findings.check()
 
 

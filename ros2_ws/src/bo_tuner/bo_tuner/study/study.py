@@ -26,7 +26,7 @@ from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric,
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import INTEGER, ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import (
     check_constraint,
     check_objectives,
@@ -38,7 +38,8 @@ from bo_tuner.study.references import (
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
-from bo_tuner.trials import Value
+from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
 """Stands for the study's default in the list of parameter sets that are tried first."""
@@ -158,6 +159,8 @@ class Study:
         if self.run is not None:
             with findings.under():
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
+        with findings.under():
+            check_contexts(self.run, self.contexts)
         # The others lead through the references to nodes.
         if has_nodes:
             with findings.under():
@@ -337,7 +340,10 @@ class Study:
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
-        return ContextSpace({name: item.distribution for name, item in self.contexts.items()})
+        return ContextSpace(
+            {name: item.distribution for name, item in self.contexts.items()},
+            [name for name, item in self.contexts.items() if item.type == INTEGER],
+        )
 
     @property
     def starts_nodes(self) -> bool:
@@ -364,7 +370,7 @@ class Study:
         return text if len(same) == 1 else f"{text} ({constraint.name})"
 
     def assignments(
-        self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
+        self, parameters: Mapping[str, Value], context: Context, seed: int
     ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return the parameters to set on each node before an evaluation.
 
@@ -372,8 +378,9 @@ class Study:
         ----------
         parameters : mapping from str to int or float
             Values of the study's parameters, in own units.
-        context : mapping from str to float
-            Values of the context variables, in own units.
+        context : mapping from str to value
+            Values of the context variables, in own units; those without a node are not in the
+            result.
         seed : int
             Noise seed of the evaluation; unused without a `seed_parameter`.
 
@@ -385,7 +392,8 @@ class Study:
         values = self.node_parameters(parameters)
         for name, value in context.items():
             variable = self.contexts[name]
-            values.setdefault(variable.node, {})[variable.parameter] = value
+            if variable.node:
+                values.setdefault(variable.node, {})[variable.parameter] = value
         if self.seed_parameter is not None:
             values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
         return values
