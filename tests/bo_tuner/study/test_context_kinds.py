@@ -81,6 +81,12 @@ class TestSpace:
         expected = itertools.product([1.0, 2.0], [1, 4], [False, True], ROOM.values)
         assert Counter(found) == Counter(expected)
 
+    def test_listed_integers_are_all_met(self):
+        gear = Discrete(values=(1, 3, 4))
+        space = ContextSpace({"load": LOAD, "gear": gear}, ["gear"])
+        corners = [tuple(space.to_dict(row).values()) for row in space.to_contexts(space.corners())]
+        assert Counter(corners) == Counter(itertools.product([1.0, 2.0], [1, 3, 4]))
+
     @pytest.mark.parametrize("most", [4, 40])
     def test_corners_that_would_be_too_many_still_have_every_text(self, most):
         texts = Discrete(values=tuple(f"map {k}" for k in range(most)))
@@ -142,8 +148,7 @@ class TestStudy:
             ({"values": [1, 2], "type": "text"}, "type: unknown 'text'"),
             (
                 {"values": [1, 2.5], "type": "integer"},
-                "type: expected integers for the values, or the bounds, and the nominal value of "
-                "an integer, found 2.5",
+                "type: expected integers as the values or bounds of an integer, found 2.5",
             ),
             ({"values": [f"v{k}" for k in range(51)]}, "values: expected at most 50 entries"),
         ],

@@ -250,7 +250,7 @@ def _tolerance(
             # Nothing drifts from one truth value or text to another.
             continue
         lines = [
-            (base, _steps(distribution, bound))
+            (base, _steps(distribution, float(nominal[column]), bound))
             for base in (nominal, worst)
             for bound in (distribution.lower, distribution.upper)
         ]
@@ -266,7 +266,7 @@ def _tolerance(
             VariableTolerance(
                 name=name,
                 unit=study.contexts[name].unit,
-                nominal=distribution.number(distribution.nominal),
+                nominal=float(nominal[column]),
                 # Lines through the worst context start at the nominal value of this variable.
                 relief=_band(there[:, 0] - along[2][:, 0]),
                 down=drifts[0],
@@ -304,9 +304,8 @@ def _considered(
     return np.vstack([first, others])
 
 
-def _steps(distribution: Distribution, bound: float) -> Array:
+def _steps(distribution: Distribution, nominal: float, bound: float) -> Array:
     """Values (k,) of a variable from its nominal value to a bound."""
-    nominal = distribution.number(distribution.nominal)
     steps = distribution.clip(np.linspace(nominal, bound, STEPS))
     if isinstance(distribution, Discrete):
         low, high = sorted((nominal, bound))

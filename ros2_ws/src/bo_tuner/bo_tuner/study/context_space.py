@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
-from bo_tuner.study.distributions import Distribution
+from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.trials import Context, Value
 
 MOST_CORNER_DIMENSIONS = 5
@@ -60,6 +60,13 @@ class ContextSpace:
         # Two values have the same distance in either way.
         counts = [len(item.labels) for item in self.distributions]
         self._levels = [count if count > 2 else 0 for count in counts]
+        # A metric may be the largest at any of these, not at the first or the last.
+        self._each = [
+            bool(levels) or (is_integer and isinstance(item, Discrete))
+            for levels, is_integer, item in zip(
+                self._levels, self._integer, self.distributions, strict=True
+            )
+        ]
 
     @property
     def dimension(self) -> int:
@@ -82,7 +89,8 @@ class ContextSpace:
 
     def nominal(self) -> Array:
         """Return the context (v,) of all nominal values."""
-        return np.array([item.number(item.nominal) for item in self.distributions])
+        nominal = np.array([item.number(item.nominal) for item in self.distributions])
+        return np.where(self._integer, np.rint(nominal), nominal)
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Draw n = `count` contexts (n, v) from their distribution.
@@ -164,12 +172,12 @@ class ContextSpace:
     def corners(self) -> Array:
         """Return corners of the unit cube, shape (m, d).
 
-        Beyond `MOST_CORNER_DIMENSIONS`, of the leading ones, with the others halfway. With texts,
-        each corner of the others is in each of their values, or, where that are too many, in one
-        or several, so that all are met.
+        Beyond `MOST_CORNER_DIMENSIONS`, of the leading ones, with the others halfway. With texts or
+        listed integers, each corner of the others is in each of their values, or, where that are
+        too many, in one or several, so that all are met.
         """
-        if any(self._levels):
-            return self._corners_in_texts()
+        if any(self._each):
+            return self._corners_in_each()
         axes = [[0.0, 1.0]] * min(self.dimension, MOST_CORNER_DIMENSIONS)
         points = np.full((2 ** len(axes), self.dimension), 0.5)
         if not axes:
@@ -177,13 +185,17 @@ class ContextSpace:
         points[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
         return points
 
-    def _corners_in_texts(self) -> Array:
-        """Return the `corners` of a space that has texts."""
-        numbers = [column for column, levels in enumerate(self._levels) if not levels]
-        texts = [column for column, levels in enumerate(self._levels) if levels]
+    def _corners_in_each(self) -> Array:
+        """Return the `corners` of a space that has texts or listed integers."""
+        listed = {
+            column: item.support
+            for column, item in enumerate(self.distributions)
+            if self._each[column] and isinstance(item, Discrete)
+        }
+        numbers = [column for column in range(len(self.names)) if column not in listed]
         leading = numbers[:MOST_CORNER_DIMENSIONS]
         ends = list(product(*([self.lower[c], self.upper[c]] for c in leading)))
-        levels = [np.arange(self._levels[c]) for c in texts]
+        levels = list(listed.values())
         if len(ends) * prod(map(len, levels)) <= 2**MOST_CORNER_DIMENSIONS:
             pairs = [(*end, *chosen) for chosen in product(*levels) for end in ends]
         else:
@@ -193,7 +205,7 @@ class ContextSpace:
                 for k in range(count)
             ]
         rows = np.tile(0.5 * (self.lower + self.upper), (len(pairs), 1))
-        rows[:, [*leading, *texts]] = pairs
+        rows[:, [*leading, *listed]] = pairs
         return self.to_cube(rows)
 
     def candidates(self, known: Sequence[Context] = ()) -> Array:

@@ -35,11 +35,11 @@ class ContextVariable:
     ----------
     name : str
         Name in the study.
-    distribution : Distribution
-        Distribution of its values in operation.
     node : str
         Node of the study that has the parameter. A variable without one stands in the steps of
         `run`, by its name in braces: `goal: {x: "{goal_x}"}`.
+    distribution : Distribution
+        Distribution of its values in operation.
     type : str
         `double`, `integer`, `boolean` or `string`. Unless given, what the values of the
         distribution are, and double for numbers; an integer takes the nearest integer of any
@@ -51,8 +51,8 @@ class ContextVariable:
     """
 
     name: str
-    distribution: Distribution
     node: str = ""
+    distribution: Distribution
     type: str = ""
     unit: str = ""
     parameter: str = ""
@@ -82,11 +82,11 @@ class ContextVariable:
         if self.type == INTEGER and found == DOUBLE:
             item = self.distribution
             numbers = item.support if isinstance(item, Discrete) else [item.lower, item.upper]
-            for number in (*numbers, item.number(item.nominal)):
+            for number in numbers:
                 if number != round(number):
                     raise StudyError(
-                        f"expected integers for the values, or the bounds, and the nominal value "
-                        f"of an integer, found {number:g}",
+                        "expected integers as the values or bounds of an integer, found "
+                        f"{number:g}",
                         ("type",),
                     )
         elif self.type != found:
