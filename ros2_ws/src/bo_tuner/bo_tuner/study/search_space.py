@@ -18,6 +18,7 @@ from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.conditions import KEY, check_shares
+from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.constraint import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_space import ParameterSpace
@@ -35,11 +36,8 @@ Fixed, so that the sensitivity to a step can be compared between runs.
 SAMPLE = 2**16
 """Parameter sets that tell what share of them the conditions leave."""
 
-MOST_ANCHORS = 2048
+MOST_ANCHORS = 512
 """Of the permitted ones among these, towards which others are moved."""
-
-BISECTIONS = 30
-"""Of the way to such a one: the edge of what is permitted is found to 1e-9 of it."""
 
 ROUNDS = 100
 BATCH = 1024
@@ -363,7 +361,7 @@ class SearchSpace:
                     values[0, column] += sign * float(self._tuned[column].step or 0.0)
                     values = self._ordered(values)
                 if not self._space.holds(values)[0]:
-                    values = self._towards(row[None], values)
+                    values = self._conditions.towards(row[None], values)
                     if np.abs(self._to_unit(values) - at).max() <= RESOLUTION:
                         continue
                 if np.any(values != row):
@@ -381,49 +379,22 @@ class SearchSpace:
         scaled = self._scaled_lower + np.clip(positions, 0.0, 1.0) * self._scaled_width
         return self._ordered(self._unscaled(scaled))
 
+    @cached_property
+    def _conditions(self) -> Conforming:
+        """Moves values that break a condition, towards some that break none."""
+        drawn = self._drawn(SAMPLE, np.random.default_rng(0))
+        default = self._space.row(self.defaults)
+        return Conforming(
+            self._space.holds,
+            self._to_unit,
+            self._free_values,
+            np.vstack([default, drawn[self._space.holds(drawn)][:MOST_ANCHORS]]),
+            np.array(self.levels, dtype=bool),
+        )
+
     def _conforming(self, values: Array) -> Array:
         """Return values (n, d) that satisfy the conditions; those that do stay as they are."""
-        wrong = ~self._space.holds(values)
-        if not wrong.any():
-            return values
-        found = values.copy()
-        found[wrong] = self._towards(self._nearest_anchors(values[wrong]), values[wrong])
-        return found
-
-    def _nearest_anchors(self, values: Array) -> Array:
-        """Return for values (n, d) the nearest ones that surely satisfy the conditions, (n, d)."""
-        unit, anchors = self._to_unit(values), self._to_unit(self._anchors)
-        levels = np.array(self.levels, dtype=bool)
-        nearest = []
-        for point in unit:
-            apart = np.abs(anchors - point)
-            # Another choice is as far away whichever it is.
-            apart[:, levels] = apart[:, levels] > 0.0
-            nearest.append(int(np.argmin((apart**2).sum(axis=1))))
-        return self._anchors[nearest]
-
-    def _towards(self, inside: Array, outside: Array) -> Array:
-        """Return values (n, d) between some that satisfy the conditions and others that do not.
-
-        They satisfy them, and lie as near to the others as a bisection of the way finds.
-        """
-        start = self._to_unit(inside)
-        way = self._to_unit(outside) - start
-        found = inside.copy()
-        near, far = np.zeros(len(inside)), np.ones(len(inside))
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (near + far)
-            tried = self._free_values(start + middle[:, None] * way)
-            good = self._space.holds(tried)
-            found[good] = tried[good]
-            near, far = np.where(good, middle, near), np.where(good, far, middle)
-        return found
-
-    @cached_property
-    def _anchors(self) -> Array:
-        """Values (m, d) that satisfy the conditions, spread over all that do."""
-        drawn = self._drawn(SAMPLE, np.random.default_rng(0))
-        return drawn[self._space.holds(drawn)][:MOST_ANCHORS]
+        return self._conditions.moved(values) if self._space.conditions else values
 
     def _check_conditions(self) -> None:
         """Refuse conditions that leave hardly anything, and defaults that break one."""
