@@ -253,12 +253,12 @@ class TestRefused:
             ),
             (
                 ["ki <= kp / (steps - 2)"],
-                "where: the default breaks the condition 'ki <= kp / (steps - 2)': it is not "
+                "where[0]: the default breaks the condition 'ki <= kp / (steps - 2)': it is not "
                 "defined for kp 2.0, ki 0.5 and steps 2",
             ),
             (
                 ["kp <= ki"],
-                "where: the default breaks the condition 'kp <= ki': kp 2.0 and ki 0.5",
+                "where[0]: the default breaks the condition 'kp <= ki': kp 2.0 and ki 0.5",
             ),
             (
                 ["kp < 0"],
@@ -272,7 +272,7 @@ class TestRefused:
             ),
             (
                 ["kp < 0.03"],
-                "where: the default breaks the condition 'kp < 0.03': kp 2.0",
+                "where[0]: the default breaks the condition 'kp < 0.03': kp 2.0",
             ),
             (["kp < 1"] * 51, "where: expected at most 50 entries, found 51"),
         ],

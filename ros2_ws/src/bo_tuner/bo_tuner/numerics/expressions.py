@@ -139,12 +139,14 @@ class Expression:
         if len(text) > LONGEST:
             raise ExpressionError(f"expected at most {LONGEST} characters")
         try:
-            self._tree = ast.parse(text.strip(), mode="eval").body
+            tree = ast.parse(text.strip(), mode="eval").body
+            self._tree = _Joined(names).visit(tree)
         except SyntaxError as error:
             raise ExpressionError(_what_is_wrong(text.strip(), error)) from None
+        except UnknownNameError:
+            raise
         except (ValueError, RecursionError, MemoryError):
             raise ExpressionError("not an expression") from None
-        self._tree = _Joined(names).visit(self._tree)
         self._finite = finite
         self.text = text
         calls = [node for node in ast.walk(self._tree) if isinstance(node, ast.Call)]
@@ -199,7 +201,8 @@ class _Joined(ast.NodeTransformer):
     """Makes one name of the levels and the item that a known name has."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
-        self._names = tuple(name for name in names if not name.isidentifier())
+        self._names = names
+        self._has_any = not all(map(str.isidentifier, names))
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         return self._joined(node)
@@ -208,7 +211,7 @@ class _Joined(ast.NodeTransformer):
         return self._joined(node)
 
     def _joined(self, node: ast.expr) -> ast.AST:
-        if not self._names:
+        if not self._has_any:
             return node
         name = ast.unparse(node)
         if name not in self._names:

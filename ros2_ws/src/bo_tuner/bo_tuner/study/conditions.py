@@ -5,6 +5,7 @@ not hold.
 """
 
 import ast
+import contextlib
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
@@ -152,22 +153,18 @@ class _Positions(ast.NodeTransformer):
 def _expression(text: str, parameters: Mapping[str, Parameter]) -> Expression:
     """Return the expression of a condition between parameters, of which texts are positions."""
     levels = {name: _levels(item, parameters) for name, item in parameters.items()}
-    tree = _tree(text)
-    if tree is not None:
-        changed = _Positions({name: found for name, found in levels.items() if found}).visit(tree)
-        if not _is_condition(changed.body, parameters):
+    texts = {name: found for name, found in levels.items() if found}
+    tree: ast.Expression | None = None
+    # What is no expression at all is told by the expression.
+    with contextlib.suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+        tree = ast.parse(text, mode="eval")
+    with contextlib.suppress(RecursionError):
+        if tree is not None and texts:
+            tree = _Positions(texts).visit(tree)
+            text = ast.unparse(tree)
+        if tree is not None and not _is_condition(tree.body, parameters):
             raise StudyError(f"expected a condition such as ki <= kp / 2, found {text!r}")
-        if ast.dump(changed) != ast.dump(ast.parse(text, mode="eval")):
-            text = ast.unparse(changed)
     return named_expression(text, tuple(parameters), "parameter", finite=True)
-
-
-def _tree(text: str) -> ast.Expression | None:
-    try:
-        return ast.parse(text, mode="eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        # The expression tells what is wrong.
-        return None
 
 
 def _is_condition(node: ast.expr, parameters: Mapping[str, Parameter]) -> bool:

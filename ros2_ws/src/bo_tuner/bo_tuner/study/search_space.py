@@ -404,7 +404,8 @@ class SearchSpace:
         try:
             self.permitted(self.defaults)
         except ConditionError as error:
-            raise StudyError(f"the default {error}", (KEY,)) from None
+            index = [each.text for each in self._space.conditions].index(error.condition)
+            raise StudyError(f"the default {error}", (KEY, index)) from None
 
     def _ordered(self, values: Array) -> Array:
         """Return values (n, d) in order, rounded and within the bounds."""
