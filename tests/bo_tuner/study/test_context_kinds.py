@@ -10,6 +10,7 @@ from signal_runs import signal_study
 
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.study.braces import filled, filled_condition
+from bo_tuner.study.changes import incomparable_changes
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.distributions import Discrete, Triangular, Uniform
@@ -157,6 +158,14 @@ class TestStudy:
         with pytest.raises(StudyError) as error:
             make_study(contexts={"c": NODE | {"distribution": "discrete"} | variable})
         assert str(error.value).startswith(f"contexts.c.{refusal}")
+
+    def test_another_type_is_another_variable(self):
+        then = make_study(contexts=KINDS)
+        as_double = {key: value for key, value in KINDS["payload"].items() if key != "type"}
+        now = make_study(contexts=KINDS | {"payload": as_double})
+        assert incomparable_changes(then, now) == [
+            "contexts.payload.type text 'integer' -> text 'double'"
+        ]
 
     def test_a_node_with_another_type_is_told(self):
         study = make_study(contexts=KINDS)

@@ -13,7 +13,7 @@ differs there."""
 JUDGED = ("objective", "further_objectives", "constraints", "metrics", "signals", "order", "where")
 """Sections that say what is made of an evaluation, not how it is run."""
 SAME_PARAMETER = ("node", "parameter", "type")
-SAME_CONTEXT = ("node", "parameter")
+SAME_CONTEXT = ("node", "parameter", "type")
 """Keys that make a parameter, or a context variable, the same one for its node."""
 
 Path = tuple[str, ...]
