@@ -58,7 +58,7 @@ class Formula:
         for planned in evaluations:
             away = self._space.to_cube(planned.parameters) - 0.4
             noise = 1.0 + 0.05 * np.random.default_rng(planned.seed).standard_normal()
-            value = noise * (0.1 + float(away @ away)) * sum(planned.context.values())
+            value = noise * (0.1 + float(away @ away)) * sum(map(float, planned.context.values()))
             limits = {c.metric: c.limit for c in self._study.constraints.values()}
             metrics = {name: value * limits.get(name, 1.0) for name in self._study.metrics}
             outcome = Outcome(EvaluationState.COMPLETE, metrics)

@@ -61,7 +61,16 @@ from bo_tuner.models import fitting, surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value, WorstCase
+from bo_tuner.trials import (
+    Context,
+    Evaluation,
+    EvaluationState,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    WorstCase,
+)
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark.peers.optuna_samplers import distribution
@@ -99,9 +108,10 @@ def make_trials(study: Study, count: int) -> list[Trial]:
     with opened(InProcessBackend(study)) as backend:
         for point in points:
             parameters = space.to_parameters(point)
-            rows = [contexts.to_dict(row) for row in contexts.draw_stratified(REPLICATES, rng)]
+            drawn = contexts.draw_stratified(REPLICATES, rng)
+            chosen: list[Context] = [*map(contexts.to_dict, drawn), WORST_CONTEXT]
             evaluations = []
-            for index, context in enumerate([*rows, WORST_CONTEXT]):
+            for index, context in enumerate(chosen):
                 seed = int(rng.integers(2**31))
                 stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
                 planned = Evaluation(len(trials), index, stage, parameters, context, seed)

@@ -121,3 +121,36 @@ def test_a_huge_power_takes_no_time():
 def test_a_text_is_evaluated_or_refused(text):
     with contextlib.suppress(ExpressionError):
         assert Expression(text, ("x", "y"))({"x": X, "y": Y}).dtype == float
+
+
+LEVELS = {"gains.kp": np.array([1.0, 3.0]), "limits[1]": 2.0, "x": 0.0}
+
+
+class TestNamesWithLevels:
+    def test_levels_and_items_are_one_name(self):
+        found = Expression("gains.kp + x <= limits[1]", tuple(LEVELS))
+        assert found.names == {"gains.kp", "limits[1]", "x"}
+        np.testing.assert_array_equal(found(LEVELS), [1.0, 0.0])
+
+    @pytest.mark.parametrize(
+        ("text", "name"), [("gains.ki < 1", "gains.ki"), ("limits[2] < 1", "limits[2]")]
+    )
+    def test_unknown_ones_are_named_in_full(self, text, name):
+        with pytest.raises(UnknownNameError) as error:
+            Expression(text, tuple(LEVELS))
+        assert (error.value.name, error.value.known) == (name, tuple(LEVELS))
+
+
+def test_what_is_infinite_may_be_unknown():
+    """As in conditions on parameters, where 1/0 is a mistake."""
+    values = {"x": np.array([0.0, 0.5, 4.0])}
+    np.testing.assert_array_equal(Expression("1 <= 1 / x", ("x",))(values), [1.0, 1.0, 0.0])
+    finite = Expression("1 <= 1 / x", ("x",), finite=True)
+    np.testing.assert_array_equal(finite(values), [np.nan, 1.0, 0.0])
+
+
+def test_a_text_that_is_too_deep_is_an_error_of_its_own():
+    """Or is evaluated, where the interpreter goes so deep."""
+    with contextlib.suppress(ExpressionError):
+        value = Expression("-" * 499 + "x", ("x", "gains.kp"))({"x": 1.0})
+        assert value == -1.0

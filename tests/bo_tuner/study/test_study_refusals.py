@@ -175,7 +175,8 @@ class TestRefusedValues:
             (
                 "contexts/load/mean",
                 1.0,
-                "unknown key; expected one of node, distribution, unit, parameter, bounds, nominal",
+                "unknown key; expected one of node, distribution, type, unit, parameter, bounds, "
+                "nominal",
             ),
         ],
     )

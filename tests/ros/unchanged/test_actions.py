@@ -14,7 +14,7 @@ from bo_tuner.backends.ros import goals
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
-from bo_tuner.trials import EvaluationState
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -102,6 +102,17 @@ def test_a_run_ends_at_the_result(backend, counter):
     assert (counter.orders, counter.ends) == ([5, 5], ["succeeded"] * 2)
     # Five periods of 20 ms.
     assert all(o.metrics["time"] > 0.06 for o in outcomes)
+
+
+def test_a_goal_has_the_values_of_a_context(backend, counter):
+    """By the name of the context in braces."""
+    goal = {"send_goal": {"action": "fibonacci", "goal": {"order": "{count}"}}}
+    count = {"type": "integer", "distribution": "discrete", "values": [1, 2, 4]}
+    made = backend(signals=FEW, run=TO_ITS_RESULT | {"start": [goal]}, contexts={"count": count})
+    for order in (4, 1, 2):
+        planned = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"count": order}, 1)
+        assert made.outcome(planned).state is EvaluationState.COMPLETE
+    assert counter.orders == [4, 1, 2]
 
 
 def test_a_goal_that_is_refused(backend, counter):

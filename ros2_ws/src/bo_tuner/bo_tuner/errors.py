@@ -18,6 +18,22 @@ class ParameterError(BoTunerError, ValueError):
     """A parameter set or a context that does not belong to its space."""
 
 
+class ConditionError(ParameterError):
+    """A parameter set that breaks a condition between parameters.
+
+    Parameters
+    ----------
+    condition : str
+        The condition.
+    found : str
+        The values that the set has in it.
+    """
+
+    def __init__(self, condition: str, found: str) -> None:
+        super().__init__(f"breaks the condition '{condition}': {found}")
+        self.condition = condition
+
+
 class StudyError(BoTunerError, ValueError):
     """A study that violates a rule; the message is one line.
 

@@ -7,6 +7,9 @@ from enum import StrEnum
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
 
+Context = Mapping[str, Value]
+"""Values of context variables by name; that of one with a double is a float."""
+
 ParameterSet = tuple[tuple[str, Value], ...]
 """A parameter set as a hashable key: its parameters and their values, by name."""
 
@@ -150,7 +153,7 @@ class Evaluation:
     index: int
     stage: Stage
     parameters: Mapping[str, Value]
-    context: Mapping[str, float]
+    context: Context
     seed: int
     outcome: Outcome = Outcome(EvaluationState.FAILED, reason="not run")
     seconds: float = field(default=0.0, compare=False)
@@ -193,7 +196,7 @@ class WorstCase:
     """
 
     value: float
-    context: Mapping[str, float]
+    context: Context
     observed: float
     noise: float = 0.0
 

@@ -13,12 +13,13 @@ from bo_tuner.trials import (
     Evaluation,
     EvaluationState,
     Outcome,
+    Value,
     parameter_set,
 )
 
 Run = Callable[[Evaluation], Outcome]
 
-_Draw = tuple[tuple[tuple[str, float], ...], int]
+_Draw = tuple[tuple[tuple[str, Value], ...], int]
 
 
 class DefaultBeside:

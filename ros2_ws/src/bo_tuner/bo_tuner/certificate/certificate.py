@@ -293,7 +293,8 @@ def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
             rows.append(
                 [
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
-                    *(repr(evaluation.context[n]) for n in contexts),
+                    # As JSON, a text is told from a number.
+                    *(json.dumps(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
                     outcome.reason,
                 ]

@@ -22,7 +22,7 @@ from bo_tuner.certificate.judgement import decide_context, decide_draws, is_fail
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Value
+from bo_tuner.trials import Context, Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
@@ -58,7 +58,7 @@ class Subject:
 
     name: str
     parameters: Mapping[str, Value]
-    suspected: tuple[Mapping[str, float], ...] = ()
+    suspected: tuple[Context, ...] = ()
     earlier: Earlier = NOTHING
 
 
@@ -197,7 +197,7 @@ class Certification:
             return evidence
         search: list[Evaluation] = []
 
-        def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
+        def run(stage: Stage, context: Context, index: int, *key: int) -> Evaluation:
             # The key does not depend on the subject: the same noise for all.
             seed = self._noise_seed(*key)
             evaluation = self._run(
@@ -206,7 +206,7 @@ class Certification:
             self._observer.advance()
             return evaluation
 
-        def evaluated(context: Mapping[str, float]) -> Evaluation:
+        def evaluated(context: Context) -> Evaluation:
             search.append(run(Stage.SEARCH, context, len(search), SEARCHED, len(search)))
             if is_failed(search):
                 raise _FailedError
@@ -219,7 +219,7 @@ class Certification:
         )
         rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
         # They come first: where it failed before, a FAIL is soonest found.
-        candidates: list[Mapping[str, float]] = [*subject.earlier.contexts]
+        candidates: list[Context] = [*subject.earlier.contexts]
         failed_before = list(range(len(candidates)))
         found_by: dict[str, list[int]] = {}
         try:
@@ -269,15 +269,15 @@ class Certification:
     def _find(
         self,
         constraint: Constraint,
-        evaluated: Callable[[Mapping[str, float]], Evaluation],
+        evaluated: Callable[[Context], Evaluation],
         known: Sequence[Evaluation],
-        suspected: Sequence[Mapping[str, float]],
+        suspected: Sequence[Context],
         rng: np.random.Generator,
-    ) -> list[dict[str, float]]:
+    ) -> list[Context]:
         """Search for the worst contexts of one constraint, after `known` evaluations."""
         metric, sign = constraint.metric, constraint.sign
 
-        def violation(context: Mapping[str, float]) -> float | None:
+        def violation(context: Context) -> float | None:
             value = evaluated(context).outcome.metrics.get(metric)
             return None if value is None else sign * value
 
@@ -298,9 +298,9 @@ class Certification:
         self,
         constraint: Constraint,
         known: Sequence[Evaluation],
-        candidates: Sequence[Mapping[str, float]],
+        candidates: Sequence[Context],
         rng: np.random.Generator,
-    ) -> list[dict[str, float]]:
+    ) -> list[Context]:
         """Return the worst contexts by all runs, earlier ones as well, that are no candidates."""
         complete = [evaluation for evaluation in known if evaluation.outcome.complete]
         return worst_of_all(

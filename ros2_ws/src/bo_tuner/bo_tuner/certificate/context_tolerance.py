@@ -29,7 +29,7 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
-from bo_tuner.trials import Evaluation
+from bo_tuner.trials import Context, Evaluation, Value
 from bo_tuner.worst_case.contexts import maximize_over_contexts
 
 CREDIBLE = 0.9
@@ -165,7 +165,7 @@ class ContextTolerance:
     evaluations: int
     nominal: Band
     worst: Band
-    worst_context: Mapping[str, float]
+    worst_context: Context
     variables: tuple[VariableTolerance, ...]
 
     @classmethod
@@ -203,17 +203,18 @@ def context_tolerances(
     Returns
     -------
     tuple of ContextTolerance
-        One for each worst-case constraint; empty without contexts, or with too few evaluations.
+        One for each worst-case constraint; empty without contexts that are numbers, or with too few
+        evaluations.
     """
     complete = _first_contexts(e for e in evaluations if e.outcome.complete)
-    if not study.contexts or len(complete) < FEWEST_EVALUATIONS:
+    if not study.context_space().ordered or len(complete) < FEWEST_EVALUATIONS:
         return ()
     return tuple(_tolerance(study, item, complete) for item in study.worst_case_constraints)
 
 
 def _first_contexts(evaluations: Iterable[Evaluation]) -> list[Evaluation]:
     """Return the evaluations in the first `MOST_CONTEXTS` different contexts."""
-    chosen: set[tuple[float, ...]] = set()
+    chosen: set[tuple[Value, ...]] = set()
     kept = []
     for evaluation in evaluations:
         context = tuple(evaluation.context.values())
@@ -236,7 +237,7 @@ def _tolerance(
     model = ContextResponse(points, values, rng)
     worst_context, _ = maximize_over_contexts(space, model.mean, rng, points)
     nominal = space.nominal()
-    worst = np.array([worst_context[name] for name in space.names])
+    worst = space.rows([worst_context])[0]
     considered = _considered(space, worst, points, rng)
     sampled = model.sample(np.vstack([space.to_cube([nominal]), considered]), SAMPLES, rng)
     at_nominal, at_worst = _band(sign * sampled[:, 0]), _band(sampled[:, 1])
@@ -245,8 +246,11 @@ def _tolerance(
     for column, (name, distribution) in enumerate(
         zip(space.names, space.distributions, strict=True)
     ):
+        if name not in space.ordered:
+            # Nothing drifts from one truth value or text to another.
+            continue
         lines = [
-            (base, _steps(distribution, bound))
+            (base, _steps(distribution, float(nominal[column]), bound))
             for base in (nominal, worst)
             for bound in (distribution.lower, distribution.upper)
         ]
@@ -262,7 +266,7 @@ def _tolerance(
             VariableTolerance(
                 name=name,
                 unit=study.contexts[name].unit,
-                nominal=distribution.nominal,
+                nominal=float(nominal[column]),
                 # Lines through the worst context start at the nominal value of this variable.
                 relief=_band(there[:, 0] - along[2][:, 0]),
                 down=drifts[0],
@@ -300,13 +304,14 @@ def _considered(
     return np.vstack([first, others])
 
 
-def _steps(distribution: Distribution, bound: float) -> Array:
+def _steps(distribution: Distribution, nominal: float, bound: float) -> Array:
     """Values (k,) of a variable from its nominal value to a bound."""
-    steps = distribution.clip(np.linspace(distribution.nominal, bound, STEPS))
+    steps = distribution.clip(np.linspace(nominal, bound, STEPS))
     if isinstance(distribution, Discrete):
-        between = sorted((distribution.nominal, bound))
-        steps = np.array([v for v in distribution.values if between[0] <= v <= between[1]])
-    return steps if bound >= distribution.nominal else np.sort(steps)[::-1]
+        low, high = sorted((nominal, bound))
+        steps = distribution.support
+        steps = steps[(low <= steps) & (steps <= high)]
+    return steps if bound >= nominal else np.sort(steps)[::-1]
 
 
 def _line(base: Array, column: int, steps: Array) -> Array:

@@ -23,10 +23,16 @@ from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.trials import DEFAULT, TUNED, Evaluation, EvaluationState, Value, evaluations_of
+from bo_tuner.trials import (
+    DEFAULT,
+    TUNED,
+    Context,
+    Evaluation,
+    EvaluationState,
+    Value,
+    evaluations_of,
+)
 from bo_tuner.verdict.verdict import PASS
-
-Context = Mapping[str, float]
 
 
 def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend: str) -> Earlier:

@@ -1,13 +1,14 @@
 """Reads the evaluations of a certificate from the CSV file beside it."""
 
 import csv
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.certificate.store import evaluations_path
 from bo_tuner.errors import RunRecordError
-from bo_tuner.trials import EvaluationState, Outcome, Stage
+from bo_tuner.trials import Context, EvaluationState, Outcome, Stage
 
 _CONTEXT, _METRIC = "context.", "metric."
 
@@ -35,7 +36,7 @@ class Row:
     parameter_set: str
     stage: Stage
     index: int
-    context: dict[str, float]
+    context: Context
     seed: int
     outcome: Outcome
 
@@ -69,15 +70,19 @@ def _row(cells: Mapping[str, str]) -> Row:
         parameter_set=cells["parameter_set"],
         stage=Stage(cells["stage"]),
         index=int(cells["index"]),
-        context=_numbers(cells, _CONTEXT),
+        context={
+            name.removeprefix(_CONTEXT): json.loads(value)
+            for name, value in cells.items()
+            if name.startswith(_CONTEXT)
+        },
         seed=int(cells["seed"]),
-        outcome=Outcome(state, _numbers(cells, _METRIC) if complete else {}, cells["reason"]),
+        outcome=Outcome(state, _metrics(cells) if complete else {}, cells["reason"]),
     )
 
 
-def _numbers(cells: Mapping[str, str], prefix: str) -> dict[str, float]:
+def _metrics(cells: Mapping[str, str]) -> dict[str, float]:
     return {
-        name.removeprefix(prefix): float(value)
+        name.removeprefix(_METRIC): float(value)
         for name, value in cells.items()
-        if name.startswith(prefix) and value
+        if name.startswith(_METRIC) and value
     }

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.study.constraint import UPPER
-from bo_tuner.trials import Evaluation, Stage, Value
+from bo_tuner.trials import Context, Evaluation, Stage, Value
 
 TAIL = 0.95
 """Level of the conditional value at risk, here the mean of the worst 5 % of the draws."""
@@ -41,7 +41,7 @@ class Refutation:
 
     told: str
     reasons: tuple[str, ...]
-    contexts: tuple[Mapping[str, float], ...]
+    contexts: tuple[Context, ...]
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Earlier:
     unread: tuple[str, ...] = ()
 
     @cached_property
-    def contexts(self) -> list[Mapping[str, float]]:
+    def contexts(self) -> list[Context]:
         """The contexts in which it failed, each once."""
-        found: list[Mapping[str, float]] = []
+        found: list[Context] = []
         for refutation in self.refutations:
             found += [context for context in refutation.contexts if context not in found]
         return found
@@ -89,13 +89,13 @@ class Earlier:
                 found.setdefault(name, []).append(value)
         return {name: (min(values), max(values)) for name, values in found.items()}
 
-    def at(self, context: Mapping[str, float]) -> list[Evaluation]:
+    def at(self, context: Context) -> list[Evaluation]:
         """Return the runs in exactly this context."""
         return self._by_context.get(frozenset(context.items()), [])
 
     @cached_property
-    def _by_context(self) -> Mapping[frozenset[tuple[str, float]], list[Evaluation]]:
-        found: dict[frozenset[tuple[str, float]], list[Evaluation]] = {}
+    def _by_context(self) -> Mapping[frozenset[tuple[str, Value]], list[Evaluation]]:
+        found: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
         for evaluation in self.evaluations:
             found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
         return found
@@ -173,7 +173,7 @@ class WorstContext:
         single runs, the share of those beyond it or failed. NaN without earlier ones.
     """
 
-    context: Mapping[str, float]
+    context: Context
     mean: Mean
     extreme: float
     evaluations: int

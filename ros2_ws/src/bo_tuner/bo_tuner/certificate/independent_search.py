@@ -12,7 +12,7 @@ in some context, or clearly kept in all; the verdict rests on the repetitions in
 it returns in any case.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import minimize
@@ -23,9 +23,9 @@ from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.trials import Context
 
-Context = dict[str, float]
-Evaluate = Callable[[Mapping[str, float]], float | None]
+Evaluate = Callable[[Context], float | None]
 """Runs an evaluation in a context; returns the metric, or None if it failed."""
 
 SPREAD_EVALUATIONS = 12
@@ -78,8 +78,8 @@ def most_searched(space: ContextSpace, known: int) -> int:
 def find_worst_contexts(
     space: ContextSpace,
     evaluate: Evaluate,
-    drawn: Sequence[tuple[Mapping[str, float], float]],
-    known: Sequence[Mapping[str, float]],
+    drawn: Sequence[tuple[Context, float]],
+    known: Sequence[Context],
     limit: float,
     rng: np.random.Generator,
 ) -> list[Context]:
@@ -138,9 +138,9 @@ def find_worst_contexts(
 
 def worst_of_all(
     space: ContextSpace,
-    contexts: Sequence[Mapping[str, float]],
+    contexts: Sequence[Context],
     values: Sequence[float],
-    candidates: Sequence[Mapping[str, float]],
+    candidates: Sequence[Context],
     rng: np.random.Generator,
 ) -> list[Context]:
     """Return the contexts with the largest posterior means, of all in which there was a run.
@@ -181,9 +181,7 @@ def worst_of_all(
 class _Tried:
     """Evaluated contexts, as points of the unit cube, with the metric."""
 
-    def __init__(
-        self, space: ContextSpace, drawn: Sequence[tuple[Mapping[str, float], float]]
-    ) -> None:
+    def __init__(self, space: ContextSpace, drawn: Sequence[tuple[Context, float]]) -> None:
         self._space = space
         self._points = list(space.cube_of([context for context, _ in drawn]))
         self._values = [value for _, value in drawn]

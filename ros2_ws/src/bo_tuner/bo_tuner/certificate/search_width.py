@@ -10,7 +10,7 @@ This is geometry alone. A run within the violation makes its context a candidate
 again and again; where the noise is as large as the excess over the limit, it can be overlooked.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete
+from bo_tuner.trials import Context
 
 PROBABILITIES = (0.9, 0.5)
 """Of meeting the violations whose widths are given."""
@@ -47,9 +48,7 @@ class SearchWidth:
     width: float
 
 
-def search_widths(
-    space: ContextSpace, contexts: Sequence[Mapping[str, float]]
-) -> tuple[SearchWidth, ...]:
+def search_widths(space: ContextSpace, contexts: Sequence[Context]) -> tuple[SearchWidth, ...]:
     """Return which widths of a violation evaluations in some contexts meet.
 
     Parameters
@@ -68,21 +67,21 @@ def search_widths(
     )
 
 
-def distances(space: ContextSpace, contexts: Sequence[Mapping[str, float]]) -> Array:
+def distances(space: ContextSpace, contexts: Sequence[Context]) -> Array:
     """Return the distance (n,) of n = `PLACES` random places to the nearest evaluated context.
 
     The largest difference of a coordinate, in edges of the box; infinite if no context has the
     discrete values of the place. The arguments are those of `search_widths`.
     """
     rng = np.random.default_rng(0)
-    places = rng.random((PLACES, space.dimension))
-    apart = np.ones(space.dimension)
+    places = rng.random((PLACES, len(space.names)))
+    apart = np.ones(len(space.names))
     for column, item in enumerate(space.distributions):
         if isinstance(item, Discrete):
-            values = (np.array(item.values) - item.lower) / (item.upper - item.lower)
+            values = (item.support - item.lower) / (item.upper - item.lower)
             places[:, column] = rng.choice(values, PLACES)
             apart[column] = ELSEWHERE / np.diff(values).min()
-    tree = KDTree(space.cube_of(contexts) * apart)
+    tree = KDTree(space.to_unit(space.rows(contexts)) * apart)
     distance, _ = tree.query(places * apart, p=np.inf)
     return np.where(distance > 1.0, np.inf, distance)
 

@@ -14,7 +14,7 @@ from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.constraint import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
-from bo_tuner.trials import DEFAULT, TUNED
+from bo_tuner.trials import DEFAULT, TUNED, Value
 from bo_tuner.verdict.verdict import FAIL, PASS
 
 Worst = Sequence[Mapping[str, Any]]
@@ -181,7 +181,8 @@ def _likeliest(worst: Worst) -> float:
 
 
 def _coordinate(name: str, worst: Worst) -> str:
-    return _number(worst[0]["context"][name])
+    value: Value = worst[0]["context"][name]
+    return shown(value) if isinstance(value, (bool, str)) else _number(value)
 
 
 def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording, named
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.metrics import signals_of
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
@@ -206,5 +207,6 @@ def used_signals(study: Study) -> Collection[str]:
     found = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
     if study.run is not None:
         for text in (study.run.abort_when, study.run.end.when):
-            found |= expression(text, study.signals).names if text else set()
+            if text:
+                found |= expression(without_contexts(text), study.signals).names
     return found

@@ -1,13 +1,13 @@
 """What the models of both stages learn from: observations in contexts, worst cases of trials."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import SEEKING_WORST, Trial
+from bo_tuner.trials import SEEKING_WORST, Context, Trial
 
 
 def joint_observations(
@@ -31,7 +31,7 @@ def joint_observations(
     )
 
 
-def searched_contexts(trials: Sequence[Trial]) -> list[Mapping[str, float]]:
+def searched_contexts(trials: Sequence[Trial]) -> list[Context]:
     """Return the contexts where searches for the worst one, and repetitions, have looked."""
     return [
         evaluation.context

@@ -223,7 +223,10 @@ def describe(trial: Trial, study: Study) -> str:
     where = "  ".join(_pair(name, trial.parameters[name]) for name in tuned)
     if trial.state is TrialState.FAILED:
         evaluation = trial.evaluations[-1]
-        context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
+        context = ", ".join(
+            f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {shown(value)}"
+            for name, value in evaluation.context.items()
+        )
         conditions = f"context {context or 'none'}; seed {evaluation.seed}"
         return f"{where}  {trial.ending.upper()}: {trial.reason} ({conditions})"
     mean = trial.mean(study.objective.metric)

@@ -117,7 +117,10 @@ class Expression:
     text
         The expression.
     names
-        The names that it may have.
+        The names that it may have, also ones with levels such as ``gains.kp``, and items of arrays
+        such as ``gains[2]``.
+    finite
+        Whether a comparison with what is infinite, such as 1/0, is not known either.
 
     Attributes
     ----------
@@ -132,15 +135,19 @@ class Expression:
         If it cannot be evaluated.
     """
 
-    def __init__(self, text: str, names: tuple[str, ...]) -> None:
+    def __init__(self, text: str, names: tuple[str, ...], *, finite: bool = False) -> None:
         if len(text) > LONGEST:
             raise ExpressionError(f"expected at most {LONGEST} characters")
         try:
-            self._tree = ast.parse(text.strip(), mode="eval").body
+            tree = ast.parse(text.strip(), mode="eval").body
+            self._tree = _Joined(names).visit(tree)
         except SyntaxError as error:
             raise ExpressionError(_what_is_wrong(text.strip(), error)) from None
+        except UnknownNameError:
+            raise
         except (ValueError, RecursionError, MemoryError):
             raise ExpressionError("not an expression") from None
+        self._finite = finite
         self.text = text
         calls = [node for node in ast.walk(self._tree) if isinstance(node, ast.Call)]
         called = {id(call.func) for call in calls}
@@ -178,7 +185,7 @@ class Expression:
         evaluator.nodes = {kind: evaluator.nodes[kind] for kind in _NODES} | {
             ast.Constant: _number,
             ast.BoolOp: lambda node: _all_or_any(evaluator, node),
-            ast.Compare: lambda node: _compare(evaluator, node),
+            ast.Compare: lambda node: _compare(evaluator, node, self._finite),
         }
         try:
             with np.errstate(all="ignore"):
@@ -188,6 +195,28 @@ class Expression:
             raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
             raise ExpressionError(f"cannot be evaluated: {one_line(str(error))}") from None
+
+
+class _Joined(ast.NodeTransformer):
+    """Makes one name of the levels and the item that a known name has."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._has_any = not all(map(str.isidentifier, names))
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        return self._joined(node)
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        return self._joined(node)
+
+    def _joined(self, node: ast.expr) -> ast.AST:
+        if not self._has_any:
+            return node
+        name = ast.unparse(node)
+        if name not in self._names:
+            raise UnknownNameError(name, self._names)
+        return ast.copy_location(ast.Name(name, ast.Load()), node)
 
 
 def _check_arguments(call: ast.Call) -> None:
@@ -226,8 +255,10 @@ def _all_or_any(evaluator: Any, node: ast.BoolOp) -> Any:
     return reduce(combine, [evaluator._eval(value) for value in node.values])
 
 
-def _compare(evaluator: Any, node: ast.Compare) -> Any:
+def _compare(evaluator: Any, node: ast.Compare, finite: bool) -> Any:
     sides = [evaluator._eval(side) for side in (node.left, *node.comparators)]
+    if finite:
+        sides = [np.where(np.isfinite(side), side, np.nan) for side in sides]
     results = []
     for operation, left, right in zip(node.ops, sides[:-1], sides[1:], strict=True):
         if type(operation) not in _OPERATORS:

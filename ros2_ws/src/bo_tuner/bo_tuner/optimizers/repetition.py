@@ -19,7 +19,7 @@ Frazier and Powell (2010). Paradoxes in learning and the marginal value of infor
 Analysis 7(4).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.optimizers.ranking import Candidate, looks, required_after, runs_until
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Stage, Trial
+from bo_tuner.trials import Context, Stage, Trial
 
 OWN_RUNS = 4
 """Runs of its own that the answer must have where each limit is most doubtful.
@@ -70,7 +70,7 @@ class Repetition:
     """
 
     trial: Trial
-    context: Mapping[str, float] | None
+    context: Context | None
     runs: int
 
 
@@ -103,7 +103,7 @@ def next_repetition(
     return Repetition(best.trial, own[0], 1) if best is not None and own else None
 
 
-def lacking(study: Study, surrogates: Surrogates, trial: Trial) -> list[Mapping[str, float]]:
+def lacking(study: Study, surrogates: Surrogates, trial: Trial) -> list[Context]:
     """Return the contexts of the runs of its own that a parameter set lacks to be the answer.
 
     They are made one at a time, since the first of them may show that another one is the answer,
@@ -185,16 +185,14 @@ def _plan(
     return max(plans, key=lambda plan: plan[1] - np.log(plan[0]))
 
 
-def _doubtful(
-    study: Study, surrogates: Surrogates, trial: Trial
-) -> list[Mapping[str, float] | None]:
+def _doubtful(study: Study, surrogates: Surrogates, trial: Trial) -> list[Context | None]:
     """Return where each limit of a parameter set is most doubtful, the least probable one first.
 
     That is None for a limit on runs in drawn contexts.
     """
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
-    found: list[tuple[float, Mapping[str, float] | None]] = []
+    found: list[tuple[float, Context | None]] = []
     for constraint in surrogates.limits:
         context = None
         if isinstance(constraint, EveryContext):
@@ -217,7 +215,7 @@ class _Corners:
         self._point = study.search_space().to_cube(trial.parameters)
         self.seen = np.array([_own_runs(study, trial, c) > 0 for c in self._contexts])
 
-    def unseen(self, surrogates: Surrogates) -> list[Mapping[str, float]]:
+    def unseen(self, surrogates: Surrogates) -> list[Context]:
         """Return those in which it was not run yet, the most doubtful one first.
 
         None of them if there are more than `CORNERS`, or if no limit is one in every context.
@@ -234,7 +232,7 @@ class _Corners:
         return [self._contexts[k] for k in order if not self.seen[k]]
 
 
-def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:
+def _own_runs(study: Study, trial: Trial, context: Context) -> int:
     """Return the number of complete runs of a parameter set near a context."""
     contexts = study.context_space()
     done = [e.context for e in trial.evaluations if e.outcome.complete]

@@ -25,13 +25,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from bo_tuner.errors import ParameterError, RunRecordError, StudyError
+from bo_tuner.errors import ConditionError, ParameterError, RunRecordError, StudyError
 from bo_tuner.metrics.collect import judged
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
@@ -52,6 +53,7 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
+    Value,
     WorstCase,
     count_evaluations,
 )
@@ -268,6 +270,8 @@ class _Taking:
                 raise _LeftOutError(f"off the step of {name}") from None
         try:
             complete = self._space.permitted(tuned)
+        except ConditionError as error:
+            raise _LeftOutError(f"against the condition {error.condition}") from None
         except ParameterError:
             raise _LeftOutError("against the order of the parameters") from None
         for name, value in complete.items():
@@ -379,10 +383,10 @@ def _moved_contexts(then: Study, now: Study) -> list[str]:
     ]
 
 
-def _is_possible(distribution: Distribution, value: float) -> bool:
+def _is_possible(distribution: Distribution, value: Value) -> bool:
     if isinstance(distribution, Discrete):
-        return value in distribution.values
-    return distribution.lower <= value <= distribution.upper
+        return any(checks.same_value(value, possible) for possible in distribution.values)
+    return distribution.lower <= distribution.number(value) <= distribution.upper
 
 
 def _searched(constraint: Constraint, then: Study, now: Study) -> str | None:

@@ -13,6 +13,7 @@ from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
+    Context,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -51,7 +52,7 @@ def evaluation_of(row: Row) -> Evaluation:
         index=_count(row, "position"),
         stage=Stage(_text(row, "stage")),
         parameters=_values(row, "parameters"),
-        context=_numbers(row, "context"),
+        context=_values(row, "context"),
         seed=_count(row, "seed"),
         outcome=Outcome(state, metrics, reason, _texts(row, "details")),
         seconds=float(_number(row["seconds"], "seconds")),
@@ -104,7 +105,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
     ValueError
         With the first one, and why.
     """
-    space = study.search_space()
+    space, contexts = study.search_space(), study.context_space()
     searched = {constraint.name for constraint in study.worst_case_constraints}
     known: set[str] = set()
 
@@ -120,9 +121,13 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             raise ValueError("other values of tied or fixed parameters")
         known.add(key)
 
-    def check_context(context: Mapping[str, float]) -> None:
+    def check_context(context: Context) -> None:
         _same_names(context, study.contexts, "context")
-        _check_size(context.values(), "context")
+        try:
+            numbers = contexts.rows([context])[0]
+        except ParameterError as error:
+            raise ValueError(f"context: {error}") from error
+        _check_size(numbers.tolist(), "context")
 
     for evaluation in evaluations:
         outcome = evaluation.outcome
@@ -166,7 +171,7 @@ def _worst_case(found: object) -> WorstCase:
     )
     if noise < 0.0:
         raise ValueError(f"worst_cases: noise {noise}")
-    return WorstCase(value, _as_numbers(found["context"], "worst_cases"), observed, noise)
+    return WorstCase(value, _as_values(found["context"], "worst_cases"), observed, noise)
 
 
 def _text(row: Row, column: str) -> str:
@@ -220,19 +225,19 @@ def _sequence(value: object) -> Sequence[object]:
 
 
 def _numbers(row: Row, column: str) -> dict[str, int | float]:
-    return _as_numbers(_object(row, column), column)
-
-
-def _as_numbers(value: object, column: str) -> dict[str, int | float]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
-    return {name: _number(item, column) for name, item in value.items()}
+    return {name: _number(item, column) for name, item in _object(row, column).items()}
 
 
 def _values(row: Row, column: str) -> dict[str, Value]:
+    return _as_values(_object(row, column), column)
+
+
+def _as_values(value: object, column: str) -> dict[str, Value]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
     return {
         name: item if isinstance(item, (bool, str)) else _number(item, column)
-        for name, item in _object(row, column).items()
+        for name, item in value.items()
     }
 
 

@@ -168,8 +168,10 @@ def node_problems(
         if variable.node != key or described is None:
             continue
         ends = (variable.distribution.lower, variable.distribution.upper)
-        text = _unsettable(variable.parameter, described, "double")
-        if text := text or _outside(ends, variable.parameter, described):
+        text = _unsettable(variable.parameter, described, variable.type)
+        if not variable.distribution.labels:
+            text = text or _outside(ends, variable.parameter, described)
+        if text:
             found.append(StudyError(text, ("contexts", name)))
     seed = study.seed_parameter
     described = known.get(seed.parameter) if seed is not None and seed.node == key else None
@@ -186,6 +188,8 @@ def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:
         for name in spec.parameters.keys() - arrays:
             yield ("nodes", key, "parameters"), key, name
     for name, item in study.contexts.items():
+        if not item.node:
+            continue
         yield ("contexts", name), item.node, item.parameter
     if study.seed_parameter is not None:
         yield ("seed_parameter",), study.seed_parameter.node, study.seed_parameter.parameter

@@ -15,7 +15,8 @@ from scipy.special import betaincinv
 
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
+from bo_tuner.trials import Value
 
 # Placeholder for a nominal value that was not given; `__post_init__` replaces it.
 _DEFAULT = cast(float, None)
@@ -31,7 +32,34 @@ class Distribution(ABC):
     """
 
     kind: ClassVar[str]
-    nominal: float
+    nominal: Value
+
+    @property
+    def labels(self) -> tuple[bool | str, ...]:
+        """The values, if they are none of numbers: a label's number is its position."""
+        return ()
+
+    def number(self, value: Value) -> float:
+        """Return the number that stands for a value, which is itself unless it is a label.
+
+        Raises
+        ------
+        ParameterError
+            If it is no label, or no number.
+        """
+        if self.labels:
+            # Not by `in`, for which 1 is true.
+            for position, label in enumerate(self.labels):
+                if checks.same_value(label, value):
+                    return float(position)
+            raise ParameterError(f"expected one of {self.labels}, found {checks.show(value)}")
+        if isinstance(value, (bool, str)):
+            raise ParameterError(f"expected a number, found {checks.show(value)}")
+        return float(value)
+
+    def value(self, number: float) -> Value:
+        """Return the value that a possible number stands for."""
+        return self.labels[int(number)] if self.labels else float(number)
 
     @property
     @abstractmethod
@@ -62,6 +90,10 @@ class Distribution(ABC):
         with np.errstate(all="ignore"):
             quantiles = np.asarray(self._quantile(q), dtype=np.float64)
         return np.clip(quantiles, self.lower, self.upper)
+
+    def integers(self, probability: ArrayLike) -> Array:
+        """Return the nearest integers of the quantiles, as `ppf`, shape (...)."""
+        return np.rint(self.ppf(probability))
 
     def clip(self, values: ArrayLike) -> Array:
         """Return the nearest value of the support for each of `values`, shape (...)."""
@@ -178,6 +210,11 @@ class Uniform(_Continuous):
         self._check_bounds()
         self._finish(self.lower + 0.5 * self.width)
 
+    def integers(self, probability: ArrayLike) -> Array:
+        """Return integers of which all are equally probable, also the outermost, shape (...)."""
+        steps = np.floor(np.asarray(probability, dtype=np.float64) * (self.width + 1.0))
+        return self.clip(self.lower + steps)
+
     def _quantile(self, probability: Array) -> Array:
         return probability * self.width + self.lower
 
@@ -242,34 +279,31 @@ class Triangular(_Continuous):
 class Discrete(Distribution):
     """Finitely many `values`, strictly increasing, each with its probability.
 
-    The nominal value is the most probable one, or the smallest of several such values.
+    The nominal value is the most probable one, or the first of several such values.
 
     Attributes
     ----------
-    values : tuple of float
-        The values.
+    values : tuple of float, bool or str
+        The values: numbers that increase, or truth values or texts in any order.
     probabilities : tuple of float
-        Their probabilities, of sum 1.
+        Their probabilities, of sum 1; equal ones unless given.
     """
 
     kind: ClassVar[str] = "discrete"
-    values: tuple[float, ...]
-    probabilities: tuple[float, ...]
-    nominal: float = _DEFAULT
+    values: tuple[Value, ...]
+    probabilities: tuple[float, ...] = ()
+    nominal: Value = _DEFAULT
 
     def __post_init__(self) -> None:
-        values, probabilities = (
-            tuple(
-                checks.magnitude(item, key, index)
-                for index, item in enumerate(checks.sequence(value, "a list of numbers", key))
+        values = _values(self.values)
+        probabilities = tuple(
+            checks.magnitude(item, "probabilities", index)
+            for index, item in enumerate(
+                checks.sequence(self.probabilities, "a list of numbers", "probabilities")
             )
-            for key, value in (("values", self.values), ("probabilities", self.probabilities))
         )
-        if len(values) < 2:
-            raise StudyError(f"expected at least two values, found {len(values)}", ("values",))
-        if any(left >= right for left, right in pairwise(values)):
-            raise StudyError("expected strictly increasing values", ("values",))
-        checks.check_width(values[0], values[-1], "values", instead="a context needs to vary")
+        if not probabilities:
+            probabilities = (1.0 / len(values),) * len(values)
         if len(probabilities) != len(values):
             raise StudyError(
                 f"expected one for each of the {len(values)} values, found {len(probabilities)}",
@@ -281,33 +315,69 @@ class Discrete(Distribution):
             raise StudyError(f"expected a sum of 1, found {sum(probabilities)}", ("probabilities",))
         nominal = values[int(np.argmax(probabilities))]
         if self.nominal is not None:
-            nominal = checks.magnitude(self.nominal, "nominal")
-            if nominal not in values:
+            nominal = self.nominal
+            if not isinstance(values[0], (bool, str)):
+                nominal = checks.magnitude(nominal, "nominal")
+            if not any(checks.same_value(nominal, value) for value in values):
                 raise StudyError(f"{nominal} is none of the values", ("nominal",))
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "probabilities", probabilities)
         object.__setattr__(self, "nominal", nominal)
 
     @property
+    def labels(self) -> tuple[bool | str, ...]:
+        """The values, if they are truth values or texts."""
+        return tuple(value for value in self.values if isinstance(value, (bool, str)))
+
+    @property
+    def support(self) -> Array:
+        """The numbers (k,) of the k values, strictly increasing."""
+        if self.labels:
+            return np.arange(len(self.labels), dtype=np.float64)
+        return np.asarray(self.values, dtype=np.float64)
+
+    @property
     def lower(self) -> float:
-        """Smallest value."""
-        return self.values[0]
+        """Smallest number of a value."""
+        return self.number(self.values[0])
 
     @property
     def upper(self) -> float:
-        """Largest value."""
-        return self.values[-1]
+        """Largest number of a value."""
+        return self.number(self.values[-1])
 
     def _quantile(self, probability: Array) -> Array:
         # The last value absorbs the rounding error of the sum.
         cumulative = np.cumsum(self.probabilities)[:-1]
-        return np.asarray(self.values)[np.searchsorted(cumulative, probability, side="left")]
+        return self.support[np.searchsorted(cumulative, probability, side="left")]
 
     def clip(self, values: ArrayLike) -> Array:
         """Return the nearest of the possible values for each of `values`, shape (...)."""
-        support = np.asarray(self.values)
+        support = self.support
         middles = support[:-1] + 0.5 * np.diff(support)
         return support[np.searchsorted(middles, np.asarray(values, dtype=np.float64))]
+
+
+def _values(given: object) -> tuple[Value, ...]:
+    """Return the values of a discrete variable: floats that increase, or different labels."""
+    items = checks.sequence(given, "a list of values", "values")
+    if len(items) < 2:
+        raise StudyError(f"expected at least two values, found {len(items)}", ("values",))
+    for kind in (bool, str):
+        labels = [item for item in items if isinstance(item, kind)]
+        if not labels:
+            continue
+        if len(labels) < len(items):
+            raise StudyError("expected values of one type", ("values",))
+        if len(set(labels)) < len(labels):
+            raise StudyError("expected different values", ("values",))
+        checks.at_most(labels, maxima.CHOICES, "values")
+        return tuple(labels)
+    values = tuple(checks.magnitude(item, "values", index) for index, item in enumerate(items))
+    if any(left >= right for left, right in pairwise(values)):
+        raise StudyError("expected strictly increasing values", ("values",))
+    checks.check_width(values[0], values[-1], "values", instead="a context needs to vary")
+    return values
 
 
 DISTRIBUTIONS: dict[str, type[Distribution]] = {

@@ -13,6 +13,8 @@ NODES = 100
 PARAMETERS = 500
 """Tuned, tied and fixed ones."""
 TUNED = 50
+CONDITIONS = 50
+"""Between parameters."""
 CHOICES = 50
 """Of a tuned text."""
 CONTEXTS = 50

@@ -1,12 +1,15 @@
-"""The parameters of a study together: ties, fixed values and order constraints."""
+"""The parameters of a study together: ties, fixed values, order constraints and conditions."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bo_tuner.errors import ParameterError, StudyError
+from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
+from bo_tuner.study.building import under
+from bo_tuner.study.conditions import KEY, Condition
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.trials import Value
@@ -21,6 +24,8 @@ class ParameterSpace:
         All parameters; the tuned ones become the columns of a row, in this order.
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b.
+    where : sequence of str
+        Conditions that hold in every parameter set.
 
     Attributes
     ----------
@@ -28,6 +33,8 @@ class ParameterSpace:
         All parameters.
     order : tuple of (str, str)
         As given.
+    conditions : tuple of Condition
+        Those of `where`.
     tuned : tuple of Parameter
         The tuned ones.
     names : tuple of str
@@ -48,7 +55,12 @@ class ParameterSpace:
         violated by the defaults.
     """
 
-    def __init__(self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]]) -> None:
+    def __init__(
+        self,
+        parameters: Iterable[Parameter],
+        order: Sequence[tuple[str, str]],
+        where: Sequence[str] = (),
+    ) -> None:
         self.parameters = tuple(parameters)
         self.order = tuple(order)
         self._by_name = {item.name: item for item in self.parameters}
@@ -74,6 +86,11 @@ class ParameterSpace:
         self.partial_order = PartialOrder(len(self.tuned), ())
         for index, names in enumerate(self.order):
             self._add_order(index, names)
+        found = []
+        for index, text in enumerate(where):
+            with under(KEY, index):
+                found.append(Condition(text, self._by_name))
+        self.conditions = tuple(found)
 
     def row(self, parameters: Mapping[str, Value]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
@@ -124,6 +141,39 @@ class ParameterSpace:
                     f"{values[larger]}"
                 )
 
+    def held(self, values: Array) -> Array:
+        """Return what each condition says of rows of tuned values (n, d), see `Condition.values`.
+
+        The shape is (number of conditions, n).
+        """
+        columns = {item.name: self._column_of(item, values) for item in self.parameters}
+        found = np.empty((len(self.conditions), len(values)))
+        for index, condition in enumerate(self.conditions):
+            found[index] = condition.values(columns)
+        return found
+
+    def holds(self, values: Array) -> NDArray[np.bool_]:
+        """Return which rows of tuned values (n, d) satisfy all conditions, shape (n,)."""
+        if not self.conditions:
+            return np.ones(len(values), dtype=np.bool_)
+        found: NDArray[np.bool_] = (self.held(values) == 1.0).all(axis=0)
+        return found
+
+    def check_conditions(self, row: Array) -> None:
+        """Refuse a row of tuned values, shape (d,), that breaks a condition.
+
+        Raises
+        ------
+        ConditionError
+            With the condition and the values.
+        """
+        for condition, value in zip(self.conditions, self.held(row[None])[:, 0], strict=True):
+            if value != 1.0:
+                found = condition.found(self.complete(row))
+                if np.isnan(value):
+                    found = f"it is not defined for {found}"
+                raise ConditionError(condition.text, found)
+
     def complete(self, row: Array) -> dict[str, Value]:
         """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
         parameters = dict(self.defaults)
@@ -137,6 +187,16 @@ class ParameterSpace:
                 else:
                     parameters[item.name] = int(value) if item.is_integer else value
         return parameters
+
+    def _column_of(self, item: Parameter, values: Array) -> Array:
+        """Return the values (n,) of a parameter in rows (n, d), or the one (1,) that all have."""
+        column = self._column.get(self._leader(item.name).name)
+        if column is not None:
+            found: Array = values[:, column]
+            return found
+        fixed = self.defaults[item.name]
+        # A text that is fixed has the only position.
+        return np.array([0.0 if isinstance(fixed, str) else float(fixed)])
 
     def _leader(self, name: str) -> Parameter:
         item = self._by_name[name]

@@ -8,14 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
-from bo_tuner.study.distributions import Distribution
+from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.parameter import TYPES
 
 ROS, IN_PROCESS = "ros", "inprocess"
 BACKENDS = (ROS, IN_PROCESS)
 """Names of the backends, on the command line and on record: ROS nodes, the default, or objects in
 this process."""
+
+DOUBLE, INTEGER = "double", "integer"
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -25,16 +29,21 @@ MINIMIZE, MAXIMIZE = "minimize", "maximize"
 
 @dataclass(frozen=True, kw_only=True)
 class ContextVariable:
-    """A double parameter that varies from evaluation to evaluation.
+    """What varies from evaluation to evaluation: a parameter of a node, or a value in the steps.
 
     Attributes
     ----------
     name : str
         Name in the study.
     node : str
-        Node of the study that has the parameter.
+        Node of the study that has the parameter. A variable without one stands in the steps of
+        `run`, by its name in braces: `goal: {x: "{goal_x}"}`.
     distribution : Distribution
         Distribution of its values in operation.
+    type : str
+        `double`, `integer`, `boolean` or `string`. Unless given, what the values of the
+        distribution are, and double for numbers; an integer takes the nearest integer of any
+        distribution.
     unit : str
         Unit, for display only.
     parameter : str
@@ -42,8 +51,9 @@ class ContextVariable:
     """
 
     name: str
-    node: str
+    node: str = ""
     distribution: Distribution
+    type: str = ""
     unit: str = ""
     parameter: str = ""
 
@@ -51,9 +61,40 @@ class ContextVariable:
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
+        self._check_type()
+        if not self.node:
+            if self.parameter:
+                raise StudyError("without a node there is no parameter; add node", ("parameter",))
+            return
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
         checks.parameter_name(self.parameter, "parameter")
+
+    def _check_type(self) -> None:
+        """Find the type, or refuse one that the distribution's values do not have."""
+        labels = self.distribution.labels
+        found = DOUBLE
+        if labels:
+            found = "boolean" if isinstance(labels[0], bool) else "string"
+        if self.type == "":
+            object.__setattr__(self, "type", found)
+        checks.choice(self.type, TYPES, "type")
+        if self.type == INTEGER and found == DOUBLE:
+            item = self.distribution
+            numbers = item.support if isinstance(item, Discrete) else [item.lower, item.upper]
+            for number in numbers:
+                if number != round(number):
+                    raise StudyError(
+                        "expected integers as the values or bounds of an integer, found "
+                        f"{number:g}",
+                        ("type",),
+                    )
+        elif self.type != found:
+            raise StudyError(
+                f"expected {found}, as its values are, found {self.type}; numbers are of "
+                f"{DOUBLE} or {INTEGER}, truth values and texts of discrete",
+                ("type",),
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from typing import Any
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import (
@@ -31,6 +32,7 @@ from bo_tuner.study.parts import (
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal, only_numbers
+from bo_tuner.study.step_contexts import check_contexts
 
 
 def check_objectives(
@@ -95,7 +97,7 @@ def node_references(
     """Yield where a study refers to nodes, and by which key, in sections of parts by name."""
     for section, items in parts:
         for name, item in items.items():
-            if isinstance(item, Parameter | ContextVariable | ReportedMetric):
+            if isinstance(item, Parameter | ContextVariable | ReportedMetric) and item.node:
                 yield (section, name), item.node
     if trigger is not None:
         yield ("trigger",), trigger.node
@@ -132,7 +134,7 @@ def check_kinds(
                 metric.check_kinds(signals)
     for text, path in () if run is None else run.conditions:
         with findings.under():
-            only_numbers(text, signals, *path)
+            only_numbers(without_contexts(text), signals, *path)
     findings.check()
 
 
@@ -196,6 +198,10 @@ def check_names(
     if {"signals", "nodes"} <= names.keys():
         with findings.under():
             check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
+    if "contexts" in names and ("run" in parts or "run" not in names):
+        with findings.under():
+            contexts = dict.fromkeys(names["contexts"]) | named["contexts"]
+            check_contexts(parts.get("run"), contexts)
     if "metrics" not in names:
         return
     metrics = dict.fromkeys(names["metrics"]) | named["metrics"]
@@ -231,6 +237,7 @@ def check_targets(
         ((section, name), item.node, item.parameter)
         for section, items in (("parameters", parameters), ("contexts", contexts))
         for name, item in items.items()
+        if item.node
     ]
     if seed is not None:
         targets.append((("seed_parameter",), seed.node, seed.parameter))

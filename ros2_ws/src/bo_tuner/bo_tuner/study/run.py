@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import Step, build_steps
@@ -141,7 +142,7 @@ class Run:
                     checks.reference(step.restart, "node", nodes, *path, "restart")
         for condition, path in self.conditions:
             with findings.under():
-                expression(condition, signals, *path)
+                expression(without_contexts(condition), signals, *path)
         findings.check()
 
 

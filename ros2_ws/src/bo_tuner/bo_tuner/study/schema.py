@@ -46,7 +46,10 @@ SCALARS: dict[object, Schema] = {
     float: {"type": "number"},
     str: {"type": "string"},
 }
-CHOICES: dict[tuple[type, str], tuple[str, ...]] = {(Parameter, "type"): TYPES}
+CHOICES: dict[tuple[type, str], tuple[str, ...]] = {
+    (Parameter, "type"): TYPES,
+    (ContextVariable, "type"): TYPES,
+}
 
 
 def schema() -> Schema:

@@ -9,13 +9,16 @@ Hernández-Lobato 2020).
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bo_tuner.errors import ParameterError
+from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.conditions import KEY, check_shares
+from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.constraint import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_space import ParameterSpace
@@ -29,6 +32,16 @@ STEP = 0.05
 
 Fixed, so that the sensitivity to a step can be compared between runs.
 """
+
+SAMPLE = 2**16
+"""Parameter sets that tell what share of them the conditions leave."""
+
+MOST_ANCHORS = 512
+"""Of the permitted ones among these, towards which others are moved."""
+
+ROUNDS = 100
+BATCH = 1024
+"""Draws of random parameter sets until as many are permitted as are asked for."""
 
 
 class SearchSpace:
@@ -47,6 +60,8 @@ class SearchSpace:
         All parameters of the study; the tuned ones become the columns, in this order.
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parameter set.
+    where : sequence of str
+        Conditions that hold in every parameter set, see `Condition`.
 
     Attributes
     ----------
@@ -65,14 +80,17 @@ class SearchSpace:
     Raises
     ------
     StudyError
-        If a reference is unknown, no parameter is tuned, or the order cannot be satisfied or is
-        violated by the defaults.
+        If a reference is unknown, no parameter is tuned, or the order or the conditions cannot be
+        satisfied, or are violated by the defaults.
     """
 
     def __init__(
-        self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]] = ()
+        self,
+        parameters: Iterable[Parameter],
+        order: Sequence[tuple[str, str]] = (),
+        where: Sequence[str] = (),
     ) -> None:
-        self._space = ParameterSpace(parameters, order)
+        self._space = ParameterSpace(parameters, order, where)
         self.parameters = self._space.parameters
         self.order = self._space.order
         self.names = self._space.names
@@ -94,6 +112,8 @@ class SearchSpace:
             None if discrete else -math.floor(math.log10(RESOLUTION * width))
             for discrete, width in zip(self.discrete, self._scaled_width.tolist(), strict=True)
         ]
+        if self._space.conditions:
+            self._check_conditions()
 
     @property
     def dimension(self) -> int:
@@ -138,22 +158,26 @@ class SearchSpace:
         return self._space.complete(self._space.row(parameters))
 
     def permitted(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
-        """Return all parameters, as `completed`, of a parameter set that satisfies the order.
+        """Return all parameters, as `completed`, of a set that satisfies order and conditions.
 
         Raises
         ------
         ParameterError
             Also if the order is violated.
+        ConditionError
+            If a condition is.
         """
         row = self._space.row(parameters)
         self._space.check_order(row)
+        self._space.check_conditions(row)
         return self._space.complete(row)
 
     def repair(self, positions: ArrayLike) -> Array:
         """Move positions (n, d) to points (n, d) that represent permitted parameter sets.
 
-        Clips to the cube, moves parameters in the wrong order to their mean, and rounds integers.
-        A second repair changes nothing (to rounding).
+        Clips to the cube, moves parameters in the wrong order to their mean, rounds integers, and
+        moves what breaks a condition straight towards a parameter set that breaks none, as far as
+        it must. A second repair changes nothing (to rounding).
         """
         rows = np.asarray(positions, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.dimension:
@@ -205,8 +229,9 @@ class SearchSpace:
         Each parameter's permitted range is divided into n strata with one point in each, equal on
         its scale; all integers, and all values of a grid with a step, are equally likely on any
         scale, including the outermost, as long as no order is to be kept. Values in the wrong order
-        are swapped, so of two in order the lower one tends to be low and the upper one high;
-        repeated parameter sets are moved to the nearest free integers.
+        are swapped, so of two in order the lower one tends to be low and the upper one high; what
+        breaks a condition is drawn anew; repeated parameter sets are moved to the nearest free
+        integers.
 
         Parameters
         ----------
@@ -224,6 +249,14 @@ class SearchSpace:
         """
         if count < 1:
             raise ParameterError(f"count: expected at least 1 point, found {count}")
+        values = self._drawn(count, rng)
+        if self._space.conditions:
+            values = self._conforming(self._drawn_anew(values, rng))
+        points = self._to_unit(values)
+        return self._distinct(points, {self.key(parameters) for parameters in taken})
+
+    def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw values (n, d) in a Latin hypercube, in order and rounded."""
         uniform = latin_hypercube(count, self.dimension, rng)
         low, high = self._scaled(self._low), self._scaled(self._high)
         values = self._unscaled(low + uniform * (high - low))
@@ -235,8 +268,23 @@ class SearchSpace:
             steps = round((self._tuned[column].on_grid(self.upper[column]) - lowest) / step)
             chosen = np.floor(uniform[:, column] * (steps + 1))
             values[:, column] = lowest + np.minimum(chosen, steps) * step
-        points = self._to_unit(self._values_of(self._order.swap(values)))
-        return self._distinct(points, {self.key(parameters) for parameters in taken})
+        return self._ordered(self._order.swap(values))
+
+    def _drawn_anew(self, values: Array, rng: np.random.Generator) -> Array:
+        """Return values (n, d) of which those that break a condition are drawn again.
+
+        Where hardly any holds, some still break one after all draws.
+        """
+        found = values.copy()
+        wrong = np.flatnonzero(~self._space.holds(found))
+        for _ in range(ROUNDS):
+            if not len(wrong):
+                break
+            fresh = self._drawn(BATCH, rng)
+            fresh = fresh[self._space.holds(fresh)][: len(wrong)]
+            found[wrong[: len(fresh)]] = fresh
+            wrong = wrong[len(fresh) :]
+        return found
 
     def minimum_length_scales(self) -> Array:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
@@ -258,8 +306,9 @@ class SearchSpace:
     def integer_neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one integer step away.
 
-        For each tuned integer, one step below and one above where bounds and order permit it; for
-        each boolean or choice, every other value; doubles as in `parameters`, tied ones follow.
+        For each tuned integer, one step below and one above where bounds, order and conditions
+        permit it; for each boolean or choice, every other value; doubles as in `parameters`, tied
+        ones follow.
         """
         row = self._space.row(parameters)
         steps = self._steps(row, self.discrete)
@@ -287,41 +336,79 @@ class SearchSpace:
             inside = (self._low[column] <= moved[:, column]) & (
                 moved[:, column] <= self._high[column]
             )
-            steps.append(moved[(away != 0.0) & inside & self._order.satisfied(moved)])
+            permitted = self._order.satisfied(moved) & self._space.holds(moved)
+            steps.append(moved[(away != 0.0) & inside & permitted])
         return np.concatenate(steps)
 
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one step away, see `STEP`.
 
         The integer neighbours, then for each tuned double one below and one above, repaired to
-        bounds and order.
+        bounds and order; a step that breaks a condition ends where that begins.
         """
         found = self.integer_neighbours(parameters)
         row = self._space.row(parameters)
-        at = self.repair(self.to_cube(parameters)[None])
+        at = self._to_unit(self._free_values(self.to_cube(parameters)[None]))
         for column in np.flatnonzero(~self.discrete):
             for sign in (-1.0, 1.0):
                 moved = at.copy()
                 moved[0, column] += sign * STEP
-                moved = self.repair(moved)
+                moved = self._to_unit(self._free_values(moved))
                 # Values that do not move are kept bit for bit.
-                values = np.where(moved == at, row, self._values(moved))
+                values = np.where(moved == at, row, self._free_values(moved))
                 if column in self._stepped and not np.any(moved != at):
                     values = row[None].copy()
                     values[0, column] += sign * float(self._tuned[column].step or 0.0)
-                    values = self._values_of(values)
+                    values = self._ordered(values)
+                if not self._space.holds(values)[0]:
+                    values = self._conditions.towards(row[None], values)
+                    if np.abs(self._to_unit(values) - at).max() <= RESOLUTION:
+                        continue
                 if np.any(values != row):
                     found.append(self._space.complete(values[0]))
         return found
 
     def _values(self, positions: Array) -> Array:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
+        return self._conforming(self._free_values(positions))
+
+    def _free_values(self, positions: Array) -> Array:
+        """Return tuned values (n, d) at positions (n, d), permitted but for the conditions."""
         if not np.all(np.isfinite(positions)):
             raise ParameterError("positions: expected finite values")
         scaled = self._scaled_lower + np.clip(positions, 0.0, 1.0) * self._scaled_width
-        return self._values_of(self._unscaled(scaled))
+        return self._ordered(self._unscaled(scaled))
 
-    def _values_of(self, values: Array) -> Array:
+    @cached_property
+    def _conditions(self) -> Conforming:
+        """Moves values that break a condition, towards some that break none."""
+        drawn = self._drawn(SAMPLE, np.random.default_rng(0))
+        default = self._space.row(self.defaults)
+        return Conforming(
+            self._space.holds,
+            self._to_unit,
+            self._free_values,
+            np.vstack([default, drawn[self._space.holds(drawn)][:MOST_ANCHORS]]),
+            np.array(self.levels, dtype=bool),
+        )
+
+    def _conforming(self, values: Array) -> Array:
+        """Return values (n, d) that satisfy the conditions; those that do stay as they are."""
+        return self._conditions.moved(values) if self._space.conditions else values
+
+    def _check_conditions(self) -> None:
+        """Refuse conditions that leave hardly anything, and defaults that break one."""
+        check_shares(
+            self._space.conditions, self._space.held(self._drawn(SAMPLE, np.random.default_rng(0)))
+        )
+        try:
+            self.permitted(self.defaults)
+        except ConditionError as error:
+            index = [each.text for each in self._space.conditions].index(error.condition)
+            raise StudyError(f"the default {error}", (KEY, index)) from None
+
+    def _ordered(self, values: Array) -> Array:
+        """Return values (n, d) in order, rounded and within the bounds."""
         ordered = self._order.project(values)
         # Rounding and clipping to tightened bounds both keep the order.
         rounded = np.where(self.discrete, np.floor(ordered + 0.5), ordered)
@@ -367,3 +454,11 @@ class SearchSpace:
                 # All sets are taken, so that none of the other points can be moved either.
                 return points
         return points
+
+
+@lru_cache(maxsize=16)
+def search_space(
+    parameters: tuple[Parameter, ...], order: tuple[tuple[str, str], ...], where: tuple[str, ...]
+) -> SearchSpace:
+    """Return the `SearchSpace`, made once: what conditions leave takes some tenths of a second."""
+    return SearchSpace(parameters, order, where)

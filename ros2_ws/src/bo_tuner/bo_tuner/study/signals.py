@@ -173,9 +173,11 @@ def expression(text: object, signals: Iterable[str], *path: str | int) -> Expres
 
 
 def named_expression(
-    text: object, names: tuple[str, ...], kind: str, *path: str | int
+    text: object, names: tuple[str, ...], kind: str, *path: str | int, finite: bool = False
 ) -> Expression:
     """Return the expression of names that a text is; `kind` says in errors what these are of.
+
+    `finite` as in `Expression`.
 
     Raises
     ------
@@ -183,7 +185,7 @@ def named_expression(
         If it is none, or has other names.
     """
     try:
-        return Expression(checks.text(text, *path), names)
+        return Expression(checks.text(text, *path), names, finite=finite)
     except UnknownNameError as error:
         hint = checks.suggestion(error.name, error.known)
         raise StudyError(f"there is no {kind} or function '{error.name}'; {hint}", path) from None

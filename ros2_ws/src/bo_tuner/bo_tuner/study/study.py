@@ -26,7 +26,7 @@ from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric,
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import INTEGER, ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import (
     check_constraint,
     check_kinds,
@@ -37,9 +37,10 @@ from bo_tuner.study.references import (
     node_references,
 )
 from bo_tuner.study.run import Run
-from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
-from bo_tuner.trials import Value
+from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
 """Stands for the study's default in the list of parameter sets that are tried first."""
@@ -52,6 +53,7 @@ MOST = {
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
     "order": maxima.PARAMETERS,
+    "where": maxima.CONDITIONS,
     "start": maxima.TRIALS,
 }
 
@@ -98,6 +100,8 @@ class Study:
         What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
+    where : tuple of str
+        Conditions that every parameter set satisfies, such as `ki <= kp / 2`.
     start : tuple of mapping or str
         Parameter sets that are tried first: ``default``, or values of parameters by name, where
         those that are left out are the defaults. Without this key, only the default.
@@ -134,6 +138,7 @@ class Study:
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
+    where: tuple[str, ...] = ()
     start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
     seed: int = 1
@@ -156,6 +161,8 @@ class Study:
             with findings.under():
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
                 check_kinds(self.run, self.metrics, self.signals)
+        with findings.under():
+            check_contexts(self.run, self.contexts)
         # The others lead through the references to nodes.
         if has_nodes:
             with findings.under():
@@ -189,6 +196,10 @@ class Study:
         with findings.under():
             order = _order(self.order)
         object.__setattr__(self, "order", order)
+        where: tuple[str, ...] = ()
+        with findings.under("where"):
+            where = _where(self.where)
+        object.__setattr__(self, "where", where)
         start: tuple[Mapping[str, Value] | str, ...] = ()
         with findings.under():
             start = _start(self.start)
@@ -265,13 +276,13 @@ class Study:
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
-        return SearchSpace(self.parameters.values(), self.order)
+        return search_space(tuple(self.parameters.values()), self.order, self.where)
 
     @property
     def safe_parameters(self) -> dict[str, Value]:
         """All parameters, as they are while no run is performed."""
         space = self.search_space()
-        return space.completed(space.defaults | dict(self.park.parameters))
+        return space.permitted(space.defaults | dict(self.park.parameters))
 
     def without_safe_parameters(self) -> "Study":
         """Return the study as it is if ``park`` names no parameters."""
@@ -331,7 +342,10 @@ class Study:
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
-        return ContextSpace({name: item.distribution for name, item in self.contexts.items()})
+        return ContextSpace(
+            {name: item.distribution for name, item in self.contexts.items()},
+            [name for name, item in self.contexts.items() if item.type == INTEGER],
+        )
 
     @property
     def starts_nodes(self) -> bool:
@@ -358,7 +372,7 @@ class Study:
         return text if len(same) == 1 else f"{text} ({constraint.name})"
 
     def assignments(
-        self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
+        self, parameters: Mapping[str, Value], context: Context, seed: int
     ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return the parameters to set on each node before an evaluation.
 
@@ -366,8 +380,9 @@ class Study:
         ----------
         parameters : mapping from str to int or float
             Values of the study's parameters, in own units.
-        context : mapping from str to float
-            Values of the context variables, in own units.
+        context : mapping from str to value
+            Values of the context variables, in own units; those without a node are not in the
+            result.
         seed : int
             Noise seed of the evaluation; unused without a `seed_parameter`.
 
@@ -379,7 +394,8 @@ class Study:
         values = self.node_parameters(parameters)
         for name, value in context.items():
             variable = self.contexts[name]
-            values.setdefault(variable.node, {})[variable.parameter] = value
+            if variable.node:
+                values.setdefault(variable.node, {})[variable.parameter] = value
         if self.seed_parameter is not None:
             values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
         return values
@@ -555,6 +571,12 @@ def _order(order: object) -> tuple[tuple[str, str], ...]:
             (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
         )
     return tuple(pairs)
+
+
+def _where(where: object) -> tuple[str, ...]:
+    expected = "a list of conditions such as ki <= kp / 2"
+    items = checks.sequence(where, expected)
+    return tuple(checks.text(item, index) for index, item in enumerate(items))
 
 
 def _start(start: object) -> tuple[Mapping[str, Value] | str, ...]:

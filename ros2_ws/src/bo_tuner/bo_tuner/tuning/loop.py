@@ -1,7 +1,7 @@
 """The tuning loop: trials of stage one, each with the evaluations of stage two."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
+    Context,
     Evaluation,
     Outcome,
     Stage,
@@ -118,7 +119,7 @@ class Tuning:
     ) -> tuple[TrialState, str, dict[str, WorstCase]]:
         """Run the evaluations of a trial until one fails, and append each to `done`."""
 
-        def run(stage: Stage, context: Mapping[str, float]) -> Outcome:
+        def run(stage: Stage, context: Context) -> Outcome:
             seed = noise_seed(self._study.seed, Stream.NOISE, number, len(done))
             planned = Evaluation(number, len(done), stage, proposal.parameters, context, seed)
             for _ in range(ATTEMPTS):
@@ -146,9 +147,7 @@ class Tuning:
             searches.tell(context, outcome.metrics)
         return TrialState.COMPLETE, "", searches.worst_cases(rng())
 
-    def _estimating_contexts(
-        self, number: int, proposal: Proposal
-    ) -> list[tuple[Stage, dict[str, float]]]:
+    def _estimating_contexts(self, number: int, proposal: Proposal) -> list[tuple[Stage, Context]]:
         if self._algorithm.nominal:
             return [(Stage.NOMINAL, self._contexts.to_dict(self._contexts.nominal()))]
         rng = generator(self._study.seed, Stream.CONTEXTS, number)

@@ -16,7 +16,7 @@ from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Trial, WorstCase
+from bo_tuner.trials import Context, Evaluation, Stage, Trial, WorstCase
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.limits import judge_sample, judge_samples, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -189,7 +189,9 @@ def _check(
     drawn = contexts.draw_stratified(
         DRAWN_EVALUATIONS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
     )
-    plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
+    plan: list[tuple[Stage, Context]] = [
+        (Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn
+    ]
     for worst_context in _worst_contexts(trial):
         plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
     check: list[Evaluation] = []
@@ -212,9 +214,9 @@ def _size(trial: Trial) -> int:
     return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(_worst_contexts(trial))
 
 
-def _worst_contexts(trial: Trial) -> list[dict[str, float]]:
+def _worst_contexts(trial: Trial) -> list[Context]:
     """Return the different worst contexts of a trial, in the order of the constraints."""
-    found: list[dict[str, float]] = []
+    found: list[Context] = []
     for worst in trial.worst_cases.values():
         if dict(worst.context) not in found:
             found.append(dict(worst.context))

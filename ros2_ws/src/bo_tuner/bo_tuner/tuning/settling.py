@@ -7,7 +7,7 @@ data.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from bo_tuner.backends.protocol import Backend
@@ -21,6 +21,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     CHECKS,
     TUNING,
+    Context,
     Evaluation,
     Stage,
     Trial,
@@ -237,7 +238,7 @@ def _run(
     study: Study,
     backend: Backend,
     trial: Trial,
-    context: Mapping[str, float] | None,
+    context: Context | None,
     observer: RunObserver,
 ) -> Evaluation:
     index, stage = len(trial.evaluations), Stage.CHECK_WORST

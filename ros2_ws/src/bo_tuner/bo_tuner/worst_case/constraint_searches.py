@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 from bo_tuner.worst_case.protocol import WorstCaseSearch
 
 
@@ -21,7 +21,7 @@ class ConstraintSearch:
     constraint: Constraint
     search: WorstCaseSearch
 
-    def tell(self, context: Mapping[str, float], metrics: Mapping[str, float]) -> None:
+    def tell(self, context: Context, metrics: Mapping[str, float]) -> None:
         """Add an evaluation: its context and metrics."""
         self.search.tell(context, self.constraint.sign * metrics[self.constraint.metric])
 
@@ -51,7 +51,7 @@ class WorstCaseSearches:
         self._asked = 0
         self._open = self._searches
 
-    def tell(self, context: Mapping[str, float], metrics: Mapping[str, float]) -> None:
+    def tell(self, context: Context, metrics: Mapping[str, float]) -> None:
         """Add an evaluation: its context and metrics."""
         for item in self._searches:
             item.tell(context, metrics)
@@ -63,7 +63,7 @@ class WorstCaseSearches:
         self._open = tuple(item for item in self._searches if not item.search.done(rng))
         return not self._open
 
-    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+    def ask(self, rng: np.random.Generator) -> Context:
         """Return the next context of the search whose turn it is; call `done` before."""
         item = self._open[self._asked % len(self._open)]
         self._asked += 1

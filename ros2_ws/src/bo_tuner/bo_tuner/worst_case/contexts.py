@@ -1,6 +1,6 @@
 """Shared parts of the worst-case searches: priors, swarm and starting contexts."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import sqrt
 
 import numpy as np
@@ -9,7 +9,7 @@ from bo_tuner.models.hyperpriors import Hyperpriors, LogNormal
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 
 SEARCH_EFFORT = SwarmSettings(particles=40, iterations=25, stall=6)
 
@@ -42,7 +42,7 @@ def maximize_over_contexts(
     function: Callable[[Array], Array],
     rng: np.random.Generator,
     initial: Array,
-) -> tuple[dict[str, float], float]:
+) -> tuple[Context, float]:
     """Maximize a function of the context by a small particle swarm.
 
     Parameters
@@ -80,7 +80,7 @@ def worst_contexts_nearby(
     worst_cases: Sequence[WorstCase],
     space: ContextSpace,
     count: int,
-) -> list[dict[str, float]]:
+) -> list[Context]:
     """Return the worst contexts of the nearest parameter sets, without duplicates.
 
     Parameters
@@ -98,7 +98,7 @@ def worst_contexts_nearby(
     """
     if space.dimension == 0:
         return []
-    chosen: list[Mapping[str, float]] = []
+    chosen: list[Context] = []
     nearest = np.argsort(((tried - point) ** 2).sum(axis=1), kind="stable")
     for index in nearest[: count + (count + 1) // 2]:
         candidate = worst_cases[int(index)].context
@@ -107,6 +107,6 @@ def worst_contexts_nearby(
     return [dict(context) for context in chosen[:count]]
 
 
-def _distance(a: Mapping[str, float], b: Mapping[str, float], space: ContextSpace) -> float:
+def _distance(a: Context, b: Context, space: ContextSpace) -> float:
     rows = space.cube_of([a, b])
     return float(np.abs(rows[0] - rows[1]).max())

@@ -8,7 +8,7 @@ before the first evaluation of that parameter set.
 Notation: d tuned parameters, e context variables; a joint point is (x, c), both in unit cubes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import sqrt
 
 import numpy as np
@@ -18,7 +18,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
 
 
@@ -70,7 +70,7 @@ class JointSearch:
         self._observed: list[float] = []
         self._asked = 0
 
-    def tell(self, context: Mapping[str, float], value: float) -> None:
+    def tell(self, context: Context, value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._joint(self._space.cube_of([context]))])
         self._y = np.append(self._y, value)
@@ -87,7 +87,7 @@ class JointSearch:
         mean, variance = model.predict(self._joint(self._space.cube_of([context])))
         return is_clear(self._limit - margin - float(mean[0]), float(variance[0]), self._asked)
 
-    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+    def ask(self, rng: np.random.Generator) -> Context:
         """Return the context with the largest upper confidence bound."""
         self._asked += 1
         model = self._fit(rng)
@@ -118,6 +118,6 @@ class JointSearch:
 
     def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
-    ) -> tuple[dict[str, float], float]:
+    ) -> tuple[Context, float]:
         own = self._x[len(self._x) - len(self._observed) :, len(self._point) :]
         return maximize_over_contexts(self._space, function, rng, own)

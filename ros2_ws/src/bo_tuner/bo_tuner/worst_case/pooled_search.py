@@ -1,6 +1,6 @@
 """Stage two with one process over parameter set and context, whose noise is local."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
 
 
@@ -69,7 +69,7 @@ class PooledSearch:
         self._observed: list[float] = []
         self._asked = 0
 
-    def tell(self, context: Mapping[str, float], value: float) -> None:
+    def tell(self, context: Context, value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._point])
         self._c = np.vstack([self._c, self._space.cube_of([context])])
@@ -89,7 +89,7 @@ class PooledSearch:
         mean, variance = self._quantile(process, self._space.cube_of([context]))
         return is_clear(self._limit - float(mean[0]), float(variance[0]), self._asked)
 
-    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+    def ask(self, rng: np.random.Generator) -> Context:
         """Return the context with the largest upper confidence bound."""
         self._asked += 1
         return self._maximize(self._upper(self._fit(rng)), rng)[0]
@@ -133,7 +133,7 @@ class PooledSearch:
 
     def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
-    ) -> tuple[dict[str, float], float]:
+    ) -> tuple[Context, float]:
         own = self._c[len(self._c) - len(self._observed) :]
         if self._space.dimension == 0:
             return {}, float(function(np.empty((1, 0)))[0])

@@ -1,11 +1,10 @@
 """Interface of the worst-case searches of stage two."""
 
-from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 
 
 class WorstCaseSearch(Protocol):
@@ -15,13 +14,13 @@ class WorstCaseSearch(Protocol):
     be resumed.
     """
 
-    def tell(self, context: Mapping[str, float], value: float) -> None:
+    def tell(self, context: Context, value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
 
     def done(self, rng: np.random.Generator) -> bool:
         """Return whether the search has ended."""
 
-    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+    def ask(self, rng: np.random.Generator) -> Context:
         """Return the next context to evaluate."""
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:

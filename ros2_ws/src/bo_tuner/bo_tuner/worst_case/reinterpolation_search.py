@@ -1,6 +1,6 @@
 """Stage two of the paper: the worst context of one parameter set (Sec. 4.2)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import WorstCase
+from bo_tuner.trials import Context, WorstCase
 from bo_tuner.worst_case.contexts import PRIORS, maximize_over_contexts
 
 OBSERVED, POSTERIOR = "observed", "posterior"
@@ -45,7 +45,7 @@ class ReinterpolationSearch:
         limit: float,
         evaluations: int,
         estimate: str = POSTERIOR,
-        starts: Sequence[Mapping[str, float]] = (),
+        starts: Sequence[Context] = (),
     ) -> None:
         self._space = space
         self._limit = limit
@@ -56,9 +56,9 @@ class ReinterpolationSearch:
         self._values: list[float] = []
         self._asked = 0
 
-    def tell(self, context: Mapping[str, float], value: float) -> None:
+    def tell(self, context: Context, value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
-        self._contexts.append(np.array([context[name] for name in self._space.names]))
+        self._contexts.append(self._space.rows([context])[0])
         self._values.append(value)
 
     def done(self, rng: np.random.Generator) -> bool:
@@ -73,7 +73,7 @@ class ReinterpolationSearch:
         mean, variance = model.predict(model.data.x)
         return bool((mean - np.sqrt(variance)).max() > self._limit)
 
-    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+    def ask(self, rng: np.random.Generator) -> Context:
         """Return the next context to evaluate.
 
         If no improvement is expected in any context, it is the one farthest from all evaluated
@@ -119,6 +119,6 @@ class ReinterpolationSearch:
 
     def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
-    ) -> tuple[dict[str, float], float]:
+    ) -> tuple[Context, float]:
         tried = self._space.to_cube(np.array(self._contexts))
         return maximize_over_contexts(self._space, function, rng, tried)

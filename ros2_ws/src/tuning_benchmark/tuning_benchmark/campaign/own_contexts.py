@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Trial, TrialState, Value
+from bo_tuner.trials import Context, Evaluation, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import NOBODY
@@ -66,7 +66,7 @@ class OwnContextsRun:
         number = self.incumbent()
         return None if number is None else (number, True)
 
-    def _evaluate(self, tuned: Mapping[str, Value], context: Mapping[str, float]) -> Trial:
+    def _evaluate(self, tuned: Mapping[str, Value], context: Context) -> Trial:
         number = len(self.trials)
         # As asked to the last digit, for an optimizer may look for what it asked.
         parameters = self._space.to_parameters(self._space.to_cube(tuned)) | dict(tuned)

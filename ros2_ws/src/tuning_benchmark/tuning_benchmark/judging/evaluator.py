@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Value
+from bo_tuner.trials import Context, Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
@@ -26,7 +26,7 @@ class Evaluator:
     def metrics(
         self,
         parameters: Mapping[str, Value],
-        context: Mapping[str, float] | None = None,
+        context: Context | None = None,
         seed: int = 1,
     ) -> Mapping[str, float]:
         """Return the metrics of one evaluation; empty if it failed.

@@ -18,7 +18,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import EXPECTATION
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
-from bo_tuner.trials import Value
+from bo_tuner.trials import Context, Value
 from bo_tuner.tuning.limits import judge_sample
 from tuning_benchmark.experiments import plugins
 from tuning_benchmark.judging.evaluator import Evaluator
@@ -133,7 +133,7 @@ class Verdict:
     objective: float
     standard_error: float
     worst: float
-    worst_context: Mapping[str, float]
+    worst_context: Context
     worst_kept: float
     single_violation: float
     within_limits: Mapping[str, float]

@@ -39,7 +39,7 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Value
+from bo_tuner.trials import Context, Value
 from tuning_benchmark.peers.optimizer import tuned
 from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
@@ -79,7 +79,7 @@ class RiskAverse:
         """Keep a result."""
         self._results.append(result)
 
-    def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
+    def ask(self) -> tuple[Mapping[str, Value], Context]:
         """Maximize the acquisition function, then choose the context."""
         seed = int(np.random.SeedSequence((self._seed, len(self._results))).generate_state(1)[0])
         rng = np.random.default_rng(seed)

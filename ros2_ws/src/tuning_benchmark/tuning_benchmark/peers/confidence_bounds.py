@@ -37,7 +37,7 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Value
+from bo_tuner.trials import Context, Value
 from bo_tuner.worst_case.contexts import maximize_over_contexts
 from tuning_benchmark.peers.optimizer import tuned
 from tuning_benchmark.peers.robust import Result, worst_case_constraint
@@ -89,7 +89,7 @@ class ConfidenceBounds(ABC):
         self._results.append(result)
         self._models = []
 
-    def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
+    def ask(self) -> tuple[Mapping[str, Value], Context]:
         """Minimize the optimistic value, then choose the context."""
         rng = np.random.default_rng((self._seed, len(self._results)))
         self._condition(rng)
@@ -125,7 +125,7 @@ class ConfidenceBounds(ABC):
         """Value (m,) of points x (m, d) with all responses at a bound."""
 
     @abstractmethod
-    def _context(self, x: Array, rng: np.random.Generator) -> dict[str, float]:
+    def _context(self, x: Array, rng: np.random.Generator) -> Context:
         """Context of the next evaluation at a point (d,)."""
 
     def _bound(self, model: int, x: Array, w: Array, deviations: float) -> Array:
@@ -135,7 +135,7 @@ class ConfidenceBounds(ABC):
         bound: Array = (mean + deviations * np.sqrt(variance)).reshape(len(x), len(w))
         return bound
 
-    def _largest_bound(self, model: int, x: Array, rng: np.random.Generator) -> dict[str, float]:
+    def _largest_bound(self, model: int, x: Array, rng: np.random.Generator) -> Context:
         """Context where the upper bound of a response at a point (d,) is largest."""
         context, _ = maximize_over_contexts(
             self._contexts,
@@ -195,7 +195,7 @@ class StableOpt(ConfidenceBounds):
         worst: Array = self._bound(0, x, self._candidates, deviations).max(axis=1)
         return worst
 
-    def _context(self, x: Array, rng: np.random.Generator) -> dict[str, float]:
+    def _context(self, x: Array, rng: np.random.Generator) -> Context:
         return self._largest_bound(0, x, rng)
 
 
@@ -211,7 +211,7 @@ class Carbo(ConfidenceBounds):
         value: Array = expected + PENALTY * np.maximum(worst, 0.0)
         return value
 
-    def _context(self, x: Array, rng: np.random.Generator) -> dict[str, float]:
+    def _context(self, x: Array, rng: np.random.Generator) -> Context:
         worst = self._largest_bound(1, x, rng)
         upper = self._bound(1, x[None], self._contexts.cube_of([worst]), DEVIATIONS)
         if float(upper[0, 0]) + self._margin > 0.0:

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Value
+from bo_tuner.trials import Context, Evaluation, Value
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Result:
     """
 
     parameters: Mapping[str, Value]
-    context: Mapping[str, float]
+    context: Context
     cost: float | None
     excess: float | None
 
@@ -51,7 +51,7 @@ class RobustOptimizer(Protocol):
 
     def __init__(self, study: Study, seed: int) -> None: ...
 
-    def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
+    def ask(self) -> tuple[Mapping[str, Value], Context]:
         """Return every tuned parameter and the context of the next evaluation."""
         ...
 

@@ -33,7 +33,7 @@ from scipy.optimize import Bounds, NonlinearConstraint
 
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Value
+from bo_tuner.trials import Context, Value
 from tuning_benchmark.peers.optimizer import tuned
 from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
@@ -57,18 +57,18 @@ class ScenarioLoop:
         self._contexts = study.context_space()
         drawn = self._contexts.draw_stratified(DRAWN, np.random.default_rng(seed))
         self._drawn = [self._contexts.to_dict(row) for row in drawn]
-        self._plants = list(self._drawn)
+        self._plants: list[Context] = list(self._drawn)
         self._runs: dict[Key, dict[Key, list[Result]]] = {}
         self._points: dict[Key, Mapping[str, Value]] = {}
         self._largest = [0.0, 0.0]
         self._loop: greenlet | None = None
         self._told: Result | None = None
 
-    def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
+    def ask(self) -> tuple[Mapping[str, Value], Context]:
         """Let the loop go on to its next run."""
         if self._loop is None:
             self._loop = greenlet(self._rounds)
-        asked: tuple[Mapping[str, Value], Mapping[str, float]] = self._loop.switch(self._told)
+        asked: tuple[Mapping[str, Value], Context] = self._loop.switch(self._told)
         return asked
 
     def tell(self, result: Result) -> None:
@@ -136,13 +136,13 @@ class ScenarioLoop:
         best: Array = np.clip(found.x, 0.0, 1.0)
         return best
 
-    def _worst_plant(self, x: Array) -> dict[str, float]:
+    def _worst_plant(self, x: Array) -> Context:
         """Search for a context worse than those of the plants, one variable after the other."""
         found = [(self._numbers(self._run(x, plant))[1], plant) for plant in self._plants]
         largest, worst = max(found, key=lambda pair: pair[0])
         for name, variable in self._study.contexts.items():
             for end in (variable.distribution.lower, variable.distribution.upper):
-                tried = worst | {name: end}
+                tried = {**worst, name: end}
                 if tried == worst:
                     continue
                 excess = self._numbers(self._run(x, tried))[1]
@@ -150,7 +150,7 @@ class ScenarioLoop:
                     largest, worst = excess, tried
         return worst
 
-    def _run(self, x: Array, context: Mapping[str, float]) -> Result:
+    def _run(self, x: Array, context: Context) -> Result:
         parameters = tuned(self._space, self._space.to_parameters(self._space.repair(x[None])[0]))
         result: Result = getcurrent().parent.switch((parameters, dict(context)))
         return result
@@ -181,5 +181,5 @@ class ScenarioLoop:
         return constraint.deviations * float(np.sqrt(squares / count)) if count else 0.0
 
 
-def _key(context: Mapping[str, float]) -> Key:
+def _key(context: Context) -> Key:
     return tuple(sorted(context.items()))

@@ -346,6 +346,7 @@ class RosBackend(SequentialBackend):
             if self._procedure is not None:
                 self._procedure.forget()
                 self._procedure.expect_rest()
+                self._procedure.enter(planned.context)
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure)

@@ -48,8 +48,8 @@ class Goal:
         self._spec = spec
         self.name = tuner.node.resolve_service_name(spec.action)
         cls = self._find(timeout)
-        with under("goal"):
-            self._message = make_message(cls.Goal, spec.goal)
+        self._kind = cls.Goal
+        self.fill(spec)
         self._client = ActionClient(tuner.node, cls, self.name)
         if not tuner.wait_until(self._client.server_is_ready, timeout):
             raise StudyError(f"{self.name} has no server that is complete", ("action",))
@@ -57,6 +57,17 @@ class Goal:
         self._handle: Any = None
         self._result: Future | None = None
         self._is_cancelled = False
+
+    def fill(self, spec: SendGoal) -> None:
+        """Send from now on the goal of a step that differs in the values of contexts.
+
+        Raises
+        ------
+        StudyError
+            If goals of the action do not have the fields.
+        """
+        with under("goal"):
+            self._message = make_message(self._kind, spec.goal)
 
     @property
     def is_active(self) -> bool:

@@ -19,6 +19,7 @@ from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
+from bo_tuner.study.step_contexts import filled_step
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
 
@@ -116,10 +117,12 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
         finally:
             node.destroy_node()
     preparation = Preparation(study, tuner, WallClock(), attached=attached)
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
     try:
         for path, step in study.run.steps:
             try:
-                prepared = preparation.prepare(path, step)
+                prepared = preparation.prepare(path, filled_step(step, nominal))
             except StudyError as error:
                 yield error
                 continue

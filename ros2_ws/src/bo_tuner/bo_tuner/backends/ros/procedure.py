@@ -29,11 +29,14 @@ from bo_tuner.metrics.recording import (
     Recording,
 )
 from bo_tuner.study import checks
+from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
+from bo_tuner.study.step_contexts import filled_step, varies
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
+from bo_tuner.trials import Context
 
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
@@ -101,6 +104,9 @@ class Procedure:
         self._is_recording = False
         self._is_prepared = False
         self._due: list[int] = []
+        space = study.context_space()
+        # What is performed ahead of any evaluation is in the nominal context.
+        self._context: Context = space.to_dict(space.nominal())
         try:
             self._connect()
             self._watch = RunWatch(
@@ -112,6 +118,7 @@ class Procedure:
                 self._started,
                 list(self._topics.values()),
             )
+            self._watch.enter(self._context)
         except BaseException:
             self.close()
             raise
@@ -123,6 +130,12 @@ class Procedure:
         self._started[:] = [goal for goal in self._started if goal.is_active]
         if problems:
             raise LostError("; ".join(problems))
+
+    def enter(self, context: Context) -> None:
+        """Let the steps that follow have the values of a context."""
+        self._context = context
+        self._fill(context)
+        self._watch.enter(context)
 
     def forget(self) -> None:
         """Let `recording` have nothing, as of a run that does not come about."""
@@ -361,7 +374,8 @@ class Procedure:
             self._tuner.spin_once(min(POLL_PERIOD, left))
 
     def _wait_until(self, path: KeyPath, wait: WaitUntil) -> None:
-        condition = expression(wait.condition, self._study.signals)
+        text = filled_condition(wait.condition, self._context)
+        condition = expression(text, self._study.signals)
         used = {name: self._study.signals[name] for name in condition.names - {TIME}}
         if not self._is_recording:
             self._recorder.begin(in_run=False)
@@ -399,7 +413,7 @@ class Procedure:
             dead = any(recording.silence(name, spec) for name, spec in used.items())
             advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
             raise FailedRunError(
-                f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "
+                f"{where(path)}: {checks.quoted(text)} does not hold for {wait.hold:g} s "
                 f"within {wait.timeout:g} s{latest(used, recording)}{advice}"
             )
 
@@ -407,6 +421,25 @@ class Procedure:
         """Cancel the goals that are active; returns what went wrong."""
         self.request_cancel()
         return [problem for goal in self._started if (problem := goal.cancel())]
+
+    def _fill(self, context: Context) -> None:
+        """Give the prepared steps the values of a context.
+
+        Raises
+        ------
+        StudyError
+            If a step cannot send them.
+        """
+        for path, step in self._run.steps:
+            if not varies(step):
+                continue
+            found = filled_step(step, context)
+            with under(*path):
+                if path in self._steps:
+                    self._steps[path] = self._steps[path].filled(found)
+                elif path in self._goals and found.send_goal is not None:
+                    with under("send_goal"):
+                        self._goals[path].fill(found.send_goal)
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
@@ -424,11 +457,16 @@ class Procedure:
         )
         self._topics = preparation.topics
         for path, step in self._run.steps:
-            prepared = preparation.prepare(path, step)
+            prepared = preparation.prepare(path, filled_step(step, self._context))
             if isinstance(prepared, Goal):
                 self._goals[path] = prepared
             elif prepared is not None:
                 self._steps[path] = prepared
+        # That a field cannot hold a value shows at the ends of what the contexts can be.
+        space = self._study.context_space()
+        for row in space.to_contexts(space.corners()):
+            self._fill(space.to_dict(row))
+        self._fill(self._context)
         self._recorder.connect(self._clock, wait)
         for node in self._recorder.publishers:
             # One that is none of the study's need not answer.

@@ -14,8 +14,10 @@ from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
+from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import TIME, Signal, expression
+from bo_tuner.trials import Context
 
 OVERLAP = 0.5
 """Time [s] of a run that a condition is judged on again, for messages that come in late."""
@@ -65,10 +67,16 @@ class RunWatch:
         self._goals = goals
         self._topics = topics
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
-        self._end = expression(run.end.when, signals) if run.end.when else None
+        self._end: Expression | None = None
+        self._when = ""
         self._judged = 0.0
         self._largest_gaps: Mapping[str, float] = {}
         self.aborted: float | None = None
+
+    def enter(self, context: Context) -> None:
+        """Let the condition that ends a run have the values of a context."""
+        self._when = filled_condition(self._run.end.when, context)
+        self._end = expression(self._when, self._signals) if self._when else None
 
     def prepare(self) -> None:
         """Listen from now on to who else publishes what the steps publish."""
@@ -202,7 +210,7 @@ class RunWatch:
     @property
     def _missing(self) -> str:
         if not self._run.end.result:
-            return f"{checks.quoted(self._run.end.when)} does not hold"
+            return f"{checks.quoted(self._when)} does not hold"
         names = [goal.name for goal in self._goals if goal.is_active]
         return f"{' and '.join(names)} has no result"
 

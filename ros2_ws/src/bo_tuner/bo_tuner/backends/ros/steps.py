@@ -1,6 +1,6 @@
 """The steps of a run, found in the graph beforehand so that mistakes show before the first run."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
@@ -24,7 +24,7 @@ from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
-from bo_tuner.study.steps import Call, Lifecycle, Publish
+from bo_tuner.study.steps import Call, Lifecycle, Publish, Step
 from bo_tuner.text import brief
 
 CONNECT_TIMEOUT = 5.0
@@ -51,6 +51,15 @@ class PreparedStep(Protocol):
             If a node does not answer.
         """
 
+    def filled(self, step: Step) -> "PreparedStep":
+        """Return the same step with other values of contexts.
+
+        Raises
+        ------
+        StudyError
+            If it cannot send them.
+        """
+
 
 def where(path: KeyPath) -> str:
     """Name a step by its path in the study."""
@@ -64,6 +73,7 @@ class ServiceCall:
 
     tuner: TunerNode
     service: Client
+    kind: Any
     request: Any
     path: KeyPath
     timeout: float
@@ -80,7 +90,15 @@ class ServiceCall:
         kind, client = _service(tuner, call.service)
         with under("call", "request"):
             request = make_message(kind.Request, call.request)
-        return cls(tuner, client, request, path, call.timeout)
+        return cls(tuner, client, kind, request, path, call.timeout)
+
+    def filled(self, step: Step) -> "ServiceCall":
+        """Return the call with the request of a step."""
+        if step.call is None:
+            return self
+        with under("call", "request"):
+            request = make_message(self.kind.Request, step.call.request)
+        return replace(self, request=request)
 
     def perform(self) -> None:
         """Call it."""
@@ -180,6 +198,14 @@ class Publication:
         if not is_heard:
             raise UnheardError(self._unheard)
 
+    def filled(self, step: Step) -> "Publication":
+        """Return the publication of a step's message."""
+        if step.publish is None:
+            return self
+        with under("publish", "message"):
+            make_message(self.kind, step.publish.message)
+        return replace(self, publish=step.publish)
+
     def publish_now(self) -> None:
         """Publish it for whoever is connected."""
         stamp = to_stamp(self.clock.now)
@@ -268,6 +294,10 @@ class LifecycleChange:
                 f"there is no lifecycle node {spec.node}; {near}", ("lifecycle", "node")
             )
         return cls(tuner, spec, *clients)
+
+    def filled(self, step: Step) -> "LifecycleChange":
+        """Return the same: a transition has no context."""
+        return self
 
     def perform(self) -> None:
         """Change the state.

@@ -25,7 +25,7 @@ from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.study import Study
-from bo_tuner.text import values
+from bo_tuner.text import shown, values
 from bo_tuner.trials import Evaluation
 
 FEWEST_FOR_A_FIELD = 8
@@ -131,7 +131,7 @@ def _panel_1d(study: Study, side: Side, metric: Metric, limit: float | None, y: 
     (variable,) = study.context_space().names
     elements: list[Element] = [
         Points(
-            x=[evaluation.context[variable] for evaluation in evaluations],
+            x=_numbers(study, variable, evaluations),
             y=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
             name="evaluation",
             color=Color.BLUE,
@@ -160,7 +160,8 @@ def _panel_2d(
     name, evaluations = side
     a, b = pair
     elements: list[Element] = []
-    if len(study.contexts) == 2 and len(evaluations) >= FEWEST_FOR_A_FIELD:
+    is_plane = len(study.contexts) == len(study.context_space().ordered) == 2
+    if is_plane and len(evaluations) >= FEWEST_FOR_A_FIELD:
         x, y, z = _field(study, evaluations, metric)
         elements.append(Heatmap(x=x, y=y, z=z, colors=colors))
         if limit is not None:
@@ -169,8 +170,8 @@ def _panel_2d(
             )
     elements.append(
         Points(
-            x=[evaluation.context[a] for evaluation in evaluations],
-            y=[evaluation.context[b] for evaluation in evaluations],
+            x=_numbers(study, a, evaluations),
+            y=_numbers(study, b, evaluations),
             name="evaluation",
             color=Color.INK,
             marker=Marker.CIRCLE,
@@ -187,10 +188,18 @@ def _panel_2d(
     )
 
 
+def _numbers(study: Study, name: str, evaluations: Sequence[Evaluation]) -> list[float]:
+    """Return the positions of evaluations along the axis of a context variable."""
+    distribution = study.contexts[name].distribution
+    return [distribution.number(evaluation.context[name]) for evaluation in evaluations]
+
+
 def _axis(study: Study, name: str) -> Axis:
     variable = study.contexts[name]
     lower, upper = variable.distribution.lower, variable.distribution.upper
-    return Axis(label=name, unit=variable.unit, limits=(lower, upper))
+    labels = enumerate(variable.distribution.labels)
+    ticks = [(float(position), shown(label)) for position, label in labels]
+    return Axis(label=name, unit=variable.unit, limits=(lower, upper), ticks=ticks)
 
 
 def _field(

@@ -93,7 +93,7 @@ def _contour_panel(
     a, b = grids
     objective, feasible, bad = field
     x, y = a.values, b.values
-    # Points that violate the order are shaded as well; gaps would make the edge ragged.
+    # Points that are not permitted are shaded as well; gaps would make the edge ragged.
     infeasible = np.where(np.isnan(feasible), 1.0, 1.0 - feasible)
     elements: list[Element] = [Heatmap(x=x, y=y, z=objective, colors=colors)]
     if analysis.models.constraints:

@@ -51,7 +51,8 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
         title=f"Slices through the {analysis.answer_set}",
         caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
         "two standard deviations of the posterior, without the noise of an evaluation. Where the "
-        "line ends, the values would violate the order of the parameters." + _of_noise(limited),
+        "line ends, the values would violate the order of the parameters or a condition."
+        + _of_noise(limited),
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,

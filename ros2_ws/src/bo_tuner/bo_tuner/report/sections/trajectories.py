@@ -26,7 +26,7 @@ from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study import named_code
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
-from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Stage, Value
+from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Value
 
 TIME = "time"
 Look = tuple[Color, Dash]
@@ -208,7 +208,7 @@ def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]
 
 
 def _simulated(
-    analysis: Analysis, answer: Mapping[str, Value], contexts: Mapping[str, Mapping[str, float]]
+    analysis: Analysis, answer: Mapping[str, Value], contexts: Mapping[str, Context]
 ) -> list[Panel]:
     """Return panels of default and answer, with a column for each context."""
     study = analysis.study

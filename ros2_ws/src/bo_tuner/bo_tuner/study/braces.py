@@ -1,0 +1,66 @@
+"""Names of contexts in braces, in what a step sends and in conditions on signals.
+
+``{x: "{goal_x}"}`` is the number itself, and ``"go to {room}"`` a text with it. ``{{room}}`` is the
+text ``{room}``. In a condition a context is a number.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from bo_tuner.study import checks
+from bo_tuner.trials import Context, Value
+
+_NAMED = re.compile(
+    rf"\{{\{{(?P<literal>{checks.PARAMETER_NAME.pattern})\}}\}}"
+    rf"|\{{(?P<name>{checks.PARAMETER_NAME.pattern})\}}"
+)
+
+
+def filled(content: Any, context: Context) -> Any:
+    """Return what a step sends, mappings and lists included, with values for names in braces."""
+    if isinstance(content, Mapping):
+        return {key: filled(item, context) for key, item in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [filled(item, context) for item in content]
+    if not isinstance(content, str):
+        return content
+    whole = _NAMED.fullmatch(content)
+    if whole is not None and whole["name"]:
+        return context[whole["name"]]
+
+    def in_text(found: re.Match[str]) -> str:
+        return _text(context[found["name"]]) if found["name"] else f"{{{found['literal']}}}"
+
+    return _NAMED.sub(in_text, content)
+
+
+def filled_condition(condition: str, context: Context) -> str:
+    """Return a condition on signals with numbers for names in braces; a truth value is 1 or 0."""
+
+    def number(found: re.Match[str]) -> str:
+        name = found["name"]
+        return f"({float(context[name])!r})" if name else found[0]
+
+    return _NAMED.sub(number, condition)
+
+
+def without_contexts(condition: str) -> str:
+    """Return a condition on signals with any numbers for names in braces."""
+    return _NAMED.sub(lambda found: "(1.0)" if found["name"] else found[0], condition)
+
+
+def names_in(content: Any) -> Iterator[str]:
+    """Yield the names in braces in what a step sends, or in a condition."""
+    if isinstance(content, Mapping):
+        content = list(content.values())
+    if isinstance(content, (list, tuple)):
+        for item in content:
+            yield from names_in(item)
+    elif isinstance(content, str):
+        yield from (found["name"] for found in _NAMED.finditer(content) if found["name"])
+
+
+def _text(value: Value) -> str:
+    """Return a value as it stands in a text: a truth value as in YAML, a number in full."""
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,189 @@
+"""Conditions on the parameters of a set, such as ``ki <= kp / 2``.
+
+A parameter set is permitted where all hold. One that is not defined, as by a division by zero, does
+not hold.
+"""
+
+import ast
+import contextlib
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.errors import StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study import checks
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.signals import named_expression
+from bo_tuner.trials import Value
+
+KEY = "where"
+
+FEWEST = 1e-4
+"""Share of the parameter sets within the bounds that must be left: of less, hardly any is found."""
+
+
+class Condition:
+    """A condition between parameters.
+
+    Parameters
+    ----------
+    text : str
+        The expression. A boolean is 1 or 0; a text can be compared by ``==`` and ``!=`` with what
+        it may be, in quotes.
+    parameters : mapping from str to Parameter
+        The study's, by name.
+
+    Attributes
+    ----------
+    text : str
+        As given.
+    names : tuple of str
+        Parameters in it.
+
+    Raises
+    ------
+    StudyError
+        If it is no condition between parameters.
+    """
+
+    def __init__(self, text: object, parameters: Mapping[str, Parameter]) -> None:
+        self.text = checks.text(text).strip()
+        self._expression = _expression(self.text, parameters)
+        self.names = tuple(name for name in parameters if name in self._expression.names)
+        if not self.names:
+            raise StudyError(f"there is no parameter in {checks.quoted(self.text)}")
+
+    def values(self, columns: Mapping[str, Array]) -> Array:
+        """Return 1 where it holds, 0 where not, NaN where it is not defined, each of shape (n,).
+
+        Parameters
+        ----------
+        columns : mapping from str to array
+            By parameter its values (n,), or one for all; of a text the positions of its values.
+        """
+        return self._expression({name: columns[name] for name in self.names})
+
+    def found(self, parameters: Mapping[str, Value]) -> str:
+        """Return the values that a parameter set has in it, as ``ki 3 and kp 2``."""
+        *others, last = (f"{name} {_shown(parameters[name])}" for name in self.names)
+        return f"{', '.join(others)} and {last}" if others else last
+
+
+def check_shares(conditions: Sequence[Condition], held: Array) -> None:
+    """Refuse conditions that hardly any parameter set within the bounds satisfies.
+
+    Parameters
+    ----------
+    conditions
+        The conditions.
+    held
+        What each says of n parameter sets that are drawn within the bounds, see `Condition.values`,
+        of shape (number of conditions, n).
+
+    Raises
+    ------
+    StudyError
+        With the condition, or those that leave nothing together, and the share that they leave.
+    """
+    holds: NDArray[np.bool_] = held == 1.0
+    for index, condition in enumerate(conditions):
+        if np.isnan(held[index]).all():
+            raise StudyError(
+                f"'{condition.text}' is not defined for any parameter set within the bounds; "
+                "is there a division by zero?",
+                (KEY, index),
+            )
+    indices = range(len(conditions))
+    sizes = (1, 2, len(conditions))
+    for chosen in (found for size in sizes for found in combinations(indices, size)):
+        share = float(holds[list(chosen)].all(axis=0).mean())
+        if share >= FEWEST:
+            continue
+        named = " and ".join(f"'{conditions[index].text}'" for index in chosen)
+        verb = "holds" if len(chosen) == 1 else "hold together"
+        amount = f"only {100.0 * share:.2g} %" if share else "none"
+        raise StudyError(
+            f"{named} {verb} for {amount} of the parameter sets within the bounds, of which "
+            f"{holds.shape[1]} were drawn; expected at least {100.0 * FEWEST:g} % (for equal "
+            "values use tied_to)",
+            (KEY, chosen[-1]),
+        )
+
+
+class _Positions(ast.NodeTransformer):
+    """Puts positions in the place of texts that parameters are compared with.
+
+    Parameters
+    ----------
+    levels
+        The values of each parameter that is text, by its name.
+    """
+
+    def __init__(self, levels: Mapping[str, tuple[str, ...]]) -> None:
+        self._levels = levels
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        if len(node.ops) == 1 and isinstance(node.ops[0], (ast.Eq, ast.NotEq)):
+            sides = (node.left, node.comparators[0])
+            for name, text in (sides, sides[::-1]):
+                levels = self._levels.get(ast.unparse(name))
+                if levels and isinstance(text, ast.Constant) and isinstance(text.value, str):
+                    position = ast.Constant(levels.index(checks.choice(text.value, levels)))
+                    return ast.Compare(name, node.ops, [position])
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        return self._refused(node)
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        return self._refused(node)
+
+    def _refused(self, node: ast.expr) -> ast.AST:
+        name = ast.unparse(node)
+        if name in self._levels:
+            known = " or ".join(repr(level) for level in self._levels[name])
+            raise StudyError(f"'{name}' is a text; compare it by == or != with {known}")
+        return node
+
+
+def _expression(text: str, parameters: Mapping[str, Parameter]) -> Expression:
+    """Return the expression of a condition between parameters, of which texts are positions."""
+    levels = {name: _levels(item, parameters) for name, item in parameters.items()}
+    texts = {name: found for name, found in levels.items() if found}
+    tree: ast.Expression | None = None
+    # What is no expression at all is told by the expression.
+    with contextlib.suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+        tree = ast.parse(text, mode="eval")
+    with contextlib.suppress(RecursionError):
+        if tree is not None and texts:
+            tree = _Positions(texts).visit(tree)
+            text = ast.unparse(tree)
+        if tree is not None and not _is_condition(tree.body, parameters):
+            raise StudyError(f"expected a condition such as ki <= kp / 2, found {text!r}")
+    return named_expression(text, tuple(parameters), "parameter", finite=True)
+
+
+def _is_condition(node: ast.expr, parameters: Mapping[str, Parameter]) -> bool:
+    """Whether an expression holds or not, instead of being a number."""
+    if isinstance(node, ast.BoolOp):
+        return all(_is_condition(part, parameters) for part in node.values)
+    if isinstance(node, ast.UnaryOp):
+        return isinstance(node.op, ast.Not) and _is_condition(node.operand, parameters)
+    item = parameters.get(ast.unparse(node))
+    return isinstance(node, ast.Compare) or (item is not None and item.type == "boolean")
+
+
+def _levels(item: Parameter, parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
+    """Return what a text may be; empty for what is none."""
+    if item.type != "string":
+        return ()
+    leader = item if item.tied_to is None else parameters[item.tied_to]
+    return leader.choices or (str(leader.fixed),)
+
+
+def _shown(value: Value) -> str:
+    return repr(value) if isinstance(value, str) else checks.show(value)

@@ -1,0 +1,88 @@
+"""Contexts without a node: values in the steps of a run, by their names in braces."""
+
+import pytest
+from rclpy.node import Node
+from servo import failure
+from std_msgs.msg import String
+
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+
+pytestmark = pytest.mark.ros
+
+CONTEXTS = {
+    "goal": {"distribution": "uniform", "bounds": [-1.0, 1.0], "nominal": 0.5},
+    "brake": {"distribution": "discrete", "values": [True, False]},
+    "room": {"distribution": "discrete", "values": ["office", "yard", "garage"]},
+}
+RUN = {
+    "before": [
+        {"call": {"service": "servo/reset"}},
+        {"publish": {"topic": "place", "message": {"data": "load {room}.yaml"}}},
+        {"call": {"service": "servo/enable", "request": {"data": "{brake}"}}},
+    ],
+    "start": [
+        {"publish": {"topic": "setpoint", "message": {"data": "{goal}"}}},
+        {"wait_until": {"condition": "abs(angle - {goal}) < 0.01", "hold": 0.05}},
+    ],
+    "end": {"when": "abs(angle - {goal}) < 0.005 and t > 0.1"},
+}
+
+
+class Place(Node):
+    """Keeps what it is told on /place."""
+
+    def __init__(self, context):
+        super().__init__("place", context=context)
+        self.told = []
+        self.create_subscription(String, "place", lambda m: self.told.append(m.data), 10)
+
+
+@pytest.fixture
+def place(join):
+    return join(Place)
+
+
+def run_in(backend, goal, brake=True, room="yard"):
+    context = {"goal": goal, "brake": brake, "room": room}
+    return backend.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, context, 1))
+
+
+def test_each_run_has_those_of_its_context(backend, system, place):
+    made = backend(run=RUN, contexts=CONTEXTS)
+    for goal, room in ((-0.75, "yard"), (0.5, "office"), (0.25, "garage")):
+        outcome = run_in(made, goal, room=room)
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+        assert system.setpoint == goal
+        assert abs(system.angle - goal) < 0.01
+        assert place.told[-1] == f"load {room}.yaml"
+    assert len(place.told) == 3
+
+
+def test_a_service_gets_a_truth_value(backend, place):
+    made = backend(run=RUN, contexts=CONTEXTS)
+    assert failure(run_in(made, 0.5, brake=False)).endswith("servo/enable refused: the brake is on")
+    assert run_in(made, 0.5).state is EvaluationState.COMPLETE
+
+
+def test_a_wait_that_fails_says_for_which_value(backend, place):
+    wait = {"condition": "angle > {goal} + 5", "timeout": 0.3, "hold": 0.1}
+    made = backend(
+        run=RUN | {"before": [{"wait_until": wait}]}, contexts={"goal": CONTEXTS["goal"]}
+    )
+    outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"goal": -0.5}, 1))
+    assert "'angle > (-0.5) + 5' does not hold for 0.1 s" in failure(outcome)
+
+
+def test_what_a_field_cannot_hold_is_refused_at_once(refusal, place):
+    start = [{"publish": {"topic": "place", "message": {"data": "{goal}"}}}]
+    reason = refusal(run={"start": start}, contexts={"goal": CONTEXTS["goal"]})
+    assert reason == "run.start[0].publish.message.data: expected text, found 0.5"
+
+
+def test_what_only_some_values_do_to_a_field_is_refused_at_once(refusal):
+    level = {"type": "integer", "distribution": "uniform", "bounds": [0, 2**40], "nominal": 7}
+    start = [{"publish": {"topic": "wanted", "message": {"header": {"stamp": {"sec": "{level}"}}}}}]
+    reason = refusal(run={"start": start}, contexts={"level": level})
+    assert reason.startswith(
+        "run.start[0].publish.message.header.stamp.sec: expected an integer from -2147483648 to "
+    )
