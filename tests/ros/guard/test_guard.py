@@ -15,7 +15,10 @@ from commands import Fork, environment, finish, python_path
 from guarded_tuner import STOP
 from made_runs import INITIAL, make_run
 from node_threads import at_work
-from servo import SAFE, System, gain, study
+from rclpy.node import Node
+from servo import SAFE, Simulation, System, gain, study
+from signal_runs import signal_study
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from waiting import DEADLINE, wait_until
 
@@ -225,6 +228,50 @@ def test_an_abort_condition_that_the_tuner_overlooks(tuner, system):
     assert "the abort condition holds" in made.expect("halt")
     assert made.expect("state") == "lost"
     assert is_safe(system)
+
+
+class Pulse(Node):
+    """Publishes `value` once, then zeros, 5 times a second."""
+
+    def __init__(self, context):
+        super().__init__("sensor", context=context)
+        self.value = 0.0
+        self.publisher = self.create_publisher(Float64, "pulse", 10)
+        self.create_timer(0.2, self.publish)
+
+    def publish(self):
+        self.publisher.publish(Float64(data=self.value))
+        self.value = 0.0
+
+
+PULSE = {
+    "signals": signal_study()["signals"] | {"pulse": {"topic": "pulse", "field": "data"}},
+    "run": {**guarded_tuner.GUARDED["run"], "abort_when": "pulse > 3"},
+}
+
+
+def test_an_abort_condition_that_holds_in_a_single_message(tuner, ros_environment):
+    with at_work(Pulse) as sensor:
+        made = tuner("blind", **PULSE)
+        sensor.value = 5.0
+        wait_until(lambda: made.acts, "an act", made.process)
+        assert made.acts[0]["reason"].startswith("the abort condition holds")
+
+
+def test_the_time_in_a_condition_is_that_of_the_simulation(tuner, ros_environment):
+    """Here it passes ten times slower than that of the machine."""
+    with at_work(Simulation) as simulation:
+        simulation.speed = 0.1
+        angle = {"topic": "/joint_states", "field": "position[motor]", "time": "reception"}
+        run = {
+            **guarded_tuner.GUARDED["run"],
+            "clock": "sim",
+            "end": {"after": 0.3},
+            "abort_when": "t > 0.5",
+        }
+        made = tuner(signals=signal_study()["signals"] | {"angle": angle}, run=run)
+        said = made.expect_all("state")
+        assert (said["state"], made.acts) == ("complete", []), said
 
 
 def test_an_abort_condition_that_the_tuner_judges_late(tuner, system):

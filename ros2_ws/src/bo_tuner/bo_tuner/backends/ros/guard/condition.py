@@ -1,12 +1,14 @@
 """The abort condition of a run, seen by the guard's own subscriptions."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from bo_tuner.backends.ros.conditions import known
@@ -39,7 +41,7 @@ class AbortCondition:
     Parameters
     ----------
     node
-        The guard's node, in whose executor the subscriptions are not served.
+        Subscribes; it is not in an executor, which would take the messages away.
     plan
         What the guard holds.
     """
@@ -73,27 +75,22 @@ class AbortCondition:
         if self.missing and time.monotonic() - self._looked > LOOK:
             self._looked = time.monotonic()
             self._subscribe()
-        found = False
-        for topic in self._topics.values():
-            heard = self._take(topic)
-            count = max(map(len, heard.values()), default=0)
-            if not count:
-                continue
-            self._newest |= {name: float(values[-1]) for name, values in heard.items()}
-            values = {name: np.array(value) for name, value in self._newest.items()} | heard
-            found |= self._judge(values, seconds)
-        # Time alone may decide, too.
-        return found or self._judge({n: np.array(v) for n, v in self._newest.items()}, seconds)
-
-    def _judge(self, values: dict[str, Array], seconds: float) -> bool:
-        if self._condition is None:
-            return False
+        # In the order in which they came: else the newest of one topic would meet old ones of
+        # another, and their difference be what it never was.
+        heard = [item for topic in self._topics.values() for item in self._take(topic)]
+        rows = [self._newest]
+        for _, values in sorted(heard, key=itemgetter(0)):
+            rows.append(rows[-1] | values)
+        self._newest = rows[-1]
+        # What came last is judged once more: time alone may decide, too.
+        arrays: dict[str, Array] = {
+            name: np.array([row[name] for row in rows]) for name in self._wanted
+        }
         with np.errstate(all="ignore"):
-            return bool(known(np.atleast_1d(self._condition(values | {TIME: seconds}))).any())
+            return bool(known(np.atleast_1d(self._condition(arrays | {TIME: seconds}))).any())
 
-    def _take(self, topic: _Topic) -> dict[str, Array]:
-        """Return the values (n,) of what waits on a topic, by the names of its signals."""
-        heard: dict[str, list[float]] = {name: [] for name in topic.read}
+    def _take(self, topic: _Topic) -> Iterator[tuple[int, dict[str, float]]]:
+        """Yield when [ns] what waits on a topic came, and its values by the names of signals."""
         handle = topic.subscription.handle
         with handle:
             for _ in range(DEPTH):
@@ -106,9 +103,7 @@ class AbortCondition:
                 except (UnreadableError, ItemMissingError):
                     # The tuner fails the run for that.
                     continue
-                for name, value in values.items():
-                    heard[name].append(value)
-        return {name: np.array(values) for name, values in heard.items() if values}
+                yield item[1]["received_timestamp"], values
 
     def _subscribe(self) -> None:
         for name in self.missing:
@@ -124,12 +119,24 @@ class AbortCondition:
                 # The tuner refuses the study.
                 continue
             if topic not in self._topics:
-                offered = found[0].qos_profile
-                qos = QoSProfile(
-                    depth=DEPTH, reliability=offered.reliability, durability=offered.durability
-                )
+                qos = _hearing_all([info.qos_profile for info in found])
                 subscription = self._node.create_subscription(
                     kind, topic, lambda message: None, qos, raw=True
                 )
                 self._topics[topic] = _Topic(subscription, kind)
             self._topics[topic].read[name] = read
+
+
+def _hearing_all(offered: list[QoSProfile]) -> QoSProfile:
+    """Return a profile that hears all publishers: what one does not offer is asked of none."""
+    reliable = all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered)
+    latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=QoSReliabilityPolicy.RELIABLE
+        if reliable
+        else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
+        if latched
+        else QoSDurabilityPolicy.VOLATILE,
+    )

@@ -7,17 +7,19 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from action_msgs.srv import CancelGoal
 from rclpy.client import Client
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from bo_tuner.backends.ros import others
-from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.guard.condition import AbortCondition
 from bo_tuner.backends.ros.guard.messages import (
     BEAT_TOPIC,
@@ -37,6 +39,8 @@ from bo_tuner.backends.ros.steps import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.guard_record import Act, add_act
+from bo_tuner.study.building import under
+from bo_tuner.study.run import SIM
 
 LOOK_AROUND = 0.5
 """Time [s] to hear of another guard."""
@@ -161,9 +165,9 @@ class Guard:
             sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
             stands=isinstance(beats, TopicBeats),
         )
+        self._listener: Node | None = None
         self._publisher: Publisher | None = None
         self._told = -1.0
-        self._run_began = 0.0
         self._was_in_run = False
 
     @property
@@ -204,7 +208,15 @@ class Guard:
             if not wait:
                 raise BackendError(problem)
             self._say(f"waiting: {problem}")
-        self._clock: RunClock = WallClock()
+        # In no executor, which would take its messages away.
+        self._listener = listener = Node(
+            f"{GUARD}_listener",
+            context=tuner.context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._clock = self._connect_clock(listener)
+        self._in_run = Stopwatch(self._clock)
         topics: dict[str, OwnTopic] = {}
         self._stop = [
             Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
@@ -214,7 +226,7 @@ class Guard:
             tuner.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
             for action in plan.actions
         ]
-        self._abort = AbortCondition(tuner.node, plan)
+        self._abort = AbortCondition(listener, plan)
         self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
         self._tell()
 
@@ -255,6 +267,8 @@ class Guard:
         """Leave ROS, once the tuner has heard what came of the last act."""
         if self._publisher is not None:
             self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
+        if self._listener is not None:
+            self._listener.destroy_node()
         self._tuner.close()
 
     def _refuse_others(self) -> None:
@@ -285,12 +299,26 @@ class Guard:
         for client in self._parameters.clients.values() if self._attached else ():
             self._watch.presence(client.node, client.is_ready())
 
+    def _connect_clock(self, listener: Node) -> RunClock:
+        """Return the clock of the runs; one of a simulation is waited for."""
+        if self._plan.clock != SIM:
+            return WallClock()
+        clock = SimClock(listener)
+        with under("run", "clock"):
+            clock.connect(partial(self._tuner.wait_until, timeout=CONNECT))
+        return clock
+
     def _look_at_signals(self, now: float) -> None:
         in_run = self._watch.in_run
+        if not in_run:
+            # Between two runs it may be set, and need not be remembered.
+            self._clock.begin()
+            self._clock.end()
+        self._clock.update()
         if in_run and not self._was_in_run:
-            self._run_began = now
+            self._in_run = Stopwatch(self._clock)
         # What came between two runs is taken, and tells nothing.
-        if self._abort.holds(now - self._run_began) and in_run and self._was_in_run:
+        if self._abort.holds(self._in_run.seconds) and in_run and self._was_in_run:
             self._watch.held(now)
         self._was_in_run = in_run
 
@@ -343,6 +371,7 @@ class Guard:
         self._held = time.monotonic()
 
     def _publish_stop(self) -> None:
+        self._clock.update()
         for publication in self._stop:
             publication.publish_now()
         # Without an identifier and a time stamp it is for all goals (action_msgs/srv/CancelGoal).
