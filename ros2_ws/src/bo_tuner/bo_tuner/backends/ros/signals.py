@@ -2,7 +2,7 @@
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -292,9 +292,9 @@ class SignalRecorder:
             raise StudyError(error.problem, ("field",)) from None
         if topic not in self._heard:
             subscribed = self._subscribe(topic, cls, publisher.qos_profile)
-            of_guard = int(topic in self._guarded)
+            of_others = present if topic in self._guarded else None
             self._heard[topic] = _Topic(
-                topic, publisher.node_name, self._clock, *subscribed, of_guard
+                topic, publisher.node_name, self._clock, *subscribed, of_others
             )
         by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
         self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
@@ -424,7 +424,7 @@ class _Topic:
     clock: RunClock
     subscription: Subscription
     is_latched: bool
-    of_guard: int = 0
+    of_others: Callable[[], Sequence[TopicEndpointInfo]] | None = None
     tracks: dict[str, _Track] = field(default_factory=dict)
     lost: LostMessages = field(default_factory=LostMessages)
     problem: str = ""
@@ -440,7 +440,10 @@ class _Topic:
     def publishers(self) -> int:
         """How many publishers are known here, without that of a guard."""
         found: int = self.subscription.handle.get_publisher_count()
-        return max(found - self.of_guard, 0)
+        if self.of_others is None:
+            return found
+        # Whose the only one is takes a look at the graph: it may be the guard that is gone.
+        return found - 1 if found > 1 else len(self.of_others())
 
     def has_message(self) -> bool:
         """Whether anything ever came."""
