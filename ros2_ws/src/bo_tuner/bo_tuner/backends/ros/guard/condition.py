@@ -133,10 +133,6 @@ def _hearing_all(offered: list[QoSProfile]) -> QoSProfile:
     latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
         depth=DEPTH,
-        reliability=QoSReliabilityPolicy.RELIABLE
-        if reliable
-        else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
-        if latched
-        else QoSDurabilityPolicy.VOLATILE,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
     )

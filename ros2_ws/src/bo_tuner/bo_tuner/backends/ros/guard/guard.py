@@ -6,6 +6,7 @@ import signal
 import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -151,12 +152,13 @@ class Guard:
         self._beats = beats
         self._name = name or uuid.uuid4().hex
         self._record = record
-        self._say = say
+        self._output = say
         self._attached = attached
         self._watch = Watch(timeout)
         self._ending = False
         self._held = 0.0
-        self._tuner = TunerNode(None, ros_arguments, lambda: None, GUARD)
+        # Who waits for it is to know that it is there, also while it waits for a node.
+        self._tuner = TunerNode(None, ros_arguments, self._tell_again, GUARD)
         self._state = State(
             self._name,
             plan.digest,
@@ -195,8 +197,11 @@ class Guard:
         tuner, plan = self._tuner, self._plan
         if isinstance(self._beats, TopicBeats):
             self._beats.connect(tuner, self._name)
+        self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
         if alone:
             self._refuse_others()
+        self._state = replace(self._state, settled=True)
+        self._tell()
         self._parameters = NodeParameters(tuner, plan.nodes)
         clients = self._parameters.clients
 
@@ -227,12 +232,11 @@ class Guard:
             for action in plan.actions
         ]
         self._abort = AbortCondition(listener, plan)
-        self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
-        self._tell()
 
     def serve(self) -> None:
         """Guard until the tuner has ended and the nodes are safe, or the end is asked for."""
         looked = time.monotonic()
+        seen = 0.0
         while True:
             beats, hung_up = self._beats.take()
             now = time.monotonic()
@@ -254,9 +258,9 @@ class Guard:
                 self._hold()
             if hung_up or self._ending:
                 return
-            if now - self._told >= PERIOD:
+            if now - seen >= PERIOD:
                 self._look_at_nodes()
-                self._tell()
+                seen = now
             self._tuner.spin_once(POLL_PERIOD)
 
     def end(self) -> None:
@@ -272,12 +276,17 @@ class Guard:
         self._tuner.close()
 
     def _refuse_others(self) -> None:
-        """Refuse nodes that another guard has; one whose tuner has just ended is waited for."""
+        """Refuse nodes that another guard has; one whose tuner has just ended is waited for.
+
+        Of two that start at the same time one stays.
+        """
         found: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
-            if state is not None and set(state.nodes) & set(self._state.nodes):
+            if state is None or not set(state.nodes) & set(self._state.nodes):
+                return
+            if state.guard != self._name and (state.settled or state.guard < self._name):
                 found[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
@@ -326,21 +335,19 @@ class Guard:
         """Stop the machine, then set the safe values; again and again if nobody else will."""
         begun = time.monotonic()
         self._watch.act()
-        self._say(f"acts: {cause.reason}")
         self._publish_stop()
         stopped = time.monotonic() - begun
-        self._state = State(
-            **{
-                **vars(self._state),
-                "acts": self._watch.acts,
-                "reason": cause.reason,
-                "outcome": "",
-                "takes_over": cause.takes_over,
-                "on_condition": cause.on_condition,
-                "ends": is_last,
-            }
+        self._state = replace(
+            self._state,
+            acts=self._watch.acts,
+            reason=cause.reason,
+            outcome="",
+            takes_over=cause.takes_over,
+            on_condition=cause.on_condition,
+            ends=is_last,
         )
         self._tell()
+        self._say(f"acts: {cause.reason}")
         problems = self._set_safe()
         patience = GIVE_UP if self._attached else GONE
         while problems and is_last and time.monotonic() - begun < patience:
@@ -357,7 +364,7 @@ class Guard:
             if problems
             else f"safe values set and read back after {safe * 1e3:.0f} ms"
         )
-        self._state = State(**{**vars(self._state), "outcome": outcome})
+        self._state = replace(self._state, outcome=outcome)
         self._tell()
         self._say(outcome)
         self._note(cause.reason, stopped, safe, problems)
@@ -387,8 +394,19 @@ class Guard:
     def _tell(self) -> None:
         if self._publisher is None:
             return
-        self._publisher.publish(String(data=str(self._state)))
+        watches = self._watch.is_watching and self._watch.is_known
+        self._publisher.publish(String(data=str(replace(self._state, watches=watches))))
         self._told = time.monotonic()
+
+    def _tell_again(self) -> None:
+        if time.monotonic() - self._told >= PERIOD:
+            self._tell()
+
+    def _say(self, text: str) -> None:
+        """Say something; a full disk, or a terminal that is gone, keeps it from nothing."""
+        # Of a pipe that is closed rich makes an exit.
+        with contextlib.suppress(OSError, SystemExit):
+            self._output(text)
 
     def _note(self, reason: str, stopped: float, safe: float, problems: Iterable[str]) -> None:
         """Add a line to the record, which must not keep it from anything."""
