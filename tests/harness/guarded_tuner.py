@@ -2,8 +2,8 @@
 
 It says each step in a line, and performs evaluations, as many as it is told to on standard input.
 Each kind has another fault: ``plain`` has none, ``blind`` overlooks the abort condition, ``slow``
-judges it late, ``hung`` does not look any more once the first run is in progress, and ``fit``
-computes between two runs.
+judges it late, ``hung`` does not look any more once the first run is in progress, ``waiting`` takes
+2 s until it has its nodes back after a lost evaluation, and ``fit`` computes between two runs.
 """
 
 import json
@@ -65,6 +65,18 @@ def judge_late(watch, record):
     watch._holds = late
 
 
+def wait_for_nodes(backend):
+    """Take 2 s, in which the tuner looks around as always, to have nodes back."""
+    get_back = backend._bringup.get_back
+
+    def slowly():
+        say(waiting=True)
+        backend._tuner.spin_for(2.0)
+        get_back()
+
+    backend._bringup.get_back = slowly
+
+
 def main(folder, kind, **changes):
     merged = {**GUARDED, **changes}
     if kind == "short":
@@ -82,6 +94,8 @@ def main(folder, kind, **changes):
         hang_in_run(backend)
     try:
         backend.open()
+        if kind == "waiting":
+            wait_for_nodes(backend)
         say(open=True)
         for line in sys.stdin:
             if line.strip() == "fit":

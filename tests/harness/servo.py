@@ -9,11 +9,13 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from signal_runs import signal_study
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from bo_tuner.backends.ros.clock import to_stamp
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
@@ -38,6 +40,29 @@ class Sensor(Node):
         self.value = 0.0
         publisher = self.create_publisher(Float64, topic, 10)
         self.create_timer(0.01, lambda: publisher.publish(Float64(data=self.value)))
+
+
+class Simulation(Node):
+    """Publishes the time, `speed` times as fast as it passes."""
+
+    def __init__(self, context):
+        super().__init__("simulation", context=context)
+        self.speed = 5
+        self.now = 100_000_000_000
+        self.stops_at = None
+        self._publisher = self.create_publisher(Clock, "/clock", 10)
+        self.create_service(Trigger, "simulation/reset", self._reset)
+        self.create_timer(0.002, self._tick)
+
+    def _reset(self, request, response):
+        self.now = 0
+        response.success = True
+        return response
+
+    def _tick(self):
+        if self.stops_at is None or self.now < self.stops_at:
+            self.now += int(2_000_000 * self.speed)
+        self._publisher.publish(Clock(clock=to_stamp(self.now)))
 
 
 class System(Node):

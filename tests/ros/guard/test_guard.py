@@ -15,12 +15,23 @@ from commands import Fork, environment, finish, python_path
 from guarded_tuner import STOP
 from made_runs import INITIAL, make_run
 from node_threads import at_work
-from servo import SAFE, System, gain, study
+from rclpy.node import Node
+from servo import SAFE, Simulation, System, gain, study
+from signal_runs import signal_study
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.guard.messages import GUARD
+from bo_tuner.backends.ros.guard.messages import (
+    BEAT_TOPIC,
+    BEATS,
+    GUARD,
+    LATEST,
+    STATE_TOPIC,
+    State,
+)
+from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import profile_variable
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
@@ -226,6 +237,94 @@ def test_an_abort_condition_that_the_tuner_overlooks(tuner, system):
     assert "the abort condition holds" in made.expect("halt")
     assert made.expect("state") == "lost"
     assert is_safe(system)
+
+
+class Pulse(Node):
+    """Publishes `value` once, then zeros, 5 times a second."""
+
+    def __init__(self, context):
+        super().__init__("sensor", context=context)
+        self.value = 0.0
+        self.publisher = self.create_publisher(Float64, "pulse", 10)
+        self.create_timer(0.2, self.publish)
+
+    def publish(self):
+        self.publisher.publish(Float64(data=self.value))
+        self.value = 0.0
+
+
+PULSE = {
+    "signals": signal_study()["signals"] | {"pulse": {"topic": "pulse", "field": "data"}},
+    "run": {**guarded_tuner.GUARDED["run"], "abort_when": "pulse > 3"},
+}
+
+
+def test_an_abort_condition_that_holds_in_a_single_message(tuner, ros_environment):
+    with at_work(Pulse) as sensor:
+        made = tuner("blind", **PULSE)
+        sensor.value = 5.0
+        wait_until(lambda: made.acts, "an act", made.process)
+        assert made.acts[0]["reason"].startswith("the abort condition holds")
+
+
+def test_the_time_in_a_condition_is_that_of_the_simulation(tuner, ros_environment):
+    """Here it passes ten times slower than that of the machine."""
+    with at_work(Simulation) as simulation:
+        simulation.speed = 0.1
+        angle = {"topic": "/joint_states", "field": "position[motor]", "time": "reception"}
+        run = {
+            **guarded_tuner.GUARDED["run"],
+            "clock": "sim",
+            "end": {"after": 0.3},
+            "abort_when": "t > 0.5",
+        }
+        made = tuner(signals=signal_study()["signals"] | {"angle": angle}, run=run)
+        said = made.expect_all("state")
+        assert (said["state"], made.acts) == ("complete", []), said
+
+
+def test_a_guard_that_is_stopped_keeps_nobody_from_watching_the_machine(tuner, ros_environment):
+    """Nothing is heard of it then, and meanwhile the tuner itself aborts the run.
+
+    ROS forgets it soon, which is not to look as if the publisher of a signal were gone.
+    """
+    with at_work(Pulse) as sensor:
+        made = tuner(**PULSE)
+        (guard,) = made.guards
+        os.kill(guard, signal.SIGSTOP)
+        sensor.value = 5.0
+        said = made.expect_all("state")
+        assert (said["state"], said["reason"].split(" at ")[0]) == ("failed", "aborted"), said
+        made.evaluate()
+        assert made.expect("error").startswith("the guard of the nodes has ended: nothing is heard")
+        assert made.expect("closed")
+        assert made.guards == []
+
+
+def test_an_act_while_the_tuner_waits_for_a_node_is_not_forgotten(long_lease, tuner, system):
+    """Whoever waits for a node has many reasons why it is not there; this is not one of them."""
+    made = tuner("waiting")
+    for count, key in ((1, "open"), (2, "waiting")):
+        if key == "waiting":
+            made.expect(key)
+        made.process.send_signal(signal.SIGSTOP)
+        wait_until(lambda count=count: len(made.acts) == count, "the record")
+        made.process.send_signal(signal.SIGCONT)
+    assert made.expect("halt")
+    assert made.expect("state") == "lost"
+    made.evaluate()
+    assert "no heartbeat" in made.expect("halt")
+    assert made.expect("state") == "lost"
+
+
+def test_a_full_disk_keeps_the_guard_from_nothing(tuner, system, tmp_path):
+    folder = tmp_path / "log0"
+    folder.mkdir()
+    (folder / "guard.log").symlink_to("/dev/full")
+    made = tuner()
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: made.acts, "the record")
 
 
 def test_an_abort_condition_that_the_tuner_judges_late(tuner, system):
@@ -458,7 +557,7 @@ class Standing:
 
 
 @pytest.fixture
-def standing(system, tmp_path):
+def standing(ros_environment, tmp_path):
     guards = []
 
     def start(**changes):
@@ -499,6 +598,55 @@ def test_two_guards_of_one_node_are_refused(system, standing):
         2,
         "error: /servo has a guard already, of study servo; end that one first\n",
     )
+
+
+def test_a_second_guard_is_refused_also_while_the_first_waits_for_the_node(standing):
+    """Started at the same time: one of them stays."""
+    guards = [standing(), standing()]
+    lines = [guard.process.stdout.readline() for guard in guards]
+    assert sorted(line.split(":")[0] for line in lines) == ["error", "waiting"]
+    assert "error: /servo has a guard already, of study servo; end that one first\n" in lines
+
+
+def test_a_guard_whose_output_nobody_reads_acts_all_the_same(tuner, system, standing):
+    guard = standing()
+    guard.ready()
+    guard.process.stdout.close()
+    made = tuner()
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(guard.record.exists, "the record")
+    assert guard.process.poll() is None
+
+
+def test_a_guard_that_does_not_hear_the_tuner_keeps_the_run_from_beginning(tuner, peer):
+    """As over a network that carries messages one way only."""
+    plan = Plan.of(study(**guarded_tuner.GUARDED))
+    state = State("deaf", plan.digest, "servo", ["/servo"], [], stands=True, settled=True)
+    publisher = peer.node.create_publisher(String, STATE_TOPIC, LATEST)
+    peer.node.create_timer(0.1, lambda: publisher.publish(String(data=str(state))))
+    made = tuner(refused=True)
+    peer.spin_until(lambda: any("error" in facts for facts in made.said), "an error")
+    assert made.expect("error").startswith("the guard of the nodes does not hear this tuner")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[", "7", '{"guard": 7}', str(State([], 1, {}, "servo", 5, stands="yes"))]
+)
+def test_what_strangers_publish_is_overlooked(tuner, system, text):
+    publishers = [
+        system.create_publisher(String, topic, qos)
+        for topic, qos in ((STATE_TOPIC, LATEST), (BEAT_TOPIC, BEATS))
+    ]
+
+    def publish():
+        for publisher in publishers:
+            publisher.publish(String(data=text))
+
+    system.create_timer(0.02, publish)
+    made = tuner()
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
 
 
 def test_its_nodes_are_known_as_the_tuners_own(tuner, peer, system):

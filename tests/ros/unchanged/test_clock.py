@@ -5,13 +5,11 @@ import time
 import types
 
 import pytest
-from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
-from servo import failure, run
+from servo import Simulation, failure, run
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros import clock
-from bo_tuner.backends.ros.clock import SimClock, Stopwatch, WallClock, to_stamp
+from bo_tuner.backends.ros.clock import SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.trials import DISTURBED, EvaluationState
 
@@ -20,29 +18,6 @@ pytestmark = pytest.mark.ros
 # The servo stamps by the machine's clock.
 ANGLE = {"topic": "/joint_states", "field": "position[motor]", "time": "reception"}
 SIM = {"clock": "sim", "end": {"after": 1.0}}
-
-
-class Simulation(Node):
-    """Publishes the time, `speed` times as fast as it passes."""
-
-    def __init__(self, context):
-        super().__init__("simulation", context=context)
-        self.speed = 5
-        self.now = 100_000_000_000
-        self.stops_at = None
-        self._publisher = self.create_publisher(Clock, "/clock", 10)
-        self.create_service(Trigger, "simulation/reset", self._reset)
-        self.create_timer(0.002, self._tick)
-
-    def _reset(self, request, response):
-        self.now = 0
-        response.success = True
-        return response
-
-    def _tick(self):
-        if self.stops_at is None or self.now < self.stops_at:
-            self.now += 2_000_000 * self.speed
-        self._publisher.publish(Clock(clock=to_stamp(self.now)))
 
 
 @pytest.fixture

@@ -321,6 +321,8 @@ class RosBackend(SequentialBackend):
 
     def _overruled(self, acted: GuardActedError) -> Outcome:
         """Return the outcome of an evaluation in which the guard has acted."""
+        if self._guard is not None:
+            self._guard.unheeded = None
         aborted = "" if self._procedure is None else self._procedure.reason_of_abort
         if acted.on_condition and aborted and not acted.ends:
             # It was quicker than this process, which would have done the same.
@@ -340,6 +342,9 @@ class RosBackend(SequentialBackend):
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
             self._look_at_guard()
+            if self._guard is not None and self._guard.unheeded is not None:
+                # It has acted after the last evaluation, such as while a node was waited for.
+                raise self._guard.unheeded
             if self._previous is not None:
                 self._previous.tell(wanted)
             run = None

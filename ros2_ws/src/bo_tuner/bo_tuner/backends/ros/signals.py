@@ -346,9 +346,11 @@ class SignalRecorder:
             several = several_on(self.node, name, self._signals.values())
             heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
             nodes = {i.node_name for i in offered if i.node_name != UNKNOWN_NODE}
-            of_guard = int(name in self._guarded)
             self._topics[name] = _Topic(
-                heard, " and ".join(sorted(nodes)), of_guard, publishes=bool(offered)
+                heard,
+                " and ".join(sorted(nodes)),
+                is_guarded=name in self._guarded,
+                publishes=bool(offered),
             )
         return self._topics[name]
 
@@ -409,8 +411,8 @@ class _Topic:
         Takes its messages.
     nodes
         Names of the nodes that published it when it was first heard.
-    of_guard
-        How many publishers of it are those of a guard.
+    is_guarded
+        Whether a guard has a publisher of it, which is silent.
     publishes
         Whether anybody did then; transforms that stand still need not have a publisher.
     readers
@@ -421,7 +423,7 @@ class _Topic:
 
     heard: HeardTopic
     nodes: str
-    of_guard: int
+    is_guarded: bool
     publishes: bool
     readers: dict[str, Reader] = field(default_factory=dict)
     has_message: bool = False
@@ -430,4 +432,7 @@ class _Topic:
     def publishers(self) -> int:
         """How many publishers are known here, without that of a guard."""
         found: int = self.heard.subscription.handle.get_publisher_count()
-        return max(found - self.of_guard, 0)
+        if not self.is_guarded:
+            return found
+        # Whose the only one is takes a look at the graph: it may be the guard that is gone.
+        return found - 1 if found > 1 else len(self.heard.publishers.now())

@@ -1,7 +1,10 @@
 """The abort condition of a run, seen by the guard's own subscriptions."""
 
+import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 from rclpy.node import Node
@@ -36,7 +39,7 @@ class AbortCondition:
     Parameters
     ----------
     node
-        The guard's node, in whose executor the subscriptions are not served.
+        Subscribes; it is in no executor, which would take the messages away.
     plan
         What the guard holds.
     """
@@ -71,35 +74,19 @@ class AbortCondition:
         if self.missing and time.monotonic() - self._looked > LOOK:
             self._looked = time.monotonic()
             self._subscribe()
-        found = False
-        for topic in self._topics.values():
-            heard = self._take(topic)
-            count = max(map(len, heard.values()), default=0)
-            if not count:
-                continue
-            self._newest |= {name: float(values[-1]) for name, values in heard.items()}
-            values = {name: np.array(value) for name, value in self._newest.items()} | heard
-            found |= self._judge(values, seconds)
-        # Time alone may decide, too.
-        return found or self._judge({n: np.array(v) for n, v in self._newest.items()}, seconds)
-
-    def _judge(self, values: dict[str, Array], seconds: float) -> bool:
-        if self._condition is None:
-            return False
+        # In the order in which they came: else the newest of one topic would meet old ones of
+        # another, and their difference be what it never was.
+        heard = [item for topic in self._topics.values() for item in _take(topic)]
+        rows = [self._newest]
+        for _, values in sorted(heard, key=itemgetter(0)):
+            rows.append(rows[-1] | values)
+        self._newest = rows[-1]
+        # What came last is judged once more: time alone may decide, too.
+        arrays: dict[str, Array] = {
+            name: np.array([row[name] for row in rows]) for name in self._wanted
+        }
         with np.errstate(all="ignore"):
-            return bool(known(np.atleast_1d(self._condition(values | {TIME: seconds}))).any())
-
-    def _take(self, topic: _Topic) -> dict[str, Array]:
-        """Return the values (n,) of what waits on a topic, by the names of its signals."""
-        found: dict[str, list[Value]] = {name: [] for name in topic.readers}
-        for heard in topic.heard.take():
-            for name, reader in topic.readers.items():
-                try:
-                    found[name] += [value for _, value in reader(heard)]
-                except ItemMissingError:
-                    # The tuner fails the run for that.
-                    continue
-        return {name: np.array(values) for name, values in found.items() if values}
+            return bool(known(np.atleast_1d(self._condition(arrays | {TIME: seconds}))).any())
 
     def _subscribe(self) -> None:
         for name in self.missing:
@@ -129,3 +116,18 @@ class AbortCondition:
             heard = HeardTopic(self._node, topic, cls, offered, tells_publisher=several)
             self._topics[topic] = _Topic(heard)
         return self._topics[topic]
+
+
+def _take(topic: _Topic) -> Iterator[tuple[int, dict[str, Value]]]:
+    """Yield when [ns] what waits on a topic came, and its values by the names of signals."""
+    for heard in topic.heard.take():
+        found: dict[str, list[Value]] = {}
+        for name, reader in topic.readers.items():
+            # The tuner fails the run for what is missing.
+            with contextlib.suppress(ItemMissingError):
+                found[name] = [value for _, value in reader(heard)]
+        for index in range(max(map(len, found.values()), default=0)):
+            yield (
+                heard.received,
+                {name: values[index] for name, values in found.items() if index < len(values)},
+            )

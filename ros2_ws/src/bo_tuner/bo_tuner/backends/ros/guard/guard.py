@@ -6,18 +6,21 @@ import signal
 import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from action_msgs.srv import CancelGoal
 from rclpy.client import Client
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from bo_tuner.backends.ros import others
-from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.guard.condition import AbortCondition
 from bo_tuner.backends.ros.guard.messages import (
     BEAT_TOPIC,
@@ -37,6 +40,8 @@ from bo_tuner.backends.ros.steps import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.guard_record import Act, add_act
+from bo_tuner.study.building import under
+from bo_tuner.study.run import SIM
 
 LOOK_AROUND = 0.5
 """Time [s] to hear of another guard."""
@@ -147,12 +152,13 @@ class Guard:
         self._beats = beats
         self._name = name or uuid.uuid4().hex
         self._record = record
-        self._say = say
+        self._output = say
         self._attached = attached
         self._watch = Watch(timeout)
         self._ending = False
         self._held = 0.0
-        self._tuner = TunerNode(None, ros_arguments, lambda: None, GUARD)
+        # Who waits for it is to know that it is there, also while it waits for a node.
+        self._tuner = TunerNode(None, ros_arguments, self._tell_again, GUARD)
         self._state = State(
             self._name,
             plan.digest,
@@ -161,9 +167,9 @@ class Guard:
             sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
             stands=isinstance(beats, TopicBeats),
         )
+        self._listener: Node | None = None
         self._publisher: Publisher | None = None
         self._told = -1.0
-        self._run_began = 0.0
         self._was_in_run = False
 
     @property
@@ -191,8 +197,11 @@ class Guard:
         tuner, plan = self._tuner, self._plan
         if isinstance(self._beats, TopicBeats):
             self._beats.connect(tuner, self._name)
+        self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
         if alone:
             self._refuse_others()
+        self._state = replace(self._state, settled=True)
+        self._tell()
         self._parameters = NodeParameters(tuner, plan.nodes)
         clients = self._parameters.clients
 
@@ -204,7 +213,15 @@ class Guard:
             if not wait:
                 raise BackendError(problem)
             self._say(f"waiting: {problem}")
-        self._clock: RunClock = WallClock()
+        # In no executor, which would take its messages away.
+        self._listener = listener = Node(
+            f"{GUARD}_listener",
+            context=tuner.context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._clock = self._connect_clock(listener)
+        self._in_run = Stopwatch(self._clock)
         topics: dict[str, OwnTopic] = {}
         self._stop = [
             Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
@@ -214,13 +231,12 @@ class Guard:
             tuner.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
             for action in plan.actions
         ]
-        self._abort = AbortCondition(tuner.node, plan)
-        self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
-        self._tell()
+        self._abort = AbortCondition(listener, plan)
 
     def serve(self) -> None:
         """Guard until the tuner has ended and the nodes are safe, or the end is asked for."""
         looked = time.monotonic()
+        seen = 0.0
         while True:
             beats, hung_up = self._beats.take()
             now = time.monotonic()
@@ -242,9 +258,9 @@ class Guard:
                 self._hold()
             if hung_up or self._ending:
                 return
-            if now - self._told >= PERIOD:
+            if now - seen >= PERIOD:
                 self._look_at_nodes()
-                self._tell()
+                seen = now
             self._tuner.spin_once(POLL_PERIOD)
 
     def end(self) -> None:
@@ -255,15 +271,22 @@ class Guard:
         """Leave ROS, once the tuner has heard what came of the last act."""
         if self._publisher is not None:
             self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
+        if self._listener is not None:
+            self._listener.destroy_node()
         self._tuner.close()
 
     def _refuse_others(self) -> None:
-        """Refuse nodes that another guard has; one whose tuner has just ended is waited for."""
+        """Refuse nodes that another guard has; one whose tuner has just ended is waited for.
+
+        Of two that start at the same time one stays.
+        """
         found: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
-            if state is not None and set(state.nodes) & set(self._state.nodes):
+            if state is None or not set(state.nodes) & set(self._state.nodes):
+                return
+            if state.guard != self._name and (state.settled or state.guard < self._name):
                 found[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
@@ -285,12 +308,26 @@ class Guard:
         for client in self._parameters.clients.values() if self._attached else ():
             self._watch.presence(client.node, client.is_ready())
 
+    def _connect_clock(self, listener: Node) -> RunClock:
+        """Return the clock of the runs; one of a simulation is waited for."""
+        if self._plan.clock != SIM:
+            return WallClock()
+        clock = SimClock(listener)
+        with under("run", "clock"):
+            clock.connect(partial(self._tuner.wait_until, timeout=CONNECT))
+        return clock
+
     def _look_at_signals(self, now: float) -> None:
         in_run = self._watch.in_run
+        if not in_run:
+            # Between two runs it may be set, and need not be remembered.
+            self._clock.begin()
+            self._clock.end()
+        self._clock.update()
         if in_run and not self._was_in_run:
-            self._run_began = now
+            self._in_run = Stopwatch(self._clock)
         # What came between two runs is taken, and tells nothing.
-        if self._abort.holds(now - self._run_began) and in_run and self._was_in_run:
+        if self._abort.holds(self._in_run.seconds) and in_run and self._was_in_run:
             self._watch.held(now)
         self._was_in_run = in_run
 
@@ -298,21 +335,19 @@ class Guard:
         """Stop the machine, then set the safe values; again and again if nobody else will."""
         begun = time.monotonic()
         self._watch.act()
-        self._say(f"acts: {cause.reason}")
         self._publish_stop()
         stopped = time.monotonic() - begun
-        self._state = State(
-            **{
-                **vars(self._state),
-                "acts": self._watch.acts,
-                "reason": cause.reason,
-                "outcome": "",
-                "takes_over": cause.takes_over,
-                "on_condition": cause.on_condition,
-                "ends": is_last,
-            }
+        self._state = replace(
+            self._state,
+            acts=self._watch.acts,
+            reason=cause.reason,
+            outcome="",
+            takes_over=cause.takes_over,
+            on_condition=cause.on_condition,
+            ends=is_last,
         )
         self._tell()
+        self._say(f"acts: {cause.reason}")
         problems = self._set_safe()
         patience = GIVE_UP if self._attached else GONE
         while problems and is_last and time.monotonic() - begun < patience:
@@ -329,7 +364,7 @@ class Guard:
             if problems
             else f"safe values set and read back after {safe * 1e3:.0f} ms"
         )
-        self._state = State(**{**vars(self._state), "outcome": outcome})
+        self._state = replace(self._state, outcome=outcome)
         self._tell()
         self._say(outcome)
         self._note(cause.reason, stopped, safe, problems)
@@ -343,6 +378,7 @@ class Guard:
         self._held = time.monotonic()
 
     def _publish_stop(self) -> None:
+        self._clock.update()
         for publication in self._stop:
             publication.publish_now()
         # Without an identifier and a time stamp it is for all goals (action_msgs/srv/CancelGoal).
@@ -358,8 +394,19 @@ class Guard:
     def _tell(self) -> None:
         if self._publisher is None:
             return
-        self._publisher.publish(String(data=str(self._state)))
+        watches = self._watch.is_watching and self._watch.is_known
+        self._publisher.publish(String(data=str(replace(self._state, watches=watches))))
         self._told = time.monotonic()
+
+    def _tell_again(self) -> None:
+        if time.monotonic() - self._told >= PERIOD:
+            self._tell()
+
+    def _say(self, text: str) -> None:
+        """Say something; a full disk, or a terminal that is gone, keeps it from nothing."""
+        # Of a pipe that is closed rich makes an exit.
+        with contextlib.suppress(OSError, SystemExit):
+            self._output(text)
 
     def _note(self, reason: str, stopped: float, safe: float, problems: Iterable[str]) -> None:
         """Add a line to the record, which must not keep it from anything."""

@@ -48,6 +48,10 @@ DEAD, FORGOTTEN = 3.0, 25.0
 stopped itself for so long that the middleware has to discover all others anew."""
 HEARD = 3.0
 """Time [s] to hear the state of a guard that is discovered."""
+ANSWER = 10.0
+"""Time [s] that one which somebody has started has to hear the first heartbeat."""
+AWAKE = 0.25
+"""Time [s] between two looks within which no guard has taken this process for stopped."""
 LEAVE = 5.0
 """Time [s] that a guard has to end."""
 LOG = "guard.log"
@@ -84,6 +88,9 @@ class _Wire(Protocol):
     def close(self) -> None:
         """Let go of the guard, which has been told that no beat comes any more."""
 
+    def kill(self) -> None:
+        """Let go of a guard that does nothing any more, without waiting for it."""
+
 
 class _Process:
     """A guard that this process has started."""
@@ -103,12 +110,17 @@ class _Process:
         if self._process.stdin is None or self._process.stdout is None:
             raise BackendError("the guard has no pipes")
         self._problem = ""
+        self._is_open = True
+        self._lock = threading.Lock()
         self._pipe = self._process.stdin.fileno()
         self._write(json.dumps(settings))
         os.set_blocking(self._pipe, False)
 
     def send(self, beat: Beat) -> None:
-        self._write(str(beat))
+        with self._lock:
+            # A descriptor that is closed may be another file's soon.
+            if self._is_open:
+                self._write(str(beat))
 
     @property
     def problem(self) -> str:
@@ -119,16 +131,23 @@ class _Process:
         return self._problem
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
-        try:
+        self._hang_up()
+        with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self.kill()
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._hang_up()
         if self._process.stdout is not None:
             self._process.stdout.close()
+
+    def _hang_up(self) -> None:
+        with self._lock:
+            self._is_open = False
+            if self._process.stdin is not None:
+                self._process.stdin.close()
 
     def _write(self, text: str) -> None:
         # A pipe takes a short line whole (POSIX, write). One that is full is not read any more.
@@ -150,6 +169,8 @@ class _Topic:
     def close(self) -> None:
         """Do nothing: the guard goes on, for the next tuner."""
 
+    kill = close
+
 
 class GuardLink:
     """The guard of a study's nodes: found, or started, told of every run, and heard.
@@ -164,6 +185,12 @@ class GuardLink:
         Takes log and record of a guard that is started.
     attached
         Whether the nodes run by themselves.
+
+    Attributes
+    ----------
+    unheeded : GuardActedError or None
+        The last act that was told, until whoever draws the consequences takes it off: some who
+        wait take it for one of many reasons why a node is not there.
     """
 
     def __init__(
@@ -178,8 +205,10 @@ class GuardLink:
         self._states: dict[str, State] = {}
         self._heard: dict[str, float] = {}
         self._phase, self._run, self._acts = IDLE, 0, 0
+        self.unheeded: GuardActedError | None = None
+        self._is_begun = False
         self._ended = ""
-        self._looked = 0.0
+        self._looked = self._waited = 0.0
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
         # rclpy passes on what it knows of a message to whoever takes two arguments.
@@ -212,16 +241,23 @@ class GuardLink:
         BackendError
             If a guard of another study has one of the nodes, or none can be started.
         """
+        self._thread = threading.Thread(target=self._go_on, name="heartbeat", daemon=True)
+        self._thread.start()
         if values is not None or not self._find():
             try:
                 self._start(study, ros_arguments, values)
+                self._is_begun = True
+                return
             except BackendError:
                 # One that is there may be discovered late; it is why another one does not start.
                 if values is not None or not self._find():
                     raise
-        self._beat()
-        self._thread = threading.Thread(target=self._go_on, name="heartbeat", daemon=True)
-        self._thread.start()
+        if not self._tuner.wait_until(self._is_watched, ANSWER):
+            raise BackendError(
+                f"the guard of the nodes does not hear this tuner within {ANSWER:g} s: it waits "
+                "for a node, or the network carries nothing to it"
+            )
+        self._is_begun = True
 
     @property
     def topics(self) -> list[str]:
@@ -251,30 +287,39 @@ class GuardLink:
         """
         if self._ended:
             raise BackendError(self._ended)
-        if self._wire is None:
+        if self._wire is None or not self._is_begun:
             return
         self._take()
-        waited = time.monotonic() + DEAD
+        now = time.monotonic()
+        gap, self._looked = now - self._looked, now
+        # Then nothing was missed, and the machine is looked after while the guard is waited for.
+        is_awake = gap < AWAKE
+        if not is_awake:
+            self._waited = now + DEAD
         # The clock is that of the stamps at which messages came in.
         while time.time() - self._heard.get(self._name, 0.0) > FRESH:
-            problem, now = self._wire.problem, time.monotonic()
-            if now - self._looked > STOPPED:
-                waited = now + FORGOTTEN
-            self._looked = now
-            if problem or now > waited:
-                self._wire.close()
-                self._wire = None
+            if gap > STOPPED:
+                self._waited = now + FORGOTTEN
+            problem = self._wire.problem
+            if problem or now > self._waited:
+                wire, self._wire = self._wire, None
+                # The machine does not wait until it ends by itself.
+                wire.kill()
                 self._ended = (
                     f"the guard of the nodes has ended: {problem or 'nothing is heard of it'}; "
                     f"see {self._folder / LOG}"
                 )
                 raise BackendError(self._ended)
+            if is_awake:
+                return
             time.sleep(POLL_PERIOD)
+            now = time.monotonic()
+            gap, self._looked = now - self._looked, now
             self._take()
-        self._looked = time.monotonic()
+        self._waited = time.monotonic() + DEAD
         state = self._states[self._name]
         # While it acts, nobody is to be in its way.
-        while state.acts > self._acts and not state.outcome and time.monotonic() < waited:
+        while state.acts > self._acts and not state.outcome and time.monotonic() < self._waited:
             time.sleep(POLL_PERIOD)
             self._take()
             state = self._states[self._name]
@@ -282,13 +327,14 @@ class GuardLink:
             self._acts = state.acts
             self._phase = IDLE
             self._beat()
-            raise GuardActedError(
+            self.unheeded = GuardActedError(
                 f"the guard has stopped the machine: {state.reason}; "
                 f"{state.outcome or 'it is still at it'}",
                 takes_over=state.takes_over,
                 on_condition=state.on_condition,
                 ends=state.ends,
             )
+            raise self.unheeded
 
     def end(self) -> None:
         """Tell the guard that the nodes are left as they are to be, and let go of it."""
@@ -315,7 +361,7 @@ class GuardLink:
         for state in self._states.values():
             shared = sorted(nodes & set(state.nodes))
             # That of a tuner which has just ended will end, too.
-            if not shared or not state.stands:
+            if not shared or not (state.stands and state.settled):
                 continue
             if state.digest != self._plan.digest:
                 raise BackendError(
@@ -342,22 +388,24 @@ class GuardLink:
             "ros_arguments": list(ros_arguments),
             "record": str((self._folder / GUARD_RECORD).resolve()),
         }
-        wire = _Process(settings, self._folder / LOG)
-
-        def is_there() -> bool:
-            self._take()
-            return self._name in self._states or bool(wire.problem)
-
+        self._wire = wire = _Process(settings, self._folder / LOG)
+        begun = False
         try:
-            self._tuner.wait_until(is_there, START)
-        except BaseException:
-            wire.close()
-            raise
-        if self._name not in self._states:
-            problem = wire.problem or f"it does not answer within {START:g} s"
-            wire.close()
-            raise BackendError(f"the guard of the nodes cannot start: {problem}")
-        self._wire = wire
+            self._tuner.wait_until(lambda: self._is_watched() or bool(wire.problem), START)
+            begun = self._is_watched() and not wire.problem
+            if not begun:
+                problem = wire.problem or f"it does not answer within {START:g} s"
+                raise BackendError(f"the guard of the nodes cannot start: {problem}")
+        finally:
+            if not begun:
+                self._wire = None
+                wire.kill()
+
+    def _is_watched(self) -> bool:
+        """Whether the guard hears this tuner: from now on it acts if that ends."""
+        self._take()
+        state = self._states.get(self._name)
+        return state is not None and state.watches
 
     def _turn(self, phase: str) -> None:
         self._phase = phase

@@ -30,12 +30,21 @@ class _Message:
         """Return the message in a text; None if it is another one."""
         try:
             content: Any = json.loads(text)
-            return cls(**{item.name: content[item.name] for item in fields(cls)})
+            values = {item.name: content[item.name] for item in fields(cls)}
         except (ValueError, TypeError, KeyError, RecursionError):
             return None
+        kinds = {item.name: item.type for item in fields(cls)}
+        return cls(**values) if all(_is_of(values[n], kinds[n]) for n in kinds) else None
 
     def __str__(self) -> str:
         return json.dumps(asdict(self))
+
+
+def _is_of(value: object, kind: object) -> bool:
+    """Whether a value is of the type of a field: anybody may publish anything."""
+    if kind == list[str]:
+        return isinstance(value, list) and all(isinstance(item, str) for item in value)
+    return type(value) is kind
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,10 @@ class State(_Message):
         Whether it watches no longer.
     stands : bool
         Whether it outlives a tuner, and takes heartbeats from any.
+    settled : bool
+        Whether it has found no other guard of its nodes, and stays.
+    watches : bool
+        Whether it hears a tuner, and acts if that falls silent.
     """
 
     guard: str
@@ -100,3 +113,5 @@ class State(_Message):
     on_condition: bool = False
     ends: bool = False
     stands: bool = False
+    settled: bool = False
+    watches: bool = False

@@ -12,6 +12,7 @@ from rclpy.expand_topic_name import expand_topic_name
 from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.run import WALL
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.steps import Publish
 from bo_tuner.study.study import Study
@@ -57,6 +58,8 @@ class Plan:
         Condition on signals at which a run must end; empty for none.
     signals : mapping from str to Signal
         The study's signals.
+    clock : str
+        Clock of the runs, by which the condition and the stamps of messages go.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Plan:
     actions: tuple[str, ...] = ()
     abort_when: str = ""
     signals: Mapping[str, Signal] | None = None
+    clock: str = WALL
 
     @classmethod
     def of(cls, study: Study) -> "Plan":
@@ -85,6 +89,7 @@ class Plan:
             tuple(dict.fromkeys(s.send_goal.action for s in steps if s.send_goal is not None)),
             run.abort_when,
             study.signals,
+            run.clock,
         )
 
     @classmethod
@@ -95,7 +100,7 @@ class Plan:
     @property
     def digest(self) -> str:
         """A digest: plans of two studies that hold the same are equal, whatever else they say."""
-        held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when)
+        held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when, self.clock)
         used = {} if not self.abort_when else self.signals
         text = json.dumps([held, used], sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
