@@ -23,6 +23,7 @@ from bo_tuner.backends.ros.errors import (
 )
 from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
@@ -173,7 +174,7 @@ class RosBackend(SequentialBackend):
                 self._guard = GuardLink(
                     tuner, Plan.of(self._study), self._log_directory, attached=self._attach
                 )
-            self._bringup.open(look_around=given is not None)
+            self._bringup.open(safe_parameters(self._study), look_around=given is not None)
             if self._guard is not None:
                 self._guard.begin(self._study, self._ros_arguments)
             self.at_nodes(tuner)
@@ -192,8 +193,16 @@ class RosBackend(SequentialBackend):
                 self._procedure = Procedure(
                     self._study, self._study.run, tuner, restart, self._guard
                 )
+                self._bringup.between = self._procedure.forget_ended
             self._safe_state = SafeState(
-                tuner, client, safe, self._held, self._procedure, self._suspension, self._look
+                tuner,
+                client,
+                safe,
+                self._held,
+                self._procedure,
+                self._suspension,
+                self._look,
+                between_runs=self._study.park.between_runs,
             )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
@@ -208,7 +217,8 @@ class RosBackend(SequentialBackend):
             self._set_environment(isolated_environment(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
         self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
-        self._client = StudyClient(self._study, self._tuner)
+        started = None if self._attach else self._started
+        self._client = StudyClient(self._study, self._tuner, started)
         return self._tuner, self._client
 
     def _set_environment(self, variables: Mapping[str, str]) -> None:
@@ -509,7 +519,7 @@ class RosBackend(SequentialBackend):
                     stack.callback(self._client.parameters.forget_all)
                 if self._procedure is not None:
                     stack.callback(self._leave, self._tuner, self._procedure, undone)
-                    stack.callback(self._warn_of, self._tuner, self.park)
+                    stack.callback(self._warn_of, self._tuner, self._park_last)
         if problems:
             problems.append("the next command with --attach does that")
         if undone or problems:
@@ -517,6 +527,12 @@ class RosBackend(SequentialBackend):
 
     def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
         problems += previous.restore(self._restore_timeout)
+        if self._client is not None:
+            problems += self._client.start_values.reconfigure_restored()
+
+    def _park_last(self) -> list[str]:
+        # One that the tuner has started ends next, and need not start once more for that.
+        return self._opened.safe_state.park(start_anew=self._attach)
 
     def _leave(self, tuner: TunerNode, procedure: Procedure, undone: list[str]) -> None:
         if self._attach:

@@ -37,6 +37,8 @@ from bo_tuner.study.study import Study
 
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
+ENDED = 1.0
+"""Time [s] in which the publishers of a node that has ended are known to be gone."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
 NOT_SETTLED = (
@@ -197,6 +199,20 @@ class Procedure:
         for goal in self._started:
             goal.request_cancel()
 
+    def forget_ended(self) -> None:
+        """Forget what was heard from nodes that have ended."""
+        self._recorder.forget_ended(partial(self._tuner.wait_until, timeout=ENDED))
+
+    def publish_stop(self) -> None:
+        """Publish the messages at the head of the steps that are due after a run, if any is.
+
+        They stay due: a node that is started anew next has not heard them.
+        """
+        for index in self._head:
+            # That nobody hears it is told when it is performed.
+            with contextlib.suppress(*FAULTS):
+                self._perform_step(("run", AFTER, index), self._run.after[index])
+
     def leave(self) -> list[str]:
         """Bring a run that did not end well to its end as far as possible: goals, steps after it.
 
@@ -210,7 +226,7 @@ class Procedure:
             What went wrong, each in a line.
         """
         self.request_cancel()
-        first = list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
+        first = self._head
         problems = self._leave_by(first)
         problems += self._cancel()
         # What nobody has heard just now waits for the next call.
@@ -254,6 +270,11 @@ class Procedure:
             self._is_recording = False
             self._recorder.end()
             self._clock.end()
+
+    @property
+    def _head(self) -> list[int]:
+        """The steps that are due after a run, as far as the first ones are messages."""
+        return list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
 
     @property
     def _all_after(self) -> list[int]:

@@ -31,6 +31,8 @@ class SafeState:
     look
         Watch while the nodes are parked: one that has ended keeps no other from that, and is not
         parked itself.
+    between_runs
+        Whether nodes that take values only at their start get the safe ones after each run, too.
     """
 
     def __init__(
@@ -42,6 +44,8 @@ class SafeState:
         procedure: Procedure | None,
         suspension: Suspension,
         look: Callable[[], None],
+        *,
+        between_runs: bool,
     ) -> None:
         self._tuner = tuner
         self._client = client
@@ -50,16 +54,21 @@ class SafeState:
         self._procedure = procedure
         self._suspension = suspension
         self._look = look
+        self._between_runs = between_runs
         self._unfinished: list[str] = []
 
-    def park(self) -> list[str]:
-        """Set the safe parameters on all nodes and read them back; returns what went wrong."""
+    def park(self, *, start_anew: bool = True) -> list[str]:
+        """Set the safe parameters on all nodes and read them back; returns what went wrong.
+
+        Without `start_anew` a node keeps what it takes only at its start, as one that is ended
+        next.
+        """
         with self._tuner.watched_by(self._look):
-            return self._park()
+            return self._park(start_anew)
 
     def park_after_run(self) -> None:
         """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
-        self._unfinished += self._park()
+        self._unfinished += self._park(self._between_runs)
 
     def stop(self) -> list[str]:
         """Bring a run to its end at once, whoever asks for what; returns what is not parked.
@@ -97,5 +106,13 @@ class SafeState:
         found, self._unfinished = self._unfinished, []
         return found
 
-    def _park(self) -> list[str]:
-        return self._client.park(self._parameters, self._held)
+    def _park(self, start_anew: bool = True) -> list[str]:
+        # What stops the machine does not wait until a node has started.
+        stop = None if self._procedure is None else self._procedure.publish_stop
+        return self._client.park(
+            self._parameters, self._held, start_anew=start_anew, at_restart=stop or _nothing
+        )
+
+
+def _nothing() -> None:
+    pass

@@ -167,6 +167,21 @@ class SignalRecorder:
         for heard in self._heard.values():
             heard.begin(self._began, in_run)
 
+    def forget_ended(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+        """Forget what was said by publishers that are gone: it holds for no run of the next ones.
+
+        Parameters
+        ----------
+        wait
+            As of `connect`; that of a node which has ended may be gone a moment after it.
+        """
+        names = {UNKNOWN_NODE} | {name for name, _ in self.node.get_node_names_and_namespaces()}
+        ended = [h for h in self._heard.values() if h.node not in names or not h.publishers]
+        wait(lambda: all(heard.publishers == 0 for heard in ended))
+        for heard in ended:
+            if heard.publishers == 0:
+                heard.forget()
+
     def end(self) -> None:
         """End a run."""
         for heard in self._heard.values():
@@ -406,6 +421,13 @@ class _Track:
         else:
             self.stale = max(self.stale, behind, received - self.row_began)
 
+    def forget(self) -> None:
+        self.stamps.clear()
+        self.values.clear()
+        self.late_values.clear()
+        self.newest = np.nan
+        self.in_a_row = 0
+
     def begin(self, now: int, in_run: bool) -> None:
         self.in_run = in_run
         del self.stamps[:-1], self.values[:-1]
@@ -441,6 +463,13 @@ class _Topic:
         """How many publishers are known here, without that of a guard."""
         found: int = self.subscription.handle.get_publisher_count()
         return max(found - self.of_guard, 0)
+
+    def forget(self) -> None:
+        """Forget all that came."""
+        self.poll()
+        self.message = None
+        for track in self.tracks.values():
+            track.forget()
 
     def has_message(self) -> bool:
         """Whether anything ever came."""

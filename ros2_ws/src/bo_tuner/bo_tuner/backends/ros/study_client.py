@@ -6,6 +6,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
+from bo_tuner.backends.ros.start_values import StartValues
+from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.trigger import TriggeredRun
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
@@ -20,22 +22,34 @@ PARK_TIMEOUT = 2.0
 class StudyClient:
     """The tuner's connection to the nodes of a study.
 
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    started
+        Starts the nodes; None if they are attached.
+
     Attributes
     ----------
     parameters : NodeParameters
         The nodes' parameters.
+    start_values : StartValues
+        Those that act only at a start.
     presence : Presence
         What the graph says of them.
     results : RunResults
         What they say of the present evaluation.
     """
 
-    def __init__(self, study: Study, tuner: TunerNode) -> None:
+    def __init__(self, study: Study, tuner: TunerNode, started: StartedNodes | None) -> None:
         self._study = study
         self._renewed: set[str] = set()
         self._wanted: Values = {}
         nodes = {key: spec.node for key, spec in study.nodes.items()}
         self.parameters = NodeParameters(tuner, nodes)
+        self.start_values = StartValues(study, tuner, self.parameters, started)
         self._triggered = TriggeredRun(study, tuner, self.parameters)
         self.results = self._triggered.results
         self.presence = Presence(study, tuner, self.parameters, self._triggered.service)
@@ -49,6 +63,7 @@ class StudyClient:
         for key in found:
             self._renewed.add(key)
             self.parameters.forget(key)
+            self.start_values.forget(key)
         return found
 
     def renew(self, keys: Iterable[str]) -> None:
@@ -106,6 +121,7 @@ class StudyClient:
         self._refuse_twins()
         self._wanted = wanted
         self.parameters.expect(wanted)
+        self.start_values.bring(wanted)
         told = self.parameters.tell(wanted, kept)
         self.parameters.compare(wanted, self.parameters.found(wanted), told)
         self.results.begin()
@@ -144,9 +160,17 @@ class StudyClient:
         """
         self.restarted()
         self.renew([key])
+        self.start_values.settle(key)
         self.parameters.assign_and_read_back(key, self._wanted.get(key, {}))
 
-    def park(self, values: Values, held: Mapping[str, Mapping[str, object]]) -> list[str]:
+    def park(
+        self,
+        values: Values,
+        held: Mapping[str, Mapping[str, object]],
+        *,
+        start_anew: bool = True,
+        at_restart: Callable[[], object] = lambda: None,
+    ) -> list[str]:
         """Set safe parameters and read them back, on all nodes that answer.
 
         Parameters
@@ -155,15 +179,30 @@ class StudyClient:
             By node key the safe parameters.
         held
             By node key all that the node must have besides.
+        start_anew
+            Whether nodes are started anew, or configured anew, with those that act only then; else
+            they keep what they have of these.
+        at_restart
+            Called when all other nodes have their values, and before one is started anew.
 
         Returns
         -------
         list of str
             What went wrong, a line for each node that does not have its safe parameters.
         """
-        self._wanted = {key: {**held.get(key, {}), **values[key]} for key in values}
-        self.parameters.expect(self._wanted)
-        failed = self.parameters.assign_side_by_side(values, PARK_TIMEOUT)
+        anew = self.start_values
+        if not start_anew:
+            values = {key: anew.as_started(key, values[key]) for key in values}
+        wanted = {key: {**held.get(key, {}), **values.get(key, {})} for key in {*held, *values}}
+        due = anew.due(wanted) if start_anew else []
+        self._wanted = wanted
+        self.parameters.expect(wanted)
+        at_once = {key: values[key] for key in values if key not in due}
+        failed: dict[str, Exception] = {}
+        failed |= self.parameters.assign_side_by_side(at_once, PARK_TIMEOUT)
+        if due:
+            at_restart()
+            failed |= anew.bring_each(wanted, due)
         self.parameters.overlook()
         return [
             f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
