@@ -228,7 +228,7 @@ def _try(
         # Of a run that failed, nothing may be known.
         moves = bool(failed) or _tell_of_motion(study, recordings, heard)
         if complete:
-            _estimate(study, float(np.mean([e.seconds for e in complete])))
+            _estimate(study, complete)
         code = ended(left, EXIT_OK if moves and not failed else EXIT_INFEASIBLE)
         if code == EXIT_OK:
             shutil.rmtree(folder)
@@ -261,6 +261,9 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
     done: list[Evaluation] = []
     recordings = []
     for index in range(RUNS):
+        if index == RUNS - 1:
+            # As for each other parameter set.
+            backend.start_anew()
         seed = noise_seed(study.seed, Stream.NOISE, 0, index)
         done += backend.run([Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)])
         recordings.append(backend.recording)
@@ -319,8 +322,11 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     return tuning + checks + 2 * budget.validation_draws, certificate
 
 
-def _estimate(study: Study, seconds: float) -> None:
-    tuning, certificate = evaluations_at_most(study)
+def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
+    """Tell how long tuning and certificate will take, by test runs that completed."""
+    starts = [e.outcome.starts for e in complete]
+    starting = sum(seconds for _, seconds in starts)
+    seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")
     if study.relative_metrics:
         seconds *= 2.0
@@ -328,10 +334,30 @@ def _estimate(study: Study, seconds: float) -> None:
             "note: limits are relative to the default, which is run beside each evaluation of "
             "another parameter set: it takes twice the time"
         )
-    say(f"study: at most {tuning} evaluations, {_duration(tuning * seconds)}")
+    tuning, certificate = evaluations_at_most(study)
+    starts = (0, 0)
+    if starting:
+        each = starts_each_time(study)
+        starts = (tuning, certificate) if each else (min(tuning, study.budget.trials), 1)
+        say(
+            f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
+            f"once for {'each evaluation' if each else 'each parameter set'}"
+        )
+    seconds_of_study = tuning * seconds + starts[0] * starting
+    seconds_of_certificate = certificate * seconds + starts[1] * starting
+    say(f"study: at most {tuning} evaluations, {_duration(seconds_of_study)}")
     say(
-        f"certificate: at most {certificate} evaluations, {_duration(certificate * seconds)}; "
+        f"certificate: at most {certificate} evaluations, {_duration(seconds_of_certificate)}; "
         "fewer once the verdict is clear"
+    )
+
+
+def starts_each_time(study: Study) -> bool:
+    """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
+    seed = [] if study.seed_parameter is None else [study.seed_parameter]
+    return any(
+        item.parameter in study.start_names.get(item.node, ())
+        for item in [*study.contexts.values(), *seed]
     )
 
 

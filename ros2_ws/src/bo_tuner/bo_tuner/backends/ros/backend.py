@@ -51,7 +51,16 @@ from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
-from bo_tuner.trials import DISTURBED, NOTE, UNPREPARED, Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import (
+    DISTURBED,
+    NOTE,
+    START_SECONDS,
+    STARTS,
+    UNPREPARED,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+)
 
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
@@ -171,9 +180,8 @@ class RosBackend(SequentialBackend):
         )
         try:
             if self._guarded:
-                self._guard = GuardLink(
-                    tuner, Plan.of(self._study), self._log_directory, attached=self._attach
-                )
+                plan = Plan.of(self._study, attached=self._attach)
+                self._guard = GuardLink(tuner, plan, self._log_directory, attached=self._attach)
             self._bringup.open(safe_parameters(self._study), look_around=given is not None)
             if self._guard is not None:
                 self._guard.begin(self._study, self._ros_arguments)
@@ -194,6 +202,7 @@ class RosBackend(SequentialBackend):
                     self._study, self._study.run, tuner, restart, self._guard
                 )
                 self._bringup.between = self._procedure.forget_ended
+                self._bringup.after = self._procedure.welcome
             self._safe_state = SafeState(
                 tuner,
                 client,
@@ -276,7 +285,7 @@ class RosBackend(SequentialBackend):
             self._look()
             self._suspension.begin()
             self._taken_over = False
-            outcome = self._attempt(planned)
+            outcome = self._with_starts(self._attempt(planned))
             self._suspension.look()
             seconds = self._suspension.seconds
             # What the guard has ended is not repeated until somebody has looked at the machine.
@@ -284,6 +293,18 @@ class RosBackend(SequentialBackend):
                 self._rates.note(outcome)
                 return outcome
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
+
+    def start_anew(self) -> None:
+        """Have nodes that take values only at their start begin the next evaluation with one."""
+        self._opened.client.start_values.forget_all()
+
+    def _with_starts(self, outcome: Outcome) -> Outcome:
+        """Return an outcome with how long it took to start nodes anew with its values."""
+        starts = self._opened.client.start_values.take_starts()
+        if not starts:
+            return outcome
+        told = {STARTS: str(len(starts)), START_SECONDS: f"{sum(starts):.3f}"}
+        return dataclasses.replace(outcome, details={**outcome.details, **told})
 
     def _attempt(self, planned: Evaluation) -> Outcome:
         safe_state = self._opened.safe_state

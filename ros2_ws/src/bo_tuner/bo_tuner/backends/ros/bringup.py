@@ -40,8 +40,8 @@ class Bringup:
 
     Attributes
     ----------
-    between : callable
-        Called when nodes have ended that are started anew next.
+    between, after : callable
+        Called when nodes have ended that are started anew next, and when they are there again.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Bringup:
         self._suspension = suspension
         self._attach = attach
         self.between: Callable[[], object] = lambda: None
+        self.after: Callable[[], object] = lambda: None
         client.start_values.restart = self.restart
 
     def open(self, safe: Values, *, look_around: bool) -> None:
@@ -119,6 +120,7 @@ class Bringup:
         # Others may run in the same process.
         for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
             self._client.tell_again(anew)
+        self.after()
 
     def get_back(self) -> None:
         """Start all nodes anew after a loss, or, attached, wait for them; set their constants.

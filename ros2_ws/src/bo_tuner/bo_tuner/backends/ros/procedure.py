@@ -37,6 +37,8 @@ from bo_tuner.study.study import Study
 
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
+FIRST_MESSAGES = 2.0
+"""Time [s] in which a node that was started anew publishes what it has published before."""
 ENDED = 1.0
 """Time [s] in which the publishers of a node that has ended are known to be gone."""
 ACKNOWLEDGED = 1
@@ -102,6 +104,7 @@ class Procedure:
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
+        self._is_ready = False
         self._due: list[int] = []
         try:
             self._connect()
@@ -140,7 +143,7 @@ class Procedure:
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
-        self._is_prepared = False
+        self._is_prepared = self._is_ready = False
         self._watch.prepare()
         try:
             self._perform(BEFORE)
@@ -151,7 +154,7 @@ class Procedure:
         self._watch.expect_own_messages()
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
-        self._is_prepared = True
+        self._is_prepared = self._is_ready = True
 
     def perform(self, largest_gaps: Mapping[str, float]) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
@@ -203,11 +206,25 @@ class Procedure:
         """Forget what was heard from nodes that have ended."""
         self._recorder.forget_ended(partial(self._tuner.wait_until, timeout=ENDED))
 
+    def welcome(self) -> None:
+        """Wait for the first messages of nodes that were started anew, and tell them what is due.
+
+        If the steps before a run are done they need not have heard what these have published last.
+        """
+        self._tuner.wait_until(lambda: not self._recorder.awaits_first, FIRST_MESSAGES)
+        if not self._is_ready:
+            return
+        steps = enumerate(self._run.before)
+        last = {step.publish.topic: index for index, step in steps if step.publish is not None}
+        for index in sorted(last.values()):
+            self._perform_step(("run", BEFORE, index), self._run.before[index])
+
     def publish_stop(self) -> None:
         """Publish the messages at the head of the steps that are due after a run, if any is.
 
         They stay due: a node that is started anew next has not heard them.
         """
+        self._is_ready = False
         for index in self._head:
             # That nobody hears it is told when it is performed.
             with contextlib.suppress(*FAULTS):
@@ -257,6 +274,7 @@ class Procedure:
         self._recorder.close()
 
     def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
+        self._is_ready = False
         self._clock.begin()
         self._recorder.begin()
         self._watch.begin(largest_gaps)

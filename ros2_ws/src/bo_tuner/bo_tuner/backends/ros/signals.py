@@ -36,6 +36,8 @@ from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 NODE_NAME = f"{TUNER}_signals"
 DEPTH = 5000
 """Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
+RECENT = 1_000_000_000
+"""Time [ns] ahead of a run in which a topic has a message that is not only published in runs."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the names of items."""
 
@@ -181,6 +183,12 @@ class SignalRecorder:
         for heard in ended:
             if heard.publishers == 0:
                 heard.forget()
+
+    @property
+    def awaits_first(self) -> bool:
+        """Whether a topic that was published ahead of the last run, too, has no message yet."""
+        before = [heard for heard in self._heard.values() if heard.is_continuous]
+        return not all(heard.has_message() for heard in before)
 
     def end(self) -> None:
         """End a run."""
@@ -447,12 +455,16 @@ class _Topic:
     subscription: Subscription
     is_latched: bool
     of_guard: int = 0
+    received: int = 0
+    is_continuous: bool = False
     tracks: dict[str, _Track] = field(default_factory=dict)
     lost: LostMessages = field(default_factory=LostMessages)
     problem: str = ""
     message: Any = None
 
     def begin(self, now: int, in_run: bool) -> None:
+        if in_run:
+            self.is_continuous = time.time_ns() - self.received < RECENT
         self.lost.count = 0
         self.problem = ""
         for track in self.tracks.values():
@@ -472,7 +484,7 @@ class _Topic:
             track.forget()
 
     def has_message(self) -> bool:
-        """Whether anything ever came."""
+        """Whether anything came since all was forgotten."""
         self.poll()
         return any(track.stamps for track in self.tracks.values())
 
@@ -486,6 +498,7 @@ class _Topic:
                 if item is None:
                     break
                 data, info = item
+                self.received = info["received_timestamp"]
                 self.lost.note(info["publication_sequence_number"], publishers)
                 try:
                     message = self.message = decode(data, self.subscription.msg_type)

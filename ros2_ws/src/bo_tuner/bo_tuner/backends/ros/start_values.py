@@ -3,40 +3,24 @@
 Such a node accepts another value at any time, and reads it back, but goes on as before.
 """
 
+import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
+from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED, LifecycleNode
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.parameters import Difference, differences
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.steps import LifecycleChange
-from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.at_start import starter_of
 from bo_tuner.study.nodes import PARAMETER_FILE
-from bo_tuner.study.steps import Lifecycle
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 
 FAULTS = (RefusedError, LostError, StudyError, BackendError)
 """Why values may not come into force."""
-LIFECYCLE = 1.0
-"""Time [s] in which a node that has just been discovered shows that it has a lifecycle."""
-MANAGED = 20.0
-"""Time [s] that a launch file has to configure and activate its nodes itself."""
-ACTIVE, INACTIVE, UNCONFIGURED = "active", "inactive", "unconfigured"
-NEXT = {
-    (UNCONFIGURED, INACTIVE): "configure",
-    (UNCONFIGURED, ACTIVE): "configure",
-    (INACTIVE, ACTIVE): "activate",
-    (INACTIVE, UNCONFIGURED): "cleanup",
-    (ACTIVE, INACTIVE): "deactivate",
-    (ACTIVE, UNCONFIGURED): "deactivate",
-}
-"""The transition from one state on the way to another."""
 
 
 class StartValues:
@@ -57,10 +41,6 @@ class StartValues:
     ----------
     restart : callable
         Starts a node anew, by its key, which is then `settle`d.
-    count : int
-        How often nodes were started anew, or configured anew, for other values.
-    seconds : float
-        Time [s] that all this took, each until the nodes were up again.
     """
 
     def __init__(
@@ -78,11 +58,10 @@ class StartValues:
         self._safe: Values = {}
         self._in_force: dict[str, Mapping[str, object]] = {}
         self._last: dict[str, tuple[Mapping[str, object], Mapping[str, object]]] = {}
-        self._lifecycles: dict[str, LifecycleChange | None] = {}
+        self._lifecycles: dict[str, LifecycleNode | None] = {}
         self._targets: dict[str, str] = {}
         self.restart: Callable[[str], None] = lambda key: None
-        self.count = 0
-        self.seconds = 0.0
+        self._starts: list[float] = []
 
     def reset(self, safe: Values | None = None) -> None:
         """Have nodes that are started next begin with safe values, given once.
@@ -100,8 +79,8 @@ class StartValues:
             spec = self._study.nodes[key]
             if not spec.reconfigure:
                 self._starter(key)
-            safe = {**spec.parameters, **self._safe.get(key, {})}
-            self._started.values[key] = self._part(key, safe)
+            own = {**spec.parameters, **self._safe.get(key, {})}
+            self._started.values[key] = self._part(key, own)
 
     def settle_all(self) -> None:
         """`settle` all nodes, once they are there.
@@ -136,13 +115,17 @@ class StartValues:
         if key not in self._names or self._started is None:
             return
         given = self._started.values[key]
-        change = self._lifecycle(key)
-        if change is not None:
-            self._bring_to(change, self._target(key, change), managed=self._is_launched(key))
+        node = self._lifecycle(key)
+        if node is not None:
+            target = self._target(key, node)
+            if self._is_launched(key):
+                node.wait_for(target)
+            node.bring_to(target)
             self._targets.pop(key, None)
+            # It may have declared some just now.
             self._parameters.forget(key)
         found = self._parameters.known(key) or self._parameters.read_anew(key)
-        if change is not None and change.current_state == UNCONFIGURED:
+        if node is not None and node.state == UNCONFIGURED:
             # It declares the others when it is configured.
             given = {name: value for name, value in given.items() if name in found}
         if wrong := differences(key, found, given):
@@ -216,6 +199,15 @@ class StartValues:
                 failed[key] = error
         return failed
 
+    def take_starts(self) -> list[float]:
+        """Return the times [s] that starts and configurations took since this was last asked.
+
+        Each is from the end of the process before until the node is up, publishes and has its
+        values.
+        """
+        starts, self._starts = self._starts, []
+        return starts
+
     def reconfigure_restored(self) -> list[str]:
         """Let attached nodes take what they were given back; returns what went wrong, in lines."""
         problems = []
@@ -231,8 +223,7 @@ class StartValues:
         return problems
 
     def _note(self, began: float) -> None:
-        self.count += 1
-        self.seconds += time.monotonic() - began
+        self._starts.append(time.monotonic() - began)
 
     def _part(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         return {name: values[name] for name in sorted(self._names[key]) if name in values}
@@ -275,7 +266,9 @@ class StartValues:
             process = self._started.processes.get(starter)
             if process is not None and (reason := process.exit_reason) is not None:
                 said = f": {text}" if (text := process.last_line) else ""
-                raise RefusedError(f"does not start with its values: {reason}{said}") from loss
+                raise RefusedError(
+                    f"{starter} does not start with these parameters: {reason}{said}"
+                ) from loss
             raise
 
     def _refuse(
@@ -301,35 +294,24 @@ class StartValues:
                 )
             raise RefusedError(f"{item} (not taken by the node at its start)")
 
-    def _lifecycle(self, key: str) -> LifecycleChange | None:
-        """Return what changes the state of a node; None if it has no lifecycle."""
+    def _lifecycle(self, key: str) -> LifecycleNode | None:
         if key not in self._lifecycles:
             node = self._study.nodes[key].node
-            service = self._tuner.node.resolve_service_name(f"{node}/change_state")
-            found = self._tuner.wait_until(
-                lambda: self._tuner.node.count_services(service) > 0, LIFECYCLE
-            )
-            self._lifecycles[key] = (
-                LifecycleChange.prepare(
-                    self._tuner, Lifecycle(node=node, transition="configure")
-                )
-                if found
-                else None
-            )
+            self._lifecycles[key] = LifecycleNode.find(self._tuner, node)
         return self._lifecycles[key]
 
     def _reconfigures(self, key: str) -> bool:
         return self._started is None or self._study.nodes[key].reconfigure
 
     def _reconfigure(self, key: str, values: Mapping[str, object]) -> None:
-        change = self._lifecycle(key)
-        if change is None:
+        node = self._lifecycle(key)
+        if node is None:
             raise StudyError(f"{key} has no lifecycle", ("nodes", key, "reconfigure"))
         self._in_force.pop(key, None)
-        target = self._targets[key] = self._target(key, change)
-        self._bring_to(change, UNCONFIGURED)
+        target = self._targets[key] = self._target(key, node)
+        node.bring_to(UNCONFIGURED)
         self._parameters.assign_and_read_back(key, values)
-        self._bring_to(change, target)
+        node.bring_to(target)
         del self._targets[key]
         self._in_force[key] = self._part(key, values)
         if self._started is not None:
@@ -337,21 +319,19 @@ class StartValues:
 
     def _remember_state(self, key: str) -> None:
         """Note in which state a node is to be after its next start, as it is now."""
-        change = self._lifecycles.get(key)
-        if change is not None and key not in self._targets:
+        node = self._lifecycles.get(key)
+        if node is not None and key not in self._targets:
             # One that does not answer is brought up.
-            try:
-                self._targets[key] = change.current_state
-            except LostError:
-                return
+            with contextlib.suppress(LostError):
+                self._targets[key] = node.state
 
-    def _target(self, key: str, change: LifecycleChange) -> str:
+    def _target(self, key: str, node: LifecycleNode) -> str:
         """Return the state that a node is to be in.
 
         It is that in which it is. But where the tuner has started it, and no step of the run
         configures it, nobody else activates it.
         """
-        state = self._targets.get(key) or change.current_state
+        state = self._targets.get(key) or node.state
         own = self._started is not None and not self._is_configured_in_run(key)
         return ACTIVE if own and state == UNCONFIGURED else state
 
@@ -360,22 +340,3 @@ class StartValues:
         changes = () if run is None else (step.lifecycle for _, step in run.steps)
         name = f"/{self._study.nodes[key].node.strip('/')}"
         return any(c is not None and f"/{c.node}".endswith(name) for c in changes)
-
-    def _bring_to(self, change: LifecycleChange, target: str, *, managed: bool = False) -> None:
-        """Change the state of a node step by step, unless somebody else does, who is `managed`."""
-        if managed:
-            self._tuner.wait_until(lambda: change.current_state == target, MANAGED)
-        deadline = time.monotonic() + change.spec.timeout
-        while (state := change.current_state) != target:
-            transition = NEXT.get((state, target))
-            if transition is None:
-                # It is on its way, as in `configuring`.
-                if time.monotonic() > deadline:
-                    raise RefusedError(f"{change.spec.node} is {state}, and stays so")
-                self._tuner.spin_for(POLL_PERIOD)
-                continue
-            try:
-                replace(change, spec=replace(change.spec, transition=transition)).perform()
-            except FailedRunError as error:
-                if change.current_state == state:
-                    raise RefusedError(str(error)) from error

@@ -57,6 +57,8 @@ class Plan:
         Condition on signals at which a run must end; empty for none.
     signals : mapping from str to Signal
         The study's signals.
+    configured : tuple of str
+        Keys of lifecycle nodes that take some of these only when they are configured.
     """
 
     name: str
@@ -66,15 +68,25 @@ class Plan:
     actions: tuple[str, ...] = ()
     abort_when: str = ""
     signals: Mapping[str, Signal] | None = None
+    configured: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, study: Study) -> "Plan":
-        """Return what is to be held of a study."""
+    def of(cls, study: Study, *, attached: bool = True) -> "Plan":
+        """Return what is to be held of a study.
+
+        What nodes that the tuner has started take only while they start it alone can give them;
+        they end with it.
+        """
         nodes = {key: spec.node for key, spec in study.nodes.items()}
-        safe = safe_parameters(study)
+        names = study.start_names
+        safe = {
+            key: {n: v for n, v in of_node.items() if attached or n not in names.get(key, ())}
+            for key, of_node in safe_parameters(study).items()
+        }
+        configured = tuple(key for key in names if attached)
         run = study.run
         if run is None:
-            return cls(study.name, nodes, safe)
+            return cls(study.name, nodes, safe, configured=configured)
         head = takewhile(lambda step: step.publish is not None, run.after)
         steps = [step for _, step in run.steps]
         return cls(
@@ -85,6 +97,7 @@ class Plan:
             tuple(dict.fromkeys(s.send_goal.action for s in steps if s.send_goal is not None)),
             run.abort_when,
             study.signals,
+            configured,
         )
 
     @classmethod
@@ -97,7 +110,8 @@ class Plan:
         """A digest: plans of two studies that hold the same are equal, whatever else they say."""
         held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when)
         used = {} if not self.abort_when else self.signals
-        text = json.dumps([held, used], sort_keys=True, default=repr)
+        anew = [self.configured] if self.configured else []
+        text = json.dumps([held, used, *anew], sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def full_names(self, namespace: str) -> list[str]:
