@@ -17,9 +17,9 @@ from bo_tuner.backends.ros.graph import (
     opened_node,
     signal_problems,
 )
+from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
-from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
@@ -324,8 +324,7 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     """Tell how long tuning and certificate will take, by test runs that completed."""
-    starts = [e.outcome.starts for e in complete]
-    starting = sum(seconds for _, seconds in starts)
+    starting = sum(e.outcome.starts[1] for e in complete)
     seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")
     if study.relative_metrics:
@@ -335,16 +334,17 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
             "another parameter set: it takes twice the time"
         )
     tuning, certificate = evaluations_at_most(study)
-    starts = (0, 0)
+    starts_of_study = starts_of_certificate = 0
     if starting:
-        each = starts_each_time(study)
-        starts = (tuning, certificate) if each else (min(tuning, study.budget.trials), 1)
+        each = _starts_each_time(study)
+        starts_of_study = tuning if each else min(tuning, study.budget.trials)
+        starts_of_certificate = certificate if each else 1
         say(
             f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
             f"once for {'each evaluation' if each else 'each parameter set'}"
         )
-    seconds_of_study = tuning * seconds + starts[0] * starting
-    seconds_of_certificate = certificate * seconds + starts[1] * starting
+    seconds_of_study = tuning * seconds + starts_of_study * starting
+    seconds_of_certificate = certificate * seconds + starts_of_certificate * starting
     say(f"study: at most {tuning} evaluations, {_duration(seconds_of_study)}")
     say(
         f"certificate: at most {certificate} evaluations, {_duration(seconds_of_certificate)}; "
@@ -352,13 +352,12 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     )
 
 
-def starts_each_time(study: Study) -> bool:
+def _starts_each_time(study: Study) -> bool:
     """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
-    seed = [] if study.seed_parameter is None else [study.seed_parameter]
-    return any(
-        item.parameter in study.start_names.get(item.node, ())
-        for item in [*study.contexts.values(), *seed]
-    )
+    targets = [(item.node, item.parameter) for item in study.contexts.values()]
+    if study.seed_parameter is not None:
+        targets.append((study.seed_parameter.node, study.seed_parameter.parameter))
+    return any(name in study.start_names.get(node, ()) for node, name in targets)
 
 
 def _duration(seconds: float) -> str:

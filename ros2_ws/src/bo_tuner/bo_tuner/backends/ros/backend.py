@@ -23,22 +23,21 @@ from bo_tuner.backends.ros.errors import (
 )
 from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
-from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
     isolated_environment,
     namespace_of,
 )
-from bo_tuner.backends.ros.node_parameters import Values
 from bo_tuner.backends.ros.others import START
-from bo_tuner.backends.ros.previous_parameters import PreviousParameters
+from bo_tuner.backends.ros.parameters.at_rest import take_over
+from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
-from bo_tuner.backends.ros.safe_state import SafeState
+from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
+from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
-from bo_tuner.backends.ros.take_over import take_over
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
@@ -49,6 +48,7 @@ from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
+from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
@@ -182,7 +182,7 @@ class RosBackend(SequentialBackend):
             if self._guarded:
                 plan = Plan.of(self._study, attached=self._attach)
                 self._guard = GuardLink(tuner, plan, self._log_directory, attached=self._attach)
-            self._bringup.open(safe_parameters(self._study), look_around=given is not None)
+            self._bringup.open(safe_values(self._study), look_around=given is not None)
             if self._guard is not None:
                 self._guard.begin(self._study, self._ros_arguments)
             self.at_nodes(tuner)
@@ -204,6 +204,7 @@ class RosBackend(SequentialBackend):
                 self._bringup.between = self._procedure.forget_ended
                 self._bringup.after = self._procedure.welcome
             self._safe_state = SafeState(
+                self._study,
                 tuner,
                 client,
                 safe,
@@ -211,7 +212,6 @@ class RosBackend(SequentialBackend):
                 self._procedure,
                 self._suspension,
                 self._look,
-                between_runs=self._study.park.between_runs,
             )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""

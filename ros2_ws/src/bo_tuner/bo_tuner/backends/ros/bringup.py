@@ -4,9 +4,9 @@ import os
 from collections.abc import Callable
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
-from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.isolation import LEASE
-from bo_tuner.backends.ros.node_parameters import Values
+from bo_tuner.backends.ros.parameters.at_rest import InitialParameters
+from bo_tuner.backends.ros.parameters.nodes import Values
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension

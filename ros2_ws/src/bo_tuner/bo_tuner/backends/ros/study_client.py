@@ -1,10 +1,10 @@
-"""What the backend does with a study's nodes: sets their parameters, evaluates, and parks them."""
+"""What the backend does with a study's nodes: sets their parameters, and evaluates."""
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
-from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.start_values import StartValues
 from bo_tuner.backends.ros.started_nodes import StartedNodes
@@ -15,8 +15,6 @@ from bo_tuner.study.study import Study
 
 LONGEST_LEASE = 21.0
 """Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
-PARK_TIMEOUT = 2.0
-"""Time [s] that all nodes have to be parked: one may be hanging, and the machine is to stop."""
 
 
 class StudyClient:
@@ -46,7 +44,6 @@ class StudyClient:
     def __init__(self, study: Study, tuner: TunerNode, started: StartedNodes | None) -> None:
         self._study = study
         self._renewed: set[str] = set()
-        self._wanted: Values = {}
         nodes = {key: spec.node for key, spec in study.nodes.items()}
         self.parameters = NodeParameters(tuner, nodes)
         self.start_values = StartValues(study, tuner, self.parameters, started)
@@ -119,11 +116,9 @@ class StudyClient:
             self.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
         self.renew(self._renewed)
         self._refuse_twins()
-        self._wanted = wanted
         self.parameters.expect(wanted)
         self.start_values.bring(wanted)
-        told = self.parameters.tell(wanted, kept)
-        self.parameters.compare(wanted, self.parameters.found(wanted), told)
+        self.parameters.hold(wanted, kept)
         self.results.begin()
         try:
             try:
@@ -135,11 +130,11 @@ class StudyClient:
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise (disturbance or error) from None
-            found = self.parameters.found(wanted)
+            found = self.parameters.found()
             leave()
             # A node that was killed is looked for as long as its lease.
             self._refuse_other_nodes()
-            self.parameters.compare(wanted, found, {})
+            found.check()
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
@@ -161,52 +156,7 @@ class StudyClient:
         self.restarted()
         self.renew([key])
         self.start_values.settle(key)
-        self.parameters.assign_and_read_back(key, self._wanted.get(key, {}))
-
-    def park(
-        self,
-        values: Values,
-        held: Mapping[str, Mapping[str, object]],
-        *,
-        start_anew: bool = True,
-        at_restart: Callable[[], object] = lambda: None,
-    ) -> list[str]:
-        """Set safe parameters and read them back, on all nodes that answer.
-
-        Parameters
-        ----------
-        values
-            By node key the safe parameters.
-        held
-            By node key all that the node must have besides.
-        start_anew
-            Whether nodes are started anew, or configured anew, with those that act only then; else
-            they keep what they have of these.
-        at_restart
-            Called when all other nodes have their values, and before one is started anew.
-
-        Returns
-        -------
-        list of str
-            What went wrong, a line for each node that does not have its safe parameters.
-        """
-        anew = self.start_values
-        if not start_anew:
-            values = {key: anew.as_started(key, values[key]) for key in values}
-        wanted = {key: {**held.get(key, {}), **values.get(key, {})} for key in {*held, *values}}
-        due = anew.due(wanted) if start_anew else []
-        self._wanted = wanted
-        self.parameters.expect(wanted)
-        at_once = {key: values[key] for key in values if key not in due}
-        failed: dict[str, Exception] = {}
-        failed |= self.parameters.assign_side_by_side(at_once, PARK_TIMEOUT)
-        if due:
-            at_restart()
-            failed |= anew.bring_each(wanted, due)
-        self.parameters.overlook()
-        return [
-            f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
-        ]
+        self.parameters.hold_again(key)
 
     def _refuse_other_nodes(self) -> None:
         """Refuse an evaluation after which the nodes are not those that it began with."""

@@ -9,9 +9,9 @@ from itertools import takewhile
 
 from rclpy.expand_topic_name import expand_topic_name
 
-from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.steps import Publish
 from bo_tuner.study.study import Study
@@ -81,7 +81,7 @@ class Plan:
         names = study.start_names
         safe = {
             key: {n: v for n, v in of_node.items() if attached or n not in names.get(key, ())}
-            for key, of_node in safe_parameters(study).items()
+            for key, of_node in safe_values(study).items()
         }
         configured = tuple(key for key in names if attached)
         run = study.run
