@@ -5,10 +5,14 @@ parameter accepts other values at any time, and does nothing then. Words ahead o
 
 ``lifecycle``
     takes the gain when it is configured, and moves while it is active;
+``active``
+    configures and activates itself, as a launch file would do with it;
 ``ignores``
     has another way to its settings, and does not look at its arguments;
 ``limited``
     does not start with a gain above 2;
+``hangs``
+    does not come up with such a gain, and does not end either;
 ``clamps``
     takes 1.5 for a gain above that;
 ``second``
@@ -17,6 +21,7 @@ parameter accepts other values at any time, and does nothing then. Words ahead o
 
 import signal
 import sys
+import threading
 
 import rclpy
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -59,6 +64,8 @@ class Plain(Node):
         gain = self.get_parameter("gain").value
         if "limited" in words and gain > LIMIT:
             raise SystemExit(f"a gain of {gain} is too high")
+        if "hangs" in words and gain > LIMIT:
+            threading.Event().wait(60.0)
         if "clamps" in words and gain > CLAMP:
             gain = CLAMP
             self.set_parameters([Parameter("gain", value=gain)])
@@ -105,6 +112,9 @@ def main():
     arguments = [] if "ignores" in words else sys.argv
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = (Configured if "lifecycle" in words else Plain)(words)
+    if "active" in words:
+        node.trigger_configure()
+        node.trigger_activate()
     while not signals:
         rclpy.spin_once(node, timeout_sec=0.1)
     node.destroy_node()

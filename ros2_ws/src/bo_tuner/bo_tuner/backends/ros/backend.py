@@ -201,8 +201,8 @@ class RosBackend(SequentialBackend):
                 self._procedure = Procedure(
                     self._study, self._study.run, tuner, restart, self._guard
                 )
-                self._bringup.between = self._procedure.forget_ended
-                self._bringup.after = self._procedure.welcome
+                client.start_values.between = self._procedure.forget_ended
+                client.start_values.after = self._procedure.welcome
             self._safe_state = SafeState(
                 self._study,
                 tuner,

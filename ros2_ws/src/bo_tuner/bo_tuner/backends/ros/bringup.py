@@ -1,7 +1,6 @@
 """The nodes of a study are there: started or attached to, discovered, and got back when lost."""
 
 import os
-from collections.abc import Callable
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
@@ -37,11 +36,6 @@ class Bringup:
         Leaves out the time in which a node is ended.
     attach
         Whether to use nodes that run already, and to start none.
-
-    Attributes
-    ----------
-    between, after : callable
-        Called when nodes have ended that are started anew next, and when they are there again.
     """
 
     def __init__(
@@ -60,8 +54,6 @@ class Bringup:
         self._started = started
         self._suspension = suspension
         self._attach = attach
-        self.between: Callable[[], object] = lambda: None
-        self.after: Callable[[], object] = lambda: None
         client.start_values.restart = self.restart
 
     def open(self, safe: Values, *, look_around: bool) -> None:
@@ -112,7 +104,7 @@ class Bringup:
         self._started.stop_one(key)
         self._suspension.skip()
         self._tuner.wait_until(lambda: key in presence.absent(), LEASE)
-        self.between()
+        self._client.start_values.between(())
         try:
             self._started.start_one(key)
         except (BackendError, StudyError) as error:
@@ -120,7 +112,7 @@ class Bringup:
         # Others may run in the same process.
         for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
             self._client.tell_again(anew)
-        self.after()
+        self._client.start_values.after()
 
     def get_back(self) -> None:
         """Start all nodes anew after a loss, or, attached, wait for them; set their constants.
@@ -145,7 +137,7 @@ class Bringup:
             self._started.stop()
             self._suspension.skip()
             client.presence.wait_until_gone(LEASE)
-            self.between()
+            self._client.start_values.between(())
             client.start_values.reset()
             self._started.start()
         anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)

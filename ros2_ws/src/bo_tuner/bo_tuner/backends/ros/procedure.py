@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from itertools import takewhile
 
@@ -202,9 +202,9 @@ class Procedure:
         for goal in self._started:
             goal.request_cancel()
 
-    def forget_ended(self) -> None:
-        """Forget what was heard from nodes that have ended."""
-        self._recorder.forget_ended(partial(self._tuner.wait_until, timeout=ENDED))
+    def forget_ended(self, also: Collection[str]) -> None:
+        """Forget what was heard from nodes that have ended, and from others, by their names."""
+        self._recorder.forget_ended(also, partial(self._tuner.wait_until, timeout=ENDED))
 
     def welcome(self) -> None:
         """Wait for the first messages of nodes that were started anew, and tell them what is due.

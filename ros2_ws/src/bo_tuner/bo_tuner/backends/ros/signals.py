@@ -169,19 +169,23 @@ class SignalRecorder:
         for heard in self._heard.values():
             heard.begin(self._began, in_run)
 
-    def forget_ended(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+    def forget_ended(
+        self, also: Collection[str], wait: Callable[[Callable[[], bool]], bool]
+    ) -> None:
         """Forget what was said by publishers that are gone: it holds for no run of the next ones.
 
         Parameters
         ----------
+        also
+            Names of nodes that are there, and of which it does not hold either.
         wait
             As of `connect`; that of a node which has ended may be gone a moment after it.
         """
         names = {UNKNOWN_NODE} | {name for name, _ in self.node.get_node_names_and_namespaces()}
         ended = [h for h in self._heard.values() if h.node not in names or not h.publishers]
         wait(lambda: all(heard.publishers == 0 for heard in ended))
-        for heard in ended:
-            if heard.publishers == 0:
+        for heard in self._heard.values():
+            if heard.publishers == 0 or heard.node in also:
                 heard.forget()
 
     @property

@@ -41,6 +41,11 @@ class StartValues:
     ----------
     restart : callable
         Starts a node anew, by its key, which is then `settle`d.
+    between : callable
+        Called when nodes have ended that are started anew next, or those of some names are
+        unconfigured.
+    after : callable
+        Called when they are there again.
     """
 
     def __init__(
@@ -61,6 +66,8 @@ class StartValues:
         self._lifecycles: dict[str, LifecycleNode | None] = {}
         self._targets: dict[str, str] = {}
         self.restart: Callable[[str], None] = lambda key: None
+        self.between: Callable[[Collection[str]], object] = lambda names: None
+        self.after: Callable[[], object] = lambda: None
         self._starts: list[float] = []
 
     def reset(self, safe: Values | None = None) -> None:
@@ -310,12 +317,14 @@ class StartValues:
         self._in_force.pop(key, None)
         target = self._targets[key] = self._target(key, node)
         node.bring_to(UNCONFIGURED)
+        self.between([self._study.nodes[key].node.rpartition("/")[2]])
         self._parameters.assign_and_read_back(key, values)
         node.bring_to(target)
         del self._targets[key]
         self._in_force[key] = self._part(key, values)
         if self._started is not None:
             self._started.values[key] = self._in_force[key]
+        self.after()
 
     def _remember_state(self, key: str) -> None:
         """Note in which state a node is to be after its next start, as it is now."""
