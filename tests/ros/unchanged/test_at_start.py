@@ -1,12 +1,14 @@
 """Nodes that take parameters only while they start, or are configured, as most of rclpy do."""
 
 import os
+import re
 import sys
 from pathlib import Path
 
 import pytest
 import rclpy
 import start_node
+from commands import Fork, finish
 from example_nodes import start_script
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -16,7 +18,8 @@ from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
-from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_from_mapping, study_to_mapping, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
@@ -142,9 +145,7 @@ def test_a_node_runs_with_the_values_of_each_trial(backend, words):
 def test_values_that_act_at_any_time_need_no_start(backend):
     mass = {"node": "servo", "type": "double", "bounds": [0.5, 2.0], "default": 1.0}
     gain = {"node": "servo", "type": "double", "bounds": [0.1, 4.0], "default": SAFE}
-    made = backend(
-        study(node={"at_start": ["gain"]}, parameters={"gain": gain, "mass": mass})
-    )
+    made = backend(study(node={"at_start": ["gain"]}, parameters={"gain": gain, "mass": mass}))
     first = pid_of(made)
     complete(made, SAFE, mass=1.5)
     assert pid_of(made) == first
@@ -245,12 +246,11 @@ def test_values_go_ahead_of_all_that_the_nodes_own_file_says(backend, tmp_path, 
     """The last section that is of a node counts, and a file that comes later adds to an earlier."""
     own = tmp_path / "own.yaml"
     own.write_text(
-        "servo: {ros__parameters: {gain: 3.5}}\n"
-        "/**: {ros__parameters: {gain: 3.0, mass: 7.0}}\n"
+        "servo: {ros__parameters: {gain: 3.5}}\n/**: {ros__parameters: {gain: 3.0, mass: 7.0}}\n"
     )
     program = tmp_path / "lib" / "a_package" / "servo"
     program.parent.mkdir(parents=True)
-    program.write_text(f"#!/bin/sh\nexec {command()} \"$@\"\n")
+    program.write_text(f'#!/bin/sh\nexec {command()} "$@"\n')
     program.chmod(0o755)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     node = {
@@ -347,3 +347,56 @@ def test_nobody_starts_the_node(backend):
         "add command, executable or launch, or put {parameter_file} into the command or launch "
         "that starts it along"
     )
+
+
+def test_a_tuner_that_is_killed_leaves_an_attached_node_with_safe_values_in_force(
+    running, tmp_path, monkeypatch
+):
+    """The guard has it configured anew: to set them would do nothing."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    running("lifecycle", "active")
+    guarded = study(
+        "lifecycle",
+        run={"end": {"when": "t > 50"}, "timeout": 60.0},
+        park={"parameters": {"gain": 0.25}},
+    )
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(guarded))
+    check = Fork("tune", "--check", "servo.yaml", folder=tmp_path)
+    wait_until(lambda: heard("angle") > 0.1, "a run", check)
+    assert heard() == SAFE
+    check.kill()
+    check.communicate()
+    wait_until(lambda: heard() == 0.25, "safe values in force")
+
+
+def test_a_check_tries_a_start_and_tells_what_it_costs(empty_domain, tmp_path):
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study()))
+    code, out, err = finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
+    assert (code, err) == (0, "")
+    said = r"^to start servo with other values took [\d.e-]+ s: once for each parameter set$"
+    assert re.search(said, out, re.MULTILINE), out
+
+
+def test_a_run_and_its_result(empty_domain, tmp_path):
+    """Tuning, validation and report go by values that act; apply names the file to start with."""
+    target = {"of": "abs(used - 1.5)", "measure": "maximum"}
+    mapping = study_to_mapping(study())
+    mapping["metrics"]["off"] = target
+    mapping["objective"] = {"metric": "off"}
+    mapping["budget"] |= {"drawn_contexts": 1, "validation_draws": 2}
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study_from_mapping(mapping)))
+    code, out, err = finish(Fork("tune", "--study", "servo.yaml", folder=tmp_path))
+    assert code == 0, err
+    folder = (tmp_path / "runs" / "latest").resolve()
+    record = read_run(folder)
+    for evaluation in record.evaluations:
+        assert evaluation.outcome.metrics["used"] == evaluation.parameters["gain"]
+    assert "starts of nodes with other values" in (folder / "report.html").read_text()
+    code, out, err = finish(Fork("apply", folder, "--without-certificate", folder=tmp_path))
+    assert code == 0, err
+    text = " ".join(out.split())
+    file = folder / "deploy" / "parameters.yaml"
+    assert text.startswith("nothing was set on servo, which takes its parameters only while it s")
+    assert f"--ros-args --params-file {file}" in text
+    (gain,) = re.findall(r"gain: ([\d.]+)", file.read_text())
+    assert float(gain) == record.result.parameters["gain"]
