@@ -390,10 +390,10 @@ def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, syst
     made = backend(run={"before": []})
     run(made, 0.75)
 
-    def park():
+    def park(**options):
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr(made, "park", park)
+    monkeypatch.setattr(made._safe_state, "park", park)
     with pytest.raises(RuntimeError, match="unexpected"):
         made.close()
     assert gain(system) == 0.375

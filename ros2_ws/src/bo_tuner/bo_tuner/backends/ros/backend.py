@@ -300,7 +300,7 @@ class RosBackend(SequentialBackend):
 
     def _with_starts(self, outcome: Outcome) -> Outcome:
         """Return an outcome with how long it took to start nodes anew with its values."""
-        starts = self._opened.client.start_values.take_starts()
+        starts = [] if self._client is None else self._client.start_values.take_starts()
         if not starts:
             return outcome
         told = {STARTS: str(len(starts)), START_SECONDS: f"{sum(starts):.3f}"}
