@@ -103,7 +103,8 @@ class Bringup:
         self._suspension.look()
         self._started.stop_one(key)
         self._suspension.skip()
-        self._tuner.wait_until(lambda: key in presence.absent(), LEASE)
+        ended = {key, *self._client.start_values.started_by(key)}
+        self._tuner.wait_until(lambda: ended <= set(presence.absent()), LEASE)
         self._client.start_values.between(())
         try:
             self._started.start_one(key)

@@ -143,6 +143,10 @@ class StartValues:
         self._last[key] = given, {name: found[name] for name in given}
         self._in_force[key] = self._started.values[key]
 
+    def started_by(self, starter: str) -> list[str]:
+        """Return the keys of nodes with ``at_start`` that the start of a node brings up."""
+        return [key for key in self._names if starter_of(self._study.nodes, key) == starter]
+
     def forget(self, key: str) -> None:
         """Forget what is in force on a node that was started anew."""
         self._in_force.pop(key, None)
@@ -262,11 +266,10 @@ class StartValues:
     def _start_anew(self, starter: str, wanted: Values) -> None:
         if self._started is None:
             raise LostError(f"{starter} is attached, and cannot be started anew")
-        for key in self._names:
-            if starter_of(self._study.nodes, key) == starter:
-                self._started.values[key] = self._part(key, wanted[key])
-                self._remember_state(key)
-                self._in_force.pop(key, None)
+        for key in self.started_by(starter):
+            self._started.values[key] = self._part(key, wanted[key])
+            self._remember_state(key)
+            self._in_force.pop(key, None)
         try:
             self.restart(starter)
         except LostError as loss:
