@@ -62,6 +62,8 @@ def test_it_is_in_the_file_of_the_run():
          "nodes.pid.reconfigure: belongs to a node with at_start; add at_start: true"),
         ({"at_start": False, "parameter_file": "a.yaml"},
          "nodes.pid.parameter_file: belongs to a node with at_start; add at_start: true"),
+        ({"at_start": False, "command": "pid --params {parameter_file}"},
+         "nodes.pid.command: nothing would be in {parameter_file}: add at_start: true to the node"),
         ({"command": None, "launch": "robot up.launch.py"},
          "nodes.pid.launch: expected {parameter_file} where the launch file takes a parameter "
          "file, such as params_file:={parameter_file}"),

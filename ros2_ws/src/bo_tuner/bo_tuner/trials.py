@@ -124,6 +124,14 @@ class Outcome:
             # A record of somebody else's may say anything.
             return 0, 0.0
 
+    def with_starts(self, count: int, seconds: float) -> "Outcome":
+        """Return it with `starts` added."""
+        if not count:
+            return self
+        before, earlier = self.starts
+        told = {STARTS: str(before + count), START_SECONDS: f"{earlier + seconds:.3f}"}
+        return replace(self, details={**self.details, **told})
+
     @property
     def spoilt(self) -> bool:
         """Whether it tells nothing of its parameters: it was lost, or is one of `SPOILING`."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.study.nodes import PARAMETER_FILE, NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable, SeedParameter
 
@@ -25,7 +25,8 @@ def start_names(
     Raises
     ------
     StudyError
-        If a name is of nothing that the study sets on the node, or it sets nothing there.
+        If a name is of nothing that the study sets on the node, it sets nothing there, or a node
+        passes a file on in which nothing would be.
     """
     found: dict[str, frozenset[str]] = {}
     for key, spec in nodes.items():
@@ -46,6 +47,12 @@ def start_names(
                 checks.reference(name, "parameter of the node", own, *path, index)
             own = {name: own[name] for name in spec.at_start}
         found[key] = frozenset(own.values())
+    for key, spec in nodes.items():
+        if spec.passes_file and all(starter_of(nodes, other) != key for other in found):
+            raise StudyError(
+                f"nothing would be in {PARAMETER_FILE}: add at_start: true to the node",
+                ("nodes", key, "launch" if spec.launch else "command"),
+            )
     return found
 
 

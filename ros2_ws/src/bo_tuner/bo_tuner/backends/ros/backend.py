@@ -54,8 +54,6 @@ from bo_tuner.text import brief
 from bo_tuner.trials import (
     DISTURBED,
     NOTE,
-    START_SECONDS,
-    STARTS,
     UNPREPARED,
     Evaluation,
     EvaluationState,
@@ -301,10 +299,7 @@ class RosBackend(SequentialBackend):
     def _with_starts(self, outcome: Outcome) -> Outcome:
         """Return an outcome with how long it took to start nodes anew with its values."""
         starts = [] if self._client is None else self._client.start_values.take_starts()
-        if not starts:
-            return outcome
-        told = {STARTS: str(len(starts)), START_SECONDS: f"{sum(starts):.3f}"}
-        return dataclasses.replace(outcome, details={**outcome.details, **told})
+        return outcome.with_starts(len(starts), sum(starts))
 
     def _attempt(self, planned: Evaluation) -> Outcome:
         safe_state = self._opened.safe_state

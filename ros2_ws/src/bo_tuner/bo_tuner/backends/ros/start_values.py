@@ -65,6 +65,7 @@ class StartValues:
         self._last: dict[str, tuple[Mapping[str, object], Mapping[str, object]]] = {}
         self._lifecycles: dict[str, LifecycleNode | None] = {}
         self._targets: dict[str, str] = {}
+        self._configured: set[str] = set()
         self.restart: Callable[[str], None] = lambda key: None
         self.between: Callable[[Collection[str]], object] = lambda names: None
         self.after: Callable[[], object] = lambda: None
@@ -222,7 +223,7 @@ class StartValues:
     def reconfigure_restored(self) -> list[str]:
         """Let attached nodes take what they were given back; returns what went wrong, in lines."""
         problems = []
-        for key in list(self._in_force) if self._started is None else ():
+        for key in sorted(self._configured) if self._started is None else ():
             values = self._parameters.known(key)
             if self._is_in_force(key, values):
                 continue
@@ -318,6 +319,7 @@ class StartValues:
         if node is None:
             raise StudyError(f"{key} has no lifecycle", ("nodes", key, "reconfigure"))
         self._in_force.pop(key, None)
+        self._configured.add(key)
         target = self._targets[key] = self._target(key, node)
         node.bring_to(UNCONFIGURED)
         self.between([self._study.nodes[key].node.rpartition("/")[2]])
