@@ -15,6 +15,8 @@ parameter accepts other values at any time, and does nothing then. Words ahead o
     does not come up with such a gain, and does not end either;
 ``clamps``
     takes 1.5 for a gain above that;
+``clock``
+    is a simulation, whose time on /clock begins at 0;
 ``second``
     is called `second` and publishes /second/angle and /second/used.
 """
@@ -28,6 +30,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
 DEFAULT, LIMIT, CLAMP = 0.5, 2.0, 1.5
@@ -70,6 +73,16 @@ class Plain(Node):
             gain = CLAMP
             self.set_parameters([Parameter("gain", value=gain)])
         self.servo = Servo(self, gain)
+        if "clock" in words:
+            self.time = 0
+            self.clock = self.create_publisher(Clock, "/clock", 10)
+            self.create_timer(0.01, self.tick)
+
+    def tick(self):
+        self.time += 10_000_000
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(self.time, 1_000_000_000)
+        self.clock.publish(message)
 
 
 class Configured(LifecycleNode):

@@ -1,5 +1,6 @@
 """Nodes that take parameters only while they start, or are configured, as most of rclpy do."""
 
+import contextlib
 import os
 import re
 import sys
@@ -17,7 +18,7 @@ from std_msgs.msg import Float64
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping, study_to_mapping, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -142,6 +143,16 @@ def test_a_node_runs_with_the_values_of_each_trial(backend, words):
     assert pid_of(made) == second
 
 
+def test_a_simulation_that_starts_with_the_values(backend):
+    """Its time begins again, and the wait before each run is by the new one."""
+    before = [{"publish": {"topic": "setpoint", "message": {"data": 0.0}}}, {"wait": 0.1}]
+    made = backend(study("clock", run={"clock": "sim", "before": before}))
+    for gain in (1.0, 2.0):
+        outcome = complete(made, gain)
+        assert outcome.metrics["used"] == gain
+        assert outcome.metrics["first"] == 0.0
+
+
 def test_values_that_act_at_any_time_need_no_start(backend):
     mass = {"node": "servo", "type": "double", "bounds": [0.5, 2.0], "default": 1.0}
     gain = {"node": "servo", "type": "double", "bounds": [0.1, 4.0], "default": SAFE}
@@ -167,6 +178,11 @@ def test_a_node_that_does_not_start_with_the_values(backend, words):
         assert outcome.reason.endswith("servo.log: a gain of 3.0 is too high")
     assert heard() == SAFE
     assert complete(made, 1.0).metrics["used"] == 1.0
+
+
+def test_a_node_that_does_not_start_with_the_safe_values(backend):
+    with pytest.raises(BackendError, match=r"^servo ended with exit code 1; see .*servo.log$"):
+        backend(study("limited", park={"parameters": {"gain": 3.0}}))
 
 
 def test_a_node_that_hangs_while_it_starts(backend, monkeypatch):
@@ -367,6 +383,25 @@ def test_a_tuner_that_is_killed_leaves_an_attached_node_with_safe_values_in_forc
     check.kill()
     check.communicate()
     wait_until(lambda: heard() == 0.25, "safe values in force")
+
+
+def test_a_tuner_that_is_killed_while_a_node_starts_leaves_none(empty_domain, tmp_path):
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study("hangs", start=[{"gain": 3.0}])))
+    file = tmp_path / "runs" / "latest" / "log" / "servo.parameters.yaml"
+    tune = Fork("tune", "--study", "servo.yaml", folder=tmp_path)
+    wait_until(lambda: file.exists() and "gain: 3.0" in file.read_text(), "a start", tune)
+
+    def nodes():
+        found = []
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            with contextlib.suppress(OSError):
+                found.append(path.read_bytes())
+        return [line for line in found if os.fsencode(tmp_path) in line and b"start_node" in line]
+
+    wait_until(nodes, "the node", tune)
+    tune.kill()
+    tune.communicate()
+    wait_until(lambda: not nodes(), "its end")
 
 
 def test_a_check_tries_a_start_and_tells_what_it_costs(empty_domain, tmp_path):

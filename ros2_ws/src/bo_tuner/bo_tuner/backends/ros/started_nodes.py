@@ -139,7 +139,8 @@ class StartedNodes:
         if not started and not passes_file:
             return command
         values = {nodes[other].node.strip("/"): self.values[other] for other in started}
-        file = self._log_directory / f"{key}.parameters.yaml"
+        # The program may run in another folder.
+        file = (self._log_directory / f"{key}.parameters.yaml").absolute()
         own = [path for other in started if (path := self._own_file(other))]
         if passes_file:
             # What comes last counts; YAML documents in one file ROS does not take.
@@ -155,7 +156,7 @@ class StartedNodes:
         spec = self._study.nodes[key]
         if not spec.parameter_file:
             return None
-        path = Path(self._study.folder, spec.parameter_file)
+        path = Path(self._study.folder, spec.parameter_file).absolute()
         if not path.is_file():
             raise StudyError(f"there is no file {path}", ("nodes", key, "parameter_file"))
         return path
