@@ -188,6 +188,29 @@ def unchanged(result: Result) -> list[str]:
     ]
 
 
+def node_starts(result: Result) -> list[str]:
+    """Tell what a start of a node with other values takes."""
+    words = {
+        "whole": "from the order to end the old process until the run on the new one begins",
+        "new": "of that, from when the old process has ended",
+        "alone": "a Python process by itself, from its start until it has made a node and ended",
+        "evaluation": "an evaluation with other values",
+        "same": "an evaluation with the same values, without a start",
+    }
+    rows = [
+        [
+            text,
+            *(f"{result['seconds'][name][which]:.3f}" for which in ("median", "least", "largest")),
+        ]
+        for name, text in words.items()
+    ]
+    return [
+        f"{result['starts']} starts of the controller of the tutorial's unmodified system, with "
+        f"`at_start: true` and runs of {result['run']:g} s without steps before them. Seconds:",
+        markdown(["", "median", "least", "largest"], rows),
+    ]
+
+
 def report(result: Result) -> list[str]:
     """Size and speed of the report."""
     rows = [

@@ -21,13 +21,13 @@ from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros.parameters import UnknownType
+from bo_tuner.backends.ros.parameters.services import UnknownType
 from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import ApplyError, NodeError, set_values
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.interruption import Interrupted
-from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.study.study_file import study_from_mapping, study_to_mapping
 
 pytestmark = pytest.mark.ros
 
@@ -141,6 +141,58 @@ def test_set_and_back(client, record, now, capsys):
     assert (code, err) == (0, "")
     assert now() == before
     assert rollback_file(record) == before
+
+
+@pytest.fixture(scope="module")
+def at_start(tmp_path_factory):
+    """A run with a certified result, of a controller that takes parameters only at its start."""
+    nodes = study_to_mapping(make_study())["nodes"]
+    nodes["controller"]["at_start"] = ["lambda_mpc"]
+    study = make_study(nodes=nodes)
+    folder = tmp_path_factory.mktemp("apply") / "run"
+    record = make_run(folder, study, InProcessBackend(study), result=1)
+    write_certificate(record, record.trials[1])
+    return record
+
+
+def values_in(file):
+    sections = yaml.safe_load(file.read_text())
+    return sections["/**/mpc_controller"]["ros__parameters"]
+
+
+def test_what_acts_only_at_a_start_is_not_set_but_its_file_named(client, at_start, now, capsys):
+    """Nor is what else the node takes; what a file is named for is in it."""
+    client.set_parameters("milling_plant", {"overshoot_window": 8})
+    before, deploy = now(), at_start.path / "deploy"
+    command = f"apply {at_start.path}"
+
+    def said(out, file, option):
+        return (
+            "nothing was set on mpc_controller, which takes its parameters only while it starts: "
+            f"restart it with --ros-args --params-file {deploy / file}, or first put them into its "
+            f"own file: {command} {option} --write FILE"
+        ) in " ".join(out.split())
+
+    code, out, err = apply(capsys, at_start, "--yes")
+    assert (code, err) == (0, "")
+    assert now() == before | {"window": at_start.trials[1].parameters["window"]}
+    assert said(out, "parameters.yaml", "--trial 1")
+    expected = {k: v for k, v in tuned(at_start).items() if k != "window"}
+    assert values_in(deploy / "parameters.yaml") == expected
+    # Again, and another one.
+    code, out, _ = apply(capsys, at_start)
+    assert code == 0
+    assert "already have these values" in out
+    assert said(out, "parameters.yaml", "--trial 1")
+    code, out, _ = apply(capsys, at_start, "--yes", "--trial", "0", "--without-certificate")
+    assert code == 0
+    assert said(out, "trial_0.yaml", "--trial 0")
+    found = values_in(deploy / "trial_0.yaml")
+    assert found["lambda_mpc"] == at_start.trials[0].parameters["lambda_mpc"]
+    code, out, _ = apply(capsys, at_start, "--rollback", "--yes")
+    assert code == 0
+    assert said(out, "rollback.yaml", "--rollback")
+    assert values_in(deploy / "rollback.yaml")["lambda_mpc"] == -3.0
 
 
 def test_back_to_what_nobody_has_replaced_is_the_default(record, now, capsys):
@@ -312,7 +364,9 @@ def test_a_node_that_goes_back_on_its_values_does_not_have_them(kind):
 
 def test_a_value_of_a_type_that_ros_does_not_define(monkeypatch):
     """A node in another language may send one."""
-    monkeypatch.setattr("bo_tuner.deploy.live_parameters.to_value", lambda value: UnknownType(77))
+    monkeypatch.setattr(
+        "bo_tuner.backends.ros.parameters.services.to_value", lambda value: UnknownType(77)
+    )
     with at_work(System), contextlib.closing(LiveParameters(["servo"], [], no_end)) as live:
         with pytest.raises(NodeError) as caught:
             live.get("servo", ["gain"])

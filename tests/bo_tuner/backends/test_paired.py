@@ -71,6 +71,18 @@ def test_the_default_is_its_own_pair(study):
     assert [call["gain"] for call in backend.calls] == [DEFAULT, 0.8]
 
 
+def test_starts_of_the_default_beside_it_count(study, monkeypatch):
+    """Where nodes start anew for each of the two; the default's of a draw is run only once."""
+    backend = FunctionBackend(study, machine)
+    outcome = backend.outcome
+    seconds = iter((1.0, 0.5, 0.25))
+    monkeypatch.setattr(
+        backend, "outcome", lambda planned: outcome(planned).with_starts(1, next(seconds))
+    )
+    assert run(backend, 0.8).starts == (2, 1.5)
+    assert run(backend, 0.9).starts == (1, 0.25)
+
+
 def test_without_such_a_limit_nothing_else_is_run(make_study):
     backend = FunctionBackend(make_study(), machine)
     assert list(run(backend, 0.8).metrics) == ["error", "peak"]

@@ -417,6 +417,19 @@ def test_times_add_up(analysis):
     )
 
 
+def test_what_starts_with_other_values_took_is_told(analysis):
+    first, second, *others = analysis.record.evaluations
+    details = [{"starts": "2", "start_seconds": "3.5"}, {"starts": "1", "start_seconds": "1.0"}]
+    evaluations = [
+        replace(evaluation, outcome=replace(evaluation.outcome, details=told))
+        for evaluation, told in zip((first, second), details, strict=True)
+    ]
+    record = replace(analysis.record, evaluations=(*evaluations, *others))
+    told = "Of the evaluations 4.5 s went into 3 starts of nodes with other values, 1.5 s each."
+    assert timing(Analysis(record)).lead.endswith(told)
+    assert "starts" not in timing(analysis).lead
+
+
 def test_a_record_without_times_is_told():
     # As of a journal before times were recorded: the section says so instead of dividing by 0.
     class Untimed:

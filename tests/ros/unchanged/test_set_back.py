@@ -16,7 +16,7 @@ from waiting import DEADLINE
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import describe, opened_node
-from bo_tuner.backends.ros.previous_parameters import undo_killed
+from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.cli import apply
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
@@ -390,10 +390,10 @@ def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, syst
     made = backend(run={"before": []})
     run(made, 0.75)
 
-    def park():
+    def park(**options):
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr(made, "park", park)
+    monkeypatch.setattr(made._safe_state, "park", park)
     with pytest.raises(RuntimeError, match="unexpected"):
         made.close()
     assert gain(system) == 0.375

@@ -69,6 +69,10 @@ SPOILING = (DISTURBED, UNPREPARED)
 NOTE = "note"
 """Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
 
+STARTS, START_SECONDS = "starts", "start_seconds"
+"""Keys of an outcome's details: how often nodes were started anew with other values ahead of it or
+because of it, and the time [s] that this took."""
+
 DEFAULT_HAS = "default's "
 """Begins the keys of an outcome's details with what the default has, in the same context and with
 the same seed, of the metric named after it."""
@@ -113,6 +117,23 @@ class Outcome:
     def note(self) -> str:
         """What to know of its metrics, in a line; empty if there is nothing."""
         return self.details.get(NOTE, "")
+
+    @property
+    def starts(self) -> tuple[int, float]:
+        """How often nodes were started anew with other values, and the time [s] that it took."""
+        try:
+            return int(self.details.get(STARTS, 0)), float(self.details.get(START_SECONDS, 0.0))
+        except ValueError:
+            # A record of somebody else's may say anything.
+            return 0, 0.0
+
+    def with_starts(self, count: int, seconds: float) -> "Outcome":
+        """Return it with `starts` added."""
+        if not count:
+            return self
+        before, earlier = self.starts
+        told = {STARTS: str(before + count), START_SECONDS: f"{earlier + seconds:.3f}"}
+        return replace(self, details={**self.details, **told})
 
     @property
     def spoilt(self) -> bool:

@@ -75,6 +75,8 @@ class DefaultBeside:
             if not default.complete:
                 return _without_default(default)
             self._known[draw] = default.metrics
+            outcome = run(planned).with_starts(*default.starts)
+            return self._completed(outcome, default.metrics)
         return self._completed(run(planned), self._known[draw])
 
     def _completed(self, outcome: Outcome, default: Mapping[str, float]) -> Outcome:

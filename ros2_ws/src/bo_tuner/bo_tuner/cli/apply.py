@@ -10,9 +10,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.backends.ros.held_parameters import named_safe
 from bo_tuner.backends.ros.isolation import named_namespace
-from bo_tuner.backends.ros.parameter_note import said_of_killed
+from bo_tuner.backends.ros.parameters.previous import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
@@ -49,10 +48,11 @@ from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.parameter_file import NodeValues, node_values
+from bo_tuner.storage.parameter_file import NodeValues, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
+from bo_tuner.study.safe_values import named_safe
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
 from bo_tuner.trials import Trial
@@ -66,6 +66,9 @@ requires, and no later FAIL.
 
 With --write FILE the result goes into the parameter file that the nodes start
 with instead: only its values change, the previous file is kept beside it.
+
+Nothing is set on nodes that take parameters only while they start (at_start in
+the study): the file to start them with is named, and that a start is needed.
 """
 
 EPILOG = """\
@@ -169,31 +172,66 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if arguments.write is not None:
             namespace = named_namespace(there)
             return write_back(arguments.write, new, namespace, interruption, yes=arguments.yes)
+        # A node that takes some of them only while it starts would run with a mixture.
+        at_start = [node for node in _started(record.study) if node in new]
+        live = {node: values for node, values in new.items() if node not in at_start}
+        if not live:
+            return _name_file(record, trial, new, at_start)
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
-        nodes = LiveParameters(list(new), there, interruption.check)
+        nodes = LiveParameters(list(live), there, interruption.check)
         with contextlib.closing(nodes):
             try:
-                now = read_values(nodes, new)
-                rows = differences(record.study, now, new)
+                now = read_values(nodes, live)
+                rows = differences(record.study, now, live)
                 _show(rows, f"{record.study.name}: {title}")
                 if all(row.equal for row in rows):
                     # What an earlier one did not finish is so now.
                     (record.path / DEPLOY / UNFINISHED).unlink(missing_ok=True)
-                    _forget_killed(nodes, new)
+                    _forget_killed(nodes, live)
                     say("the nodes already have these values; nothing to set")
-                    return EXIT_OK
+                    return _name_file(record, trial, new, at_start)
                 if not arguments.yes:
                     if not sys.stdin.isatty():
                         return _refuse("no terminal to confirm on; use --yes", EXIT_USAGE)
-                    if not confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
+                    if not confirmed(f"set these on {', '.join(live)}? [y/N] ", interruption):
                         say("nothing was set")
                         return EXIT_INFEASIBLE
-                    if read_values(nodes, new) != now:
+                    if read_values(nodes, live) != now:
                         return _refuse("the nodes' values have changed meanwhile", EXIT_INFEASIBLE)
             except NodeError as error:
                 raise BackendError(str(error)) from error
             with nodes.guarded(record.study, now, folder.log):
-                return _set(record, trial, nodes, now, new, ros_arguments, interruption)
+                code = _set(record, trial, nodes, now, live, ros_arguments, interruption)
+            return _name_file(record, trial, new, at_start) if code == EXIT_OK else code
+
+
+def _started(study: Study) -> list[str]:
+    """Return the names of the nodes that take some parameters only while they start."""
+    return [study.nodes[key].node for key in study.start_names]
+
+
+def _name_file(
+    record: RunRecord, trial: Trial | None, values: NodeValues, at_start: Sequence[str]
+) -> int:
+    """Name the parameter file for nodes that must be started with it; returns the exit code."""
+    if not at_start:
+        return EXIT_OK
+    folder = record.path / DEPLOY
+    if trial is None:
+        file = folder / ROLLBACK
+    elif trial.number == result_of(record).number:
+        file = folder / PARAMETERS
+    else:
+        file = write_atomically(folder / f"trial_{trial.number}.yaml", to_yaml(values))
+    names = ", ".join(at_start)
+    command = ["apply", str(record.path), "--write", "FILE"]
+    command[2:2] = ["--rollback"] if trial is None else ["--trial", str(trial.number)]
+    say(
+        f"nothing was set on {names}, which takes its parameters only while it starts: restart it "
+        f"with --ros-args --params-file {file}, or first put them into its own file: "
+        f"{shlex.join(command)}"
+    )
+    return EXIT_OK
 
 
 def _set(
@@ -213,7 +251,7 @@ def _set(
     if was_unfinished and trial is not None:
         _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
     elif trial is not None:
-        write_bundle(record, rollback=_own(record, nodes, now))
+        write_bundle(record, rollback=_rollback(record, nodes, now))
     # From here on it is all or nothing.
     interruption.ignore()
     interruption.check()
@@ -243,6 +281,14 @@ def _forget_killed(nodes: LiveParameters, values: NodeValues) -> None:
     """Let the nodes keep values that somebody wants them to have, also as a killed run's."""
     for node, of_node in values.items():
         nodes.forget_killed(node, of_node)
+
+
+def _rollback(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValues:
+    """Return what nodes had; of those that nothing is set on, what they had before the run."""
+    before = before_run(record)
+    if before is None:
+        before = node_values(record.study, record.study.search_space().defaults)
+    return {**before, **_own(record, nodes, now)}
 
 
 def _own(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValues:

@@ -17,9 +17,9 @@ from bo_tuner.backends.ros.graph import (
     opened_node,
     signal_problems,
 )
+from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
-from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
@@ -233,7 +233,7 @@ def _try(
         # Of a run that failed, nothing may be known.
         moves = bool(failed) or _tell_of_motion(study, recordings, heard)
         if complete:
-            _estimate(study, float(np.mean([e.seconds for e in complete])))
+            _estimate(study, complete)
         code = ended(left, EXIT_OK if moves and not failed else EXIT_INFEASIBLE)
         if code == EXIT_OK:
             shutil.rmtree(folder)
@@ -266,6 +266,9 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
     done: list[Evaluation] = []
     recordings = []
     for index in range(RUNS):
+        if index == RUNS - 1:
+            # As for each other parameter set.
+            backend.start_anew()
         seed = noise_seed(study.seed, Stream.NOISE, 0, index)
         done += backend.run([Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)])
         recordings.append(backend.recording)
@@ -324,8 +327,10 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     return tuning + checks + 2 * budget.validation_draws, certificate
 
 
-def _estimate(study: Study, seconds: float) -> None:
-    tuning, certificate = evaluations_at_most(study)
+def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
+    """Tell how long tuning and certificate will take, by test runs that completed."""
+    starting = sum(e.outcome.starts[1] for e in complete)
+    seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")
     if study.relative_metrics:
         seconds *= 2.0
@@ -333,11 +338,31 @@ def _estimate(study: Study, seconds: float) -> None:
             "note: limits are relative to the default, which is run beside each evaluation of "
             "another parameter set: it takes twice the time"
         )
-    say(f"study: at most {tuning} evaluations, {_duration(tuning * seconds)}")
+    tuning, certificate = evaluations_at_most(study)
+    starts_of_study = starts_of_certificate = 0
+    if starting:
+        each = _starts_each_time(study)
+        starts_of_study = tuning if each else min(tuning, study.budget.trials)
+        starts_of_certificate = certificate if each else 1
+        say(
+            f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
+            f"once for {'each evaluation' if each else 'each parameter set'}"
+        )
+    seconds_of_study = tuning * seconds + starts_of_study * starting
+    seconds_of_certificate = certificate * seconds + starts_of_certificate * starting
+    say(f"study: at most {tuning} evaluations, {_duration(seconds_of_study)}")
     say(
-        f"certificate: at most {certificate} evaluations, {_duration(certificate * seconds)}; "
+        f"certificate: at most {certificate} evaluations, {_duration(seconds_of_certificate)}; "
         "fewer once the verdict is clear"
     )
+
+
+def _starts_each_time(study: Study) -> bool:
+    """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
+    targets = [(item.node, item.parameter) for item in study.contexts.values()]
+    if study.seed_parameter is not None:
+        targets.append((study.seed_parameter.node, study.seed_parameter.parameter))
+    return any(name in study.start_names.get(node, ()) for node, name in targets)
 
 
 def _duration(seconds: float) -> str:

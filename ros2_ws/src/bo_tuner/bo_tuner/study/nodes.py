@@ -9,6 +9,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+PARAMETER_FILE = "{parameter_file}"
+"""Stands in `command` and `launch` for the file with the values that a node starts with."""
 USE_SIM_TIME = "use_sim_time"
 """Parameter of every node: whether its clock is that of a simulation."""
 
@@ -36,6 +38,15 @@ class NodeSpec:
         Arguments of ``ros2 launch`` to start.
     env : mapping from str to str
         Environment variables of what is started.
+    at_start : bool or tuple of str
+        Whether the node takes what the study sets on it only while it starts, or the names in the
+        study of what it takes so: it is started with these values, and anew when they change.
+    parameter_file : str
+        Parameter file of a node with `at_start`, which it is given ahead of these values; relative
+        to the study's folder.
+    reconfigure : bool
+        Whether a lifecycle node with `at_start` takes these values when it is configured: it is
+        deactivated, cleaned up, configured and activated, in place of a new start.
     object : str, optional
         `module:name` of the same system without ROS; required for the in-process backend.
     parameters : mapping from str to value
@@ -52,6 +63,9 @@ class NodeSpec:
     command: str | None = None
     launch: str | None = None
     env: Mapping[str, str] = field(default_factory=dict)
+    at_start: bool | tuple[str, ...] = False
+    parameter_file: str = ""
+    reconfigure: bool = False
     object: str | None = None
     parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
     inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
@@ -74,6 +88,7 @@ class NodeSpec:
             if getattr(self, key) is None and getattr(self, other) is not None:
                 raise StudyError(f"missing; {other} alone does not start a node", (key,))
         self._check_start()
+        self._check_at_start()
         for key in ("parameters", "inprocess_parameters"):
             object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
 
@@ -81,6 +96,11 @@ class NodeSpec:
     def is_started(self) -> bool:
         """Whether the study says how to start it."""
         return bool(self.executable or self.command or self.launch)
+
+    @property
+    def passes_file(self) -> bool:
+        """Whether what is started says itself where the file with values at the start goes."""
+        return PARAMETER_FILE in (self.command or self.launch or "")
 
     def _check_start(self) -> None:
         """Refuse two ways to start the node, and lines that no shell would take."""
@@ -104,3 +124,25 @@ class NodeSpec:
                 raise StudyError("expected text without null characters", ("env", name))
         if self.env and not ways:
             raise StudyError("belongs to a node that is started; add command", ("env",))
+
+    def _check_at_start(self) -> None:
+        """Refuse what no node can take at its start, and what needs `at_start` without it."""
+        if not isinstance(self.at_start, bool):
+            expected = "true, or the names of parameters of the study"
+            names = checks.sequence(self.at_start, expected, "at_start")
+            if not names:
+                raise StudyError(f"expected {expected}, found an empty list", ("at_start",))
+            named = tuple(checks.text(name, "at_start", i) for i, name in enumerate(names))
+            object.__setattr__(self, "at_start", named)
+        checks.boolean(self.reconfigure, "reconfigure")
+        checks.text(self.parameter_file, "parameter_file")
+        if not self.at_start:
+            for key in ("parameter_file", "reconfigure"):
+                if getattr(self, key):
+                    raise StudyError("belongs to a node with at_start; add at_start: true", (key,))
+        elif self.launch and not self.passes_file and not self.reconfigure:
+            raise StudyError(
+                f"expected {PARAMETER_FILE} where the launch file takes a parameter file, "
+                f"such as params_file:={PARAMETER_FILE}",
+                ("launch",),
+            )

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import (
@@ -169,6 +170,8 @@ class Study:
                 check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
             with findings.under():
                 check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
+            with findings.under():
+                _ = self.start_names
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
@@ -271,7 +274,8 @@ class Study:
     def needs_folder(self) -> bool:
         """Whether it names programs or code that may lie in its folder."""
         return any(
-            node.command or node.launch or node.object for node in self.nodes.values()
+            node.command or node.launch or node.object or node.parameter_file
+            for node in self.nodes.values()
         ) or any(isinstance(metric, PythonMetric) for metric in self.metrics.values())
 
     def search_space(self) -> SearchSpace:
@@ -346,6 +350,11 @@ class Study:
             {name: item.distribution for name, item in self.contexts.items()},
             [name for name, item in self.contexts.items() if item.type == INTEGER],
         )
+
+    @property
+    def start_names(self) -> dict[str, frozenset[str]]:
+        """What nodes take only while they start, as `at_start.start_names`."""
+        return start_names(self.nodes, self.parameters, self.contexts, self.seed_parameter)
 
     @property
     def starts_nodes(self) -> bool:

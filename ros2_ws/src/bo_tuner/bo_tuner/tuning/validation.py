@@ -120,7 +120,10 @@ def validate(
     for k, row in enumerate(drawn):
         seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
         context = contexts.to_dict(row)
-        for number, parameters in enumerate(candidates):
+        numbers = range(len(candidates))
+        # A node that starts anew for other parameters does so once a draw.
+        for number in reversed(numbers) if study.start_names and k % 2 else numbers:
+            parameters = candidates[number]
             planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
             evaluation = evaluate(backend, planned, observer)
             evaluations[number].append(evaluation)

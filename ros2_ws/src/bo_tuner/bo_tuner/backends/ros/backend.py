@@ -29,15 +29,15 @@ from bo_tuner.backends.ros.isolation import (
     isolated_environment,
     namespace_of,
 )
-from bo_tuner.backends.ros.node_parameters import Values
 from bo_tuner.backends.ros.others import START
-from bo_tuner.backends.ros.previous_parameters import PreviousParameters
+from bo_tuner.backends.ros.parameters.at_rest import take_over
+from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
-from bo_tuner.backends.ros.safe_state import SafeState
+from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
+from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
-from bo_tuner.backends.ros.take_over import take_over
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
@@ -48,9 +48,17 @@ from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
+from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
-from bo_tuner.trials import DISTURBED, NOTE, UNPREPARED, Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import (
+    DISTURBED,
+    NOTE,
+    UNPREPARED,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+)
 
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
@@ -174,10 +182,9 @@ class RosBackend(SequentialBackend):
         )
         try:
             if self._guarded:
-                self._guard = GuardLink(
-                    tuner, Plan.of(self._study), self._log_directory, attached=self._attach
-                )
-            self._bringup.open(look_around=given is not None)
+                plan = Plan.of(self._study, attached=self._attach)
+                self._guard = GuardLink(tuner, plan, self._log_directory, attached=self._attach)
+            self._bringup.open(safe_values(self._study), look_around=given is not None)
             if self._guard is not None:
                 self._guard.begin(self._study, self._ros_arguments)
             self.at_nodes(tuner)
@@ -196,8 +203,17 @@ class RosBackend(SequentialBackend):
                 self._procedure = Procedure(
                     self._study, self._study.run, tuner, restart, self._guard
                 )
+                client.start_values.between = self._procedure.forget_ended
+                client.start_values.after = self._procedure.welcome
             self._safe_state = SafeState(
-                tuner, client, safe, self._held, self._procedure, self._suspension, self._look
+                self._study,
+                tuner,
+                client,
+                safe,
+                self._held,
+                self._procedure,
+                self._suspension,
+                self._look,
             )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
@@ -212,7 +228,8 @@ class RosBackend(SequentialBackend):
             self._set_environment(isolated_environment(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
         self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
-        self._client = StudyClient(self._study, self._tuner)
+        started = None if self._attach else self._started
+        self._client = StudyClient(self._study, self._tuner, started)
         return self._tuner, self._client
 
     def _set_environment(self, variables: Mapping[str, str]) -> None:
@@ -270,7 +287,7 @@ class RosBackend(SequentialBackend):
             self._look()
             self._suspension.begin()
             self._taken_over = False
-            outcome = self._attempt(planned)
+            outcome = self._with_starts(self._attempt(planned))
             self._suspension.look()
             seconds = self._suspension.seconds
             # What the guard has ended is not repeated until somebody has looked at the machine.
@@ -278,6 +295,15 @@ class RosBackend(SequentialBackend):
                 self._rates.note(outcome)
                 return outcome
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
+
+    def start_anew(self) -> None:
+        """Have nodes that take values only at their start begin the next evaluation with one."""
+        self._opened.client.start_values.forget_all()
+
+    def _with_starts(self, outcome: Outcome) -> Outcome:
+        """Return an outcome with how long it took to start nodes anew with its values."""
+        starts = [] if self._client is None else self._client.start_values.take_starts()
+        return outcome.with_starts(len(starts), sum(starts))
 
     def _attempt(self, planned: Evaluation) -> Outcome:
         safe_state = self._opened.safe_state
@@ -543,7 +569,7 @@ class RosBackend(SequentialBackend):
                     stack.callback(self._client.parameters.forget_all)
                 if self._procedure is not None:
                     stack.callback(self._leave, self._tuner, self._procedure, undone)
-                    stack.callback(self._warn_of, self._tuner, self.park)
+                    stack.callback(self._warn_of, self._tuner, self._park_last)
         if problems:
             problems.append("the next command with --attach does that")
         if undone or problems:
@@ -551,6 +577,12 @@ class RosBackend(SequentialBackend):
 
     def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
         problems += previous.restore(self._restore_timeout)
+        if self._client is not None:
+            problems += self._client.start_values.reconfigure_restored()
+
+    def _park_last(self) -> list[str]:
+        # One that the tuner has started ends next, and need not start once more for that.
+        return self._opened.safe_state.park(start_anew=self._attach)
 
     def _leave(self, tuner: TunerNode, procedure: Procedure, undone: list[str]) -> None:
         if self._attach:

@@ -2,9 +2,10 @@
 
 import os
 
-from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.initial_parameters import InitialParameters
+from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
+from bo_tuner.backends.ros.parameters.at_rest import InitialParameters
+from bo_tuner.backends.ros.parameters.nodes import Values
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
@@ -53,12 +54,15 @@ class Bringup:
         self._started = started
         self._suspension = suspension
         self._attach = attach
+        client.start_values.restart = self.restart
 
-    def open(self, *, look_around: bool) -> None:
+    def open(self, safe: Values, *, look_around: bool) -> None:
         """Start the nodes, unless attached, wait for them, and refuse to share them.
 
         Parameters
         ----------
+        safe
+            By node key the safe parameters, for those that take some only at their start.
         look_around
             Whether nodes that are to be started may run in the domain already.
 
@@ -73,6 +77,7 @@ class Bringup:
             If the study does not say how to start one.
         """
         tuner, presence = self._tuner, self._client.presence
+        self._client.start_values.reset(safe)
         if not self._attach:
             if look_around:
                 self._refuse_running()
@@ -84,6 +89,7 @@ class Bringup:
         tuner.refuse_other_tuner()
         if twins := presence.twins(LEASE):
             raise BackendError(f"{twins}; {END_OTHERS}")
+        self._settle_all()
 
     def restart(self, key: str) -> None:
         """Start a node anew that the tuner has started, and tell it what it must have.
@@ -97,7 +103,9 @@ class Bringup:
         self._suspension.look()
         self._started.stop_one(key)
         self._suspension.skip()
-        self._tuner.wait_until(lambda: key in presence.absent(), LEASE)
+        ended = {key, *self._client.start_values.started_by(key)}
+        self._tuner.wait_until(lambda: ended <= set(presence.absent()), LEASE)
+        self._client.start_values.between(())
         try:
             self._started.start_one(key)
         except (BackendError, StudyError) as error:
@@ -105,6 +113,7 @@ class Bringup:
         # Others may run in the same process.
         for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
             self._client.tell_again(anew)
+        self._client.start_values.after()
 
     def get_back(self) -> None:
         """Start all nodes anew after a loss, or, attached, wait for them; set their constants.
@@ -129,6 +138,8 @@ class Bringup:
             self._started.stop()
             self._suspension.skip()
             client.presence.wait_until_gone(LEASE)
+            self._client.start_values.between(())
+            client.start_values.reset()
             self._started.start()
         anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
         if self._attach:
@@ -136,7 +147,14 @@ class Bringup:
             tuner.spin_for(LOOK_AROUND)
             anew += client.restarted()
         client.renew(anew)
+        self._settle_all()
         InitialParameters(self._study, tuner, client.parameters).set_constants()
+
+    def _settle_all(self) -> None:
+        try:
+            self._client.start_values.settle_all()
+        except RefusedError as refusal:
+            raise BackendError(str(refusal)) from refusal
 
     def _refuse_running(self) -> None:
         self._tuner.spin_for(LOOK_AROUND)

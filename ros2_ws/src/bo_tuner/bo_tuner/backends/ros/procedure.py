@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from itertools import takewhile
 
@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
-from bo_tuner.backends.ros.parameter_client import meet
+from bo_tuner.backends.ros.parameters.services import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.run_watch import RunWatch
 from bo_tuner.backends.ros.signals import SignalRecorder
@@ -40,6 +40,10 @@ from bo_tuner.trials import Context
 
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
+FIRST_MESSAGES = 2.0
+"""Time [s] in which a node that was started anew publishes what it has published before."""
+ENDED = 1.0
+"""Time [s] in which the publishers of a node that has ended are known to be gone."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
 NOT_SETTLED = (
@@ -103,6 +107,7 @@ class Procedure:
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
+        self._is_ready = False
         self._due: list[int] = []
         space = study.context_space()
         # What is performed ahead of any evaluation is in the nominal context.
@@ -151,7 +156,7 @@ class Procedure:
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
-        self._is_prepared = False
+        self._is_prepared = self._is_ready = False
         self._watch.prepare()
         try:
             self._perform(BEFORE)
@@ -162,7 +167,7 @@ class Procedure:
         self._watch.expect_own_messages()
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
-        self._is_prepared = True
+        self._is_prepared = self._is_ready = True
 
     def perform(self, largest_gaps: Mapping[str, float]) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
@@ -215,6 +220,34 @@ class Procedure:
         for goal in self._started:
             goal.request_cancel()
 
+    def forget_ended(self, also: Collection[str]) -> None:
+        """Forget what was heard from nodes that have ended, and from others, by their names."""
+        self._recorder.forget_ended(also, partial(self._tuner.wait_until, timeout=ENDED))
+
+    def welcome(self) -> None:
+        """Wait for the first messages of nodes that were started anew, and tell them what is due.
+
+        If the steps before a run are done they need not have heard what these have published last.
+        """
+        self._tuner.wait_until(lambda: not self._recorder.awaits_first, FIRST_MESSAGES)
+        if not self._is_ready:
+            return
+        steps = enumerate(self._run.before)
+        last = {step.publish.topic: index for index, step in steps if step.publish is not None}
+        for index in sorted(last.values()):
+            self._perform_step(("run", BEFORE, index), self._run.before[index])
+
+    def publish_stop(self) -> None:
+        """Publish the messages at the head of the steps that are due after a run, if any is.
+
+        They stay due: a node that is started anew next has not heard them.
+        """
+        self._is_ready = False
+        for index in self._head:
+            # That nobody hears it is told when it is performed.
+            with contextlib.suppress(*FAULTS):
+                self._perform_step(("run", AFTER, index), self._run.after[index])
+
     def leave(self) -> list[str]:
         """Bring a run that did not end well to its end as far as possible: goals, steps after it.
 
@@ -228,7 +261,7 @@ class Procedure:
             What went wrong, each in a line.
         """
         self.request_cancel()
-        first = list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
+        first = self._head
         problems = self._leave_by(first)
         problems += self._cancel()
         # What nobody has heard just now waits for the next call.
@@ -259,6 +292,7 @@ class Procedure:
         self._recorder.close()
 
     def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
+        self._is_ready = False
         self._clock.begin()
         self._recorder.begin()
         self._watch.begin(largest_gaps)
@@ -277,6 +311,11 @@ class Procedure:
             self._is_recording = False
             self._recorder.end()
             self._clock.end()
+
+    @property
+    def _head(self) -> list[int]:
+        """The steps that are due after a run, as far as the first ones are messages."""
+        return list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
 
     @property
     def _all_after(self) -> list[int]:

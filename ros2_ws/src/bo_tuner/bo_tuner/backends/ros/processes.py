@@ -11,11 +11,14 @@ from pathlib import Path
 
 from bo_tuner.errors import BackendError
 from bo_tuner.lifetime import end_with_parent
+from bo_tuner.text import brief
 
 STOP_TIMEOUT = 3.0
 """Time [s] that a node has to end after SIGTERM before it is killed."""
 
 POLL = 0.02
+LAST_BYTES = 4096
+"""Most that is read of what a node has printed last."""
 
 # Waits for the end of its standard input, which is the end of the tuner, and then ends the group.
 GUARD = """\
@@ -126,6 +129,17 @@ class NodeProcess:
         if code < 0:
             return f"{self.name} was ended by {signal.Signals(-code).name}"
         return f"{self.name} ended with exit code {code}; see {self.log}"
+
+    @property
+    def last_line(self) -> str:
+        """The last line that it has printed; empty if there is none, or it cannot be read."""
+        try:
+            with self.log.open("rb") as printed:
+                printed.seek(max(printed.seek(0, os.SEEK_END) - LAST_BYTES, 0))
+                lines = printed.read().decode(errors="replace").split("\n")
+        except OSError:
+            return ""
+        return next((brief(line) for line in reversed(lines) if line.strip()), "")
 
     def ask_to_end(self) -> None:
         """Send SIGTERM, and do not wait."""

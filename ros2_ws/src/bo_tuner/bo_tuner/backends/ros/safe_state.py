@@ -3,11 +3,15 @@
 from collections.abc import Callable
 
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.node_parameters import Values
+from bo_tuner.backends.ros.parameters.nodes import Values
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.study.study import Study
+
+PARK_TIMEOUT = 2.0
+"""Time [s] that all nodes have to be parked: one may be hanging, and the machine is to stop."""
 
 
 class SafeState:
@@ -15,6 +19,8 @@ class SafeState:
 
     Parameters
     ----------
+    study
+        The study.
     tuner
         The tuner's node.
     client
@@ -35,6 +41,7 @@ class SafeState:
 
     def __init__(
         self,
+        study: Study,
         tuner: TunerNode,
         client: StudyClient,
         parameters: Values,
@@ -43,6 +50,7 @@ class SafeState:
         suspension: Suspension,
         look: Callable[[], None],
     ) -> None:
+        self._study = study
         self._tuner = tuner
         self._client = client
         self._parameters = parameters
@@ -52,14 +60,18 @@ class SafeState:
         self._look = look
         self._unfinished: list[str] = []
 
-    def park(self) -> list[str]:
-        """Set the safe parameters on all nodes and read them back; returns what went wrong."""
+    def park(self, *, start_anew: bool = True) -> list[str]:
+        """Set the safe parameters on all nodes and read them back; returns what went wrong.
+
+        Without `start_anew` a node keeps what it takes only at its start, as one that is ended
+        next.
+        """
         with self._tuner.watched_by(self._look):
-            return self._park()
+            return self._park(start_anew)
 
     def park_after_run(self) -> None:
         """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
-        self._unfinished += self._park()
+        self._unfinished += self._park(self._study.park.between_runs)
 
     def stop(self) -> list[str]:
         """Bring a run to its end at once, whoever asks for what; returns what is not parked.
@@ -97,5 +109,21 @@ class SafeState:
         found, self._unfinished = self._unfinished, []
         return found
 
-    def _park(self) -> list[str]:
-        return self._client.park(self._parameters, self._held)
+    def _park(self, start_anew: bool = True) -> list[str]:
+        parameters, anew = self._client.parameters, self._client.start_values
+        safe, held = self._parameters, self._held
+        if not start_anew:
+            safe = {key: anew.as_started(key, values) for key, values in safe.items()}
+        wanted = {k: {**held.get(k, {}), **safe.get(k, {})} for k in self._study.nodes}
+        due = anew.due(wanted) if start_anew else []
+        failed: dict[str, Exception] = {**parameters.park(safe, held, PARK_TIMEOUT, later=due)}
+        if due:
+            if self._procedure is not None:
+                # What stops the machine does not wait until a node has started.
+                self._procedure.publish_stop()
+            failed |= anew.bring_each(wanted, due)
+            # Whatever others have changed meanwhile.
+            parameters.disturbance()
+        return [
+            f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
+        ]

@@ -45,6 +45,8 @@ from bo_tuner.study.fields import has_names, parsed_field
 from bo_tuner.study.signals import STATIC, Signal
 
 NODE_NAME = f"{TUNER}_signals"
+RECENT = 1_000_000_000
+"""Time [ns] ahead of a run in which a topic has a message that is not only published in runs."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the names of items."""
 FRAMES = 3.0
@@ -158,7 +160,7 @@ class SignalRecorder:
         for name in names:
             spec, topic = self._signals[name], self._topic_of(name)
             if topic.publishers == 0:
-                of = f", which was {topic.nodes}" if topic.nodes else ""
+                of = f", which was {' and '.join(sorted(topic.nodes))}" if topic.nodes else ""
                 return f"{topic.heard.name} has no publisher any more{of}"
             if spec.publisher and not topic.heard.publishers.has_own(spec):
                 return f"{topic.heard.name} is not published by {spec.publisher} any more"
@@ -196,10 +198,46 @@ class SignalRecorder:
         self._watch = Stopwatch(self._clock)
         for topic in self._topics.values():
             topic.heard.begin()
+            if in_run:
+                topic.is_continuous = time.time_ns() - topic.received < RECENT
         for feed in self._feeds.values():
             feed.tree.begin()
         for track in self._tracks.values():
             track.begin(self._began, in_run)
+
+    def forget_ended(
+        self, also: Collection[str], wait: Callable[[Callable[[], bool]], bool]
+    ) -> None:
+        """Forget what was said by publishers that are gone: it holds for no run of the next ones.
+
+        Parameters
+        ----------
+        also
+            Names of nodes that are there, and of which it does not hold either.
+        wait
+            As of `connect`; that of a node which has ended may be gone a moment after it.
+        """
+        names = {UNKNOWN_NODE} | {name for name, _ in self.node.get_node_names_and_namespaces()}
+        topics = self._topics.values()
+        ended = [t for t in topics if not (t.publishers and names.intersection(t.nodes))]
+        wait(lambda: all(topic.publishers == 0 for topic in ended))
+        self.take()
+        for topic in topics:
+            # Where others publish it, too, what they say comes again; transforms are kept.
+            if topic.publishes and (
+                topic.publishers == 0
+                or not names.issuperset(topic.nodes)
+                or not topic.nodes.isdisjoint(also)
+            ):
+                topic.has_message = False
+                for name in topic.readers:
+                    self._tracks[name].forget()
+
+    @property
+    def awaits_first(self) -> bool:
+        """Whether a topic that was published ahead of the last run, too, has no message yet."""
+        self.take()
+        return not all(t.has_message for t in self._topics.values() if t.is_continuous)
 
     def end(self) -> None:
         """End a run."""
@@ -242,6 +280,7 @@ class SignalRecorder:
         for topic in self._topics.values():
             for heard in topic.heard.take():
                 topic.has_message = True
+                topic.received = heard.received
                 for name, reader in topic.readers.items():
                     track = self._tracks[name]
                     try:
@@ -345,10 +384,9 @@ class SignalRecorder:
             offered = Publishers(self.node, name).now()
             several = several_on(self.node, name, self._signals.values())
             heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
-            nodes = {i.node_name for i in offered if i.node_name != UNKNOWN_NODE}
             self._topics[name] = _Topic(
                 heard,
-                " and ".join(sorted(nodes)),
+                frozenset(i.node_name for i in offered if i.node_name != UNKNOWN_NODE),
                 is_guarded=name in self._guarded,
                 publishes=bool(offered),
             )
@@ -418,15 +456,21 @@ class _Topic:
     readers
         The signals in it, by name.
     has_message
-        Whether anything ever came.
+        Whether anything came since all was forgotten.
+    received
+        When the last message came [ns].
+    is_continuous
+        Whether one came right ahead of the last run, so that there are such between runs, too.
     """
 
     heard: HeardTopic
-    nodes: str
+    nodes: frozenset[str]
     is_guarded: bool
     publishes: bool
     readers: dict[str, Reader] = field(default_factory=dict)
     has_message: bool = False
+    received: int = 0
+    is_continuous: bool = False
 
     @property
     def publishers(self) -> int:

@@ -3,13 +3,18 @@
 import os
 import shlex
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.processes import NodeProcess, find_executable, search_path, stop_all
 from bo_tuner.errors import StudyError
-from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.parameter_file import to_yaml
+from bo_tuner.study.at_start import starter_of
+from bo_tuner.study.nodes import PARAMETER_FILE, NodeSpec
 from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import read_text
 
 
 class StartedNodes:
@@ -28,6 +33,8 @@ class StartedNodes:
     ----------
     processes : dict from str to NodeProcess
         Those that run, by their key in the study.
+    values : dict
+        By node key what nodes with ``at_start`` are started with from now on.
     """
 
     def __init__(self, study: Study, namespace: str, log_directory: Path) -> None:
@@ -35,6 +42,7 @@ class StartedNodes:
         self._namespace = namespace
         self._log_directory = log_directory
         self.processes: dict[str, NodeProcess] = {}
+        self.values: dict[str, Mapping[str, object]] = {}
 
     def start(self) -> None:
         """Start all nodes that do not start along with another one.
@@ -48,7 +56,7 @@ class StartedNodes:
         """
         if self._study.folder and not Path(self._study.folder).is_dir():
             raise StudyError(f"there is no folder {self._study.folder}", ("folder",))
-        commands = {key: self._command(spec) for key, spec in self._study.nodes.items()}
+        commands = {key: self._command(key) for key in self._study.nodes}
         # A launch file, or a program of the user's, may start several nodes.
         may_start_others = any(spec.launch or spec.command for spec in self._study.nodes.values())
         for key, command in commands.items():
@@ -63,7 +71,7 @@ class StartedNodes:
 
     def start_one(self, key: str) -> None:
         """Start a node; raises as `start`."""
-        command = self._command(self._study.nodes[key])
+        command = self._command(key)
         if not command:
             raise StudyError("starts along with another node", ("nodes", key))
         self._start(key, command)
@@ -103,22 +111,55 @@ class StartedNodes:
         folder = None if spec.executable else self._study.folder or None
         self.processes[key] = NodeProcess(name, command, environment, log, folder)
 
-    def _command(self, spec: NodeSpec) -> list[str]:
+    def _command(self, key: str) -> list[str]:
         """Return the program of a node and its arguments; empty if it has none."""
+        spec = self._study.nodes[key]
         if spec.package and spec.executable:
             program = str(find_executable(spec.package, spec.executable))
-            return [program, "--ros-args", "-r", f"__ns:={self._namespace}"]
-        if spec.launch:
-            return [*_ros2_launch(spec), *shlex.split(spec.launch)]
-        if not spec.command:
+            command = [program, "--ros-args", "-r", f"__ns:={self._namespace}"]
+        elif spec.launch:
+            command = [*_ros2_launch(spec), *shlex.split(spec.launch)]
+        elif spec.command:
+            program, *arguments = shlex.split(spec.command)
+            # One with a folder is no name to be searched for, and relative to the study's.
+            place = str(Path(self._study.folder, program)) if os.sep in program else program
+            found = shutil.which(place, path=search_path())
+            if found is None:
+                raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
+            command = [found, *arguments]
+        else:
             return []
-        program, *arguments = shlex.split(spec.command)
-        # One with a folder is no name to be searched for, and relative to the study's.
-        place = str(Path(self._study.folder, program)) if os.sep in program else program
-        found = shutil.which(place, path=search_path())
-        if found is None:
-            raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
-        return [found, *arguments]
+        return self._with_values(key, command)
+
+    def _with_values(self, key: str, command: list[str]) -> list[str]:
+        """Write the file with the values of the nodes that a command starts, and pass it on."""
+        nodes = self._study.nodes
+        started = [other for other in self.values if starter_of(nodes, other) == key]
+        passes_file = nodes[key].passes_file
+        if not started and not passes_file:
+            return command
+        values = {nodes[other].node.strip("/"): self.values[other] for other in started}
+        # The program may run in another folder.
+        file = (self._log_directory / f"{key}.parameters.yaml").absolute()
+        own = [path for other in started if (path := self._own_file(other))]
+        if passes_file:
+            # What comes last counts; YAML documents in one file ROS does not take.
+            texts = [read_text(path, str(path)) for path in dict.fromkeys(own)]
+            write_atomically(file, "\n".join([*texts, to_yaml(values)]))
+            return [word.replace(PARAMETER_FILE, str(file)) for word in command]
+        write_atomically(file, to_yaml(values))
+        given = [word for path in (*own, file) for word in ("--params-file", str(path))]
+        return [*command, "--ros-args", *given]
+
+    def _own_file(self, key: str) -> Path | None:
+        """Return the parameter file of a node, ahead of the values."""
+        spec = self._study.nodes[key]
+        if not spec.parameter_file:
+            return None
+        path = Path(self._study.folder, spec.parameter_file).absolute()
+        if not path.is_file():
+            raise StudyError(f"there is no file {path}", ("nodes", key, "parameter_file"))
+        return path
 
 
 def _ros2_launch(spec: NodeSpec) -> list[str]:

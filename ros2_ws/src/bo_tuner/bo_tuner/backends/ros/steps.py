@@ -299,6 +299,11 @@ class LifecycleChange:
         """Return the same: a transition has no context."""
         return self
 
+    @property
+    def current_state(self) -> str:
+        """State of the node, such as ``active``; raises `LostError` if it does not answer."""
+        return str(self._call(self.state, GetState.Request()).current_state.label)
+
     def perform(self) -> None:
         """Change the state.
 
@@ -306,7 +311,7 @@ class LifecycleChange:
         for one.
         """
         spec, name = self.spec, self.spec.node
-        state = self._call(self.state, GetState.Request()).current_state.label
+        state = self.current_state
         found = self._call(self.transitions, GetAvailableTransitions.Request())
         possible = {d.transition.label: d.transition for d in found.available_transitions}
         if spec.transition not in possible:

@@ -91,6 +91,15 @@ class Track:
         else:
             self.stale = max(self.stale, behind, received - self.row_began)
 
+    def forget(self) -> None:
+        """Forget all that came."""
+        self.stamps.clear()
+        self.values.clear()
+        self.late_values.clear()
+        self.newest = np.nan
+        self.in_a_row = 0
+        self.size = 0
+
     def begin(self, now: int, in_run: bool) -> None:
         """Count from now on, and keep of what came before only the latest."""
         self.in_run = in_run

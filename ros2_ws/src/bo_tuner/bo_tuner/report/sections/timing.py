@@ -5,6 +5,7 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
+from bo_tuner.text import counted
 from bo_tuner.trials import CHECKS, Stage
 
 
@@ -35,6 +36,13 @@ def timing(analysis: Analysis) -> Section | None:
         f"Evaluations of the trials took {quantity(float(evaluating.sum()), 's')}, proposals "
         f"{quantity(float(proposing.sum()), 's')} ({share:.0f} % of both){later}."
     )
+    starts = [evaluation.outcome.starts for evaluation in analysis.record.evaluations]
+    if count := sum(number for number, _ in starts):
+        seconds = sum(each for _, each in starts)
+        lead += (
+            f" Of the evaluations {quantity(seconds, 's')} went into {counted(count, 'start')} of "
+            f"nodes with other values, {quantity(seconds / count, 's')} each."
+        )
     places = np.array([trial.number for trial in trials], dtype=float)
     figure = Figure(
         name="time",

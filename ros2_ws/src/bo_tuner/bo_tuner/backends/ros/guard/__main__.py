@@ -19,7 +19,10 @@ def main() -> int:
     """Guard until the tuner has ended; returns the exit code."""
     settings = json.loads(_first_line())
     study, values = parse_study(settings["study"]), settings["values"]
-    plan = Plan.of(study) if values is None else Plan.of_values(study, values)
+    if values is None:
+        plan = Plan.of(study, attached=settings["attached"])
+    else:
+        plan = Plan.of_values(study, values)
     guard = None
     try:
         guard = Guard(

@@ -21,6 +21,7 @@ from std_msgs.msg import String
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
+from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.guard.condition import AbortCondition
 from bo_tuner.backends.ros.guard.messages import (
     BEAT_TOPIC,
@@ -34,11 +35,12 @@ from bo_tuner.backends.ros.guard.messages import (
 )
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
-from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.lifecycle import UNCONFIGURED, LifecycleNode
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.steps import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.guard_record import Act, add_act
 from bo_tuner.study.building import under
 from bo_tuner.study.run import SIM
@@ -348,13 +350,13 @@ class Guard:
         )
         self._tell()
         self._say(f"acts: {cause.reason}")
-        problems = self._set_safe()
+        problems = self._set_safe() or self._configure_anew()
         patience = GIVE_UP if self._attached else GONE
         while problems and is_last and time.monotonic() - begun < patience:
             self._say("; ".join(problems))
             self._tuner.spin_for(AGAIN)
             self._publish_stop()
-            problems = self._set_safe()
+            problems = self._set_safe() or self._configure_anew()
         # A node may have got a command of the tuner's in between.
         self._publish_stop()
         safe = time.monotonic() - begun
@@ -390,6 +392,23 @@ class Guard:
         self._parameters.forget_all()
         failed = self._parameters.assign_side_by_side(self._plan.safe, ANSWER)
         return [f"{self._plan.nodes[key]} is not safe: {why}" for key, why in failed.items()]
+
+    def _configure_anew(self) -> list[str]:
+        """Let nodes take the safe values that act only so; returns what went wrong, in lines."""
+        problems = []
+        for key in self._plan.configured:
+            name = self._plan.nodes[key]
+            try:
+                node = LifecycleNode.find(self._tuner, name)
+                if node is None:
+                    problems.append(f"{name} is not safe: it has no lifecycle")
+                    continue
+                state = node.state
+                node.bring_to(UNCONFIGURED)
+                node.bring_to(state)
+            except (LostError, RefusedError, StudyError) as error:
+                problems.append(f"{name} is not safe: {error}")
+        return problems
 
     def _tell(self) -> None:
         if self._publisher is None:

@@ -9,10 +9,10 @@ from itertools import takewhile
 
 from rclpy.expand_topic_name import expand_topic_name
 
-from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.run import WALL
+from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.steps import Publish
 from bo_tuner.study.study import Study
@@ -60,6 +60,8 @@ class Plan:
         The study's signals.
     clock : str
         Clock of the runs, by which the condition and the stamps of messages go.
+    configured : tuple of str
+        Keys of lifecycle nodes that take some of these only when they are configured.
     """
 
     name: str
@@ -70,15 +72,25 @@ class Plan:
     abort_when: str = ""
     signals: Mapping[str, Signal] | None = None
     clock: str = WALL
+    configured: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, study: Study) -> "Plan":
-        """Return what is to be held of a study."""
+    def of(cls, study: Study, *, attached: bool = True) -> "Plan":
+        """Return what is to be held of a study.
+
+        What nodes that the tuner has started take only while they start it alone can give them;
+        they end with it.
+        """
         nodes = {key: spec.node for key, spec in study.nodes.items()}
-        safe = safe_parameters(study)
+        names = study.start_names
+        safe = {
+            key: {n: v for n, v in of_node.items() if attached or n not in names.get(key, ())}
+            for key, of_node in safe_values(study).items()
+        }
+        configured = tuple(key for key in names if attached)
         run = study.run
         if run is None:
-            return cls(study.name, nodes, safe)
+            return cls(study.name, nodes, safe, configured=configured)
         head = takewhile(lambda step: step.publish is not None, run.after)
         steps = [step for _, step in run.steps]
         return cls(
@@ -90,6 +102,7 @@ class Plan:
             run.abort_when,
             study.signals,
             run.clock,
+            configured,
         )
 
     @classmethod
@@ -102,7 +115,8 @@ class Plan:
         """A digest: plans of two studies that hold the same are equal, whatever else they say."""
         held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when, self.clock)
         used = {} if not self.abort_when else self.signals
-        text = json.dumps([held, used], sort_keys=True, default=repr)
+        anew = [self.configured] if self.configured else []
+        text = json.dumps([held, used, *anew], sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def full_names(self, namespace: str) -> list[str]:
