@@ -18,7 +18,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 from waiting import DEADLINE
 
-from bo_tuner.backends.ros import others, preparation, steps
+from bo_tuner.backends.ros import others, preparation, publication, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
@@ -266,7 +266,7 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
 def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypatch, capsys):
     """One for each kind of step, beside a mistake in a signal."""
     # What is there is known by now; what is not is waited for, one after the other.
-    for module in (preparation, steps):
+    for module in (preparation, publication, steps):
         monkeypatch.setattr(module, "CONNECT_TIMEOUT", 1.0)
     write_study(
         tmp_path,

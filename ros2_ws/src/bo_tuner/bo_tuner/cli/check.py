@@ -185,7 +185,8 @@ def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
     """Return the signals that the run does not publish itself."""
     steps = () if study.run is None else study.run.steps
     name = tuner.node.resolve_topic_name
-    own = {name(step.publish.topic) for _, step in steps if step.publish is not None}
+    published = [step.publish for _, step in steps if step.publish is not None]
+    own = {name(item.topic) for publish in published for item in publish.published}
     return {n: spec for n, spec in study.signals.items() if name(spec.topic) not in own}
 
 

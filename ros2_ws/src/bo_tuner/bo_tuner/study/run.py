@@ -1,7 +1,8 @@
 """One run of a system that knows nothing of the tuner, as a procedure."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
@@ -13,7 +14,9 @@ BEFORE, START = "before", "start"
 """Phases of the steps that a run begins with."""
 AFTER = "after"
 """Phase of the steps that bring the machine to rest."""
-PHASES = (BEFORE, START, AFTER, "recover")
+RECOVER = "recover"
+"""Phase of the steps that bring the machine home."""
+PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
 RESULT = "result"
 
@@ -94,6 +97,66 @@ class Run:
         if self.end.result and not any(step.send_goal for step in self.start):
             raise StudyError("start has no send_goal", ("end", "result"))
         self._check_times()
+        self._check_streams()
+
+    def _check_streams(self) -> None:
+        """Refuse a stream that delays the way to rest without end, and ends of what is none."""
+        for index, step in enumerate(self.after):
+            if step.publish is not None and step.publish.streams and step.publish.duration is None:
+                raise StudyError(
+                    "missing; what brings the machine to rest comes to an end",
+                    (AFTER, index, "publish", "duration"),
+                )
+        for phase in (AFTER, RECOVER):
+            for index, step in enumerate(getattr(self, phase)):
+                topics = () if step.publish is None else step.publish.published
+                if any(topic.follow for topic in topics):
+                    raise StudyError(
+                        "is judged in a run; expected this in start or before",
+                        (phase, index, "publish", "follow"),
+                    )
+        for phases in ((BEFORE, START), (AFTER,), (RECOVER,)):
+            begun: set[str] = set()
+            for phase in phases:
+                for index, step in enumerate(getattr(self, phase)):
+                    if step.publish is not None and step.publish.streams and phase != AFTER:
+                        begun |= {topic.topic.strip("/") for topic in step.publish.published}
+                    if step.stop and step.stop.strip("/") not in begun:
+                        near = checks.suggestion(step.stop, sorted(begun))
+                        raise StudyError(
+                            f"no step before it begins a stream on {step.stop}; {near}",
+                            (phase, index, "stop"),
+                        )
+
+    def read_files(self, folder: str) -> "Run":
+        """Return it with the digests of the files of its references; these are checked.
+
+        Raises
+        ------
+        StudyError
+            If one is not as it should be.
+        """
+        findings = Findings()
+        phases: dict[str, list[Step]] = {phase: [] for phase in PHASES}
+        for (_, phase, index), step in self.steps:
+            read = step
+            if step.publish is not None and step.publish.streams:
+                with findings.under(phase, index, "publish"):
+                    read = replace(step, publish=step.publish.read_files(folder))
+            phases[str(phase)].append(read)
+        findings.check()
+        found: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
+        return replace(self, **found)
+
+    @property
+    def needs_folder(self) -> bool:
+        """Whether it names files."""
+        return any(
+            profile.csv is not None
+            for _, step in self.steps
+            if step.publish is not None
+            for _, profile in step.publish.profiles
+        )
 
     def _check_times(self) -> None:
         starting = sum(step.wait or 0.0 for step in self.start)
@@ -122,7 +185,7 @@ class Run:
                 yield ("run", phase, index), step
 
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
-        """Refuse conditions with signals, and restarts of nodes, that the study does not have."""
+        """Refuse what refers to signals and nodes that the study does not have."""
         findings = Findings()
         conditions: list[tuple[str, KeyPath]] = [
             (self.end.when, ("run", "end", "when")),
@@ -131,6 +194,12 @@ class Run:
         for path, step in self.steps:
             if step.wait_until is not None:
                 conditions.append((step.wait_until.condition, (*path, "wait_until", "condition")))
+            if step.publish is not None:
+                for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
+                    for name, signal in topic.follow.items():
+                        here = (*path, "publish", *below, "follow", name)
+                        with findings.under():
+                            checks.reference(signal, "signal", signals, *here)
             if step.restart:
                 with findings.under():
                     checks.reference(step.restart, "node", nodes, *path, "restart")

@@ -107,9 +107,9 @@ class Study:
     description : str
         Free text.
     folder : str
-        Where `command` and `launch` of a node are carried out, and where the modules of Python
-        functions and objects are looked for, beside those that Python finds anyway. Relative to
-        the study file; the folder that this lies in unless given.
+        Where `command` and `launch` of a node are carried out, where files of references lie, and
+        where the modules of Python functions and objects are looked for, beside those that Python
+        finds anyway. Relative to the study file; the folder that this lies in unless given.
 
     Raises
     ------
@@ -256,6 +256,11 @@ class Study:
 
     @property
     def needs_folder(self) -> bool:
+        """Whether it names programs, code or files that may lie in its folder."""
+        return self.names_programs or (self.run is not None and self.run.needs_folder)
+
+    @property
+    def names_programs(self) -> bool:
         """Whether it names programs or code that may lie in its folder."""
         return any(
             node.command or node.launch or node.object for node in self.nodes.values()

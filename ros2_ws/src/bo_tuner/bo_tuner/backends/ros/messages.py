@@ -3,6 +3,7 @@
 import importlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.type_support import check_for_type_support
@@ -26,6 +27,8 @@ from bo_tuner.text import brief, one_line
 FLOATS = ("float", "double", "long double")
 OCTET = "octet"
 BYTES = (OCTET, "uint8", "int8", "char")
+LARGEST_ARRAY = 1_000
+"""Items to which an array grows that is given by the numbers in it."""
 HEADER_TYPE = "std_msgs/msg/Header"
 NO_SIGNALS = (
     HEADER_TYPE,
@@ -159,6 +162,55 @@ def number_reader(cls: Any, path: Sequence[FieldPart]) -> Callable[[Any], float]
     return read
 
 
+@dataclass(frozen=True)
+class NumberWriter:
+    """Puts numbers into one field of a message.
+
+    Attributes
+    ----------
+    write : callable
+        Puts one in; for an integer, a whole one.
+    limits : tuple of int, optional
+        Lowest and highest number, if it is an integer.
+    """
+
+    write: Callable[[float], None]
+    limits: tuple[int, int] | None = None
+
+
+def number_writer(message: Any, path: Sequence[FieldPart]) -> NumberWriter:
+    """Return what puts numbers into a field of a message; arrays grow until they have the item.
+
+    Raises
+    ------
+    StudyError
+        If the message does not have the field, or it is no single number.
+    """
+    number_reader(type(message), path)
+    holder = message
+    for part in path[:-1]:
+        place = None if part.item is None else _grown(holder, part)
+        holder = getattr(holder, part.name)
+        holder = holder if place is None else holder[place]
+    part = path[-1]
+    kind: Any = _types(type(holder))[part.name]
+    place = None
+    if part.item is not None:
+        place, kind = _grown(holder, part), kind.value_type
+    if kind.typename == "boolean":
+        raise StudyError(f"{part.name} is true or false; expected a number")
+    is_float = kind.typename in FLOATS
+    cast: Callable[[float], Any] = float if is_float else int
+
+    def write(value: float) -> None:
+        if place is None:
+            setattr(holder, part.name, cast(value))
+        else:
+            getattr(holder, part.name)[place] = cast(value)
+
+    return NumberWriter(write, None if is_float else _limits(kind.typename))
+
+
 def number_fields(message: Any) -> dict[str, bool | int | float]:
     """Return the numbers in a message that can be signals, by the path that `number_reader` takes.
 
@@ -253,6 +305,27 @@ def _item_type(types: Mapping[str, AbstractType], part: FieldPart, shown: str) -
     return kind.value_type
 
 
+def _grown(holder: Any, part: FieldPart) -> int:
+    """Return the position of an item in an array, which has it then."""
+    items, kind = getattr(holder, part.name), _types(type(holder))[part.name]
+    if isinstance(part.item, str):
+        if part.item not in holder.name:
+            raise StudyError(str(_missing(part, holder, items)))
+        place = list(holder.name).index(part.item)
+    else:
+        place = part.item or 0
+    most = getattr(kind, "maximum_size", LARGEST_ARRAY)
+    if place >= most:
+        raise StudyError(f"{part.name} has at most {most} items; none for [{place}]")
+    value_type: Any = kind.value_type if isinstance(kind, AbstractNestedType) else None
+    while len(items) <= place:
+        if isinstance(value_type, NamespacedType):
+            items.append(interface_class("/".join(value_type.namespaced_name()))())
+        else:
+            items.append(0.0 if value_type.typename in FLOATS else 0)
+    return place
+
+
 def _missing(part: FieldPart, holder: Any, value: Sequence[object]) -> ItemMissingError:
     if isinstance(part.item, str) and part.item not in list(holder.name):
         near = brief(checks.suggestion(part.item, holder.name))
@@ -286,13 +359,18 @@ def _value(kind: AbstractType, value: object) -> Any:
     return _integer(kind.typename, value)
 
 
-def _integer(typename: str, value: object) -> int:
+def _limits(typename: str) -> tuple[int, int]:
+    """Return the lowest and the highest integer of a type."""
     bits = int("".join(c for c in typename if c.isdigit()) or 8)
-    lowest, beyond = (
-        (0, 2**bits) if typename.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1))
-    )
+    if typename.startswith("u"):
+        return 0, 2**bits - 1
+    return -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+
+
+def _integer(typename: str, value: object) -> int:
+    lowest, highest = _limits(typename)
     if isinstance(value, bool) or not isinstance(value, int):
         raise StudyError(f"expected an integer, found {checks.show(value)}")
-    if not lowest <= operator.index(value) < beyond:
-        raise StudyError(f"expected an integer from {lowest} to {beyond - 1}, found {value}")
+    if not lowest <= operator.index(value) <= highest:
+        raise StudyError(f"expected an integer from {lowest} to {highest}, found {value}")
     return value

@@ -10,6 +10,7 @@ from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.signals import SignalRecorder
+from bo_tuner.backends.ros.streams import Streams
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.numerics.expressions import Expression
@@ -40,6 +41,8 @@ class RunWatch:
         Goals sent in runs; others may be sent while this looks on.
     topics
         What the steps publish.
+    streams
+        What streams while steps go on.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class RunWatch:
         clock: RunClock,
         goals: Sequence[Goal],
         topics: Sequence[OwnTopic],
+        streams: Streams,
     ) -> None:
         self._run = run
         self._signals = signals
@@ -59,6 +63,7 @@ class RunWatch:
         self._clock = clock
         self._goals = goals
         self._topics = topics
+        self._streams = streams
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
         self._end = expression(run.end.when, signals) if run.end.when else None
         self._judged = 0.0
@@ -140,6 +145,7 @@ class RunWatch:
         """
         now = self._now
         self.expect_own_messages()
+        self._streams.check()
         self._recorder.poll()
         seen = min(now, end)
         since = self._since
