@@ -42,7 +42,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import isolated_environment
-from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.run_watch import RunWatch
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.study import strict_yaml

@@ -21,7 +21,7 @@ from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros.parameters import UnknownType
+from bo_tuner.backends.ros.parameters.services import UnknownType
 from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import ApplyError, NodeError, set_values
@@ -312,7 +312,9 @@ def test_a_node_that_goes_back_on_its_values_does_not_have_them(kind):
 
 def test_a_value_of_a_type_that_ros_does_not_define(monkeypatch):
     """A node in another language may send one."""
-    monkeypatch.setattr("bo_tuner.deploy.live_parameters.to_value", lambda value: UnknownType(77))
+    monkeypatch.setattr(
+        "bo_tuner.backends.ros.parameters.services.to_value", lambda value: UnknownType(77)
+    )
     with at_work(System), contextlib.closing(LiveParameters(["servo"], [], no_end)) as live:
         with pytest.raises(NodeError) as caught:
             live.get("servo", ["gain"])

@@ -7,7 +7,8 @@ import pytest
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rclpy.serialization import serialize_message
 
-from bo_tuner.backends.ros.parameters import ParameterWatch, to_messages
+from bo_tuner.backends.ros.parameters.events import ParameterWatch
+from bo_tuner.backends.ros.parameters.services import to_messages
 
 
 class Events(contextlib.nullcontext):
@@ -107,14 +108,22 @@ def test_an_event_that_was_lost_keeps_none_of_the_later_ones(watch, events):
 
 def test_only_an_empty_array_has_the_type_of_what_it_replaces():
     """An integer for a double is for the node to refuse, with its reason."""
-    present = {"gains": [1.0], "gain": 1.5, "name": "a", "taps": []}
-    values = {"gains": [], "gain": 0, "name": "", "taps": [], "other": 2.0}
-    found = {m.name: m.value.type for m in to_messages(values, present)}
+    types = {
+        "gains": ParameterType.PARAMETER_DOUBLE_ARRAY,
+        "gain": ParameterType.PARAMETER_DOUBLE,
+        "name": ParameterType.PARAMETER_STRING,
+        "unset": ParameterType.PARAMETER_NOT_SET,
+        "odd": 77,
+    }
+    values = {"gains": [], "gain": 0, "name": "", "unset": [], "odd": [], "taps": [], "other": 2.0}
+    found = {m.name: m.value.type for m in to_messages(values, types)}
     expected = {
         "gains": ParameterType.PARAMETER_DOUBLE_ARRAY,
         "gain": ParameterType.PARAMETER_INTEGER,
         "name": ParameterType.PARAMETER_STRING,
         # Nobody can tell.
+        "unset": ParameterType.PARAMETER_BYTE_ARRAY,
+        "odd": ParameterType.PARAMETER_BYTE_ARRAY,
         "taps": ParameterType.PARAMETER_BYTE_ARRAY,
         "other": ParameterType.PARAMETER_DOUBLE,
     }

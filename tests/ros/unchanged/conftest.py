@@ -82,7 +82,7 @@ def patient(monkeypatch, patience):
     for name, value in (
         ("bringup.LOOK_AROUND", 0.1),
         ("bringup.ATTACH_TIMEOUT", DEADLINE),
-        ("study_client.PARK_TIMEOUT", DEADLINE),
+        ("safe_state.PARK_TIMEOUT", DEADLINE),
         ("backend.PARK_TIMEOUT", DEADLINE),
     ):
         monkeypatch.setattr(f"bo_tuner.backends.ros.{name}", value)

@@ -16,7 +16,7 @@ from waiting import DEADLINE
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import describe, opened_node
-from bo_tuner.backends.ros.previous_parameters import undo_killed
+from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.cli import apply
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError

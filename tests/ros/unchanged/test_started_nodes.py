@@ -13,7 +13,7 @@ from example_nodes import UNCHANGED, start_script
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study_file import (

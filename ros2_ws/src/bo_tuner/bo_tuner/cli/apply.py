@@ -10,9 +10,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.backends.ros.held_parameters import named_safe
 from bo_tuner.backends.ros.isolation import named_namespace
-from bo_tuner.backends.ros.parameter_note import said_of_killed
+from bo_tuner.backends.ros.parameters.previous import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
@@ -53,6 +52,7 @@ from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
+from bo_tuner.study.safe_values import named_safe
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
 from bo_tuner.trials import Trial

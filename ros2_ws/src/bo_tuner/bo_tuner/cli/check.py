@@ -17,9 +17,9 @@ from bo_tuner.backends.ros.graph import (
     opened_node,
     signal_problems,
 )
+from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
-from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws

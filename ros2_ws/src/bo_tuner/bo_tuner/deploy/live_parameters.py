@@ -12,9 +12,9 @@ from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
-from bo_tuner.backends.ros.parameter_client import ParameterClient
-from bo_tuner.backends.ros.parameter_note import ParameterNote
-from bo_tuner.backends.ros.parameters import ParameterWatch, UnknownType, to_value
+from bo_tuner.backends.ros.parameters.events import ParameterWatch
+from bo_tuner.backends.ros.parameters.previous import ParameterNote
+from bo_tuner.backends.ros.parameters.services import ParameterClient, UnknownType
 from bo_tuner.backends.ros.tuner_node import (
     CALL_TIMEOUT,
     END_OTHERS,
@@ -61,7 +61,6 @@ class LiveParameters:
     ) -> None:
         self._claim: DomainClaim | None = None
         self._ros_arguments = ros_arguments
-        self._present: dict[str, dict[str, object]] = {}
         self._tuner = TunerNode(None, ros_arguments, watch, NODE_NAME)
         try:
             self._claim = DomainClaim(self._tuner.node.get_namespace(), self._tuner.domain)
@@ -90,23 +89,18 @@ class LiveParameters:
             (found,) = self._tuner.complete([self._clients[node].values(names)])
         except SilentError as error:
             raise NodeError(str(error)) from error
-        values = [to_value(value) for value in found]
-        self._keep(node, dict(zip(names, values, strict=True)))
-        if missing := [name for name, value in zip(names, values, strict=True) if value is None]:
+        if missing := [name for name, value in found.items() if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
-        for name, value in zip(names, values, strict=True):
+        for name, value in found.items():
             if isinstance(value, UnknownType):
                 raise NodeError(f"{node}: {name} is {value}")
-        return dict(zip(names, values, strict=True))
+        return dict(found)
 
     def set(self, node: str, values: Mapping[str, object]) -> None:
         """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            present = dict(self._present.get(node, {}))
-            # A node may take them and not answer.
-            self._keep(node, values)
-            (result,) = self._tuner.complete([self._clients[node].set(values, present)])
+            (result,) = self._tuner.complete([self._clients[node].set(values)])
         except SilentError as error:
             raise NodeError(str(error)) from error
         if not result.successful:
@@ -159,11 +153,6 @@ class LiveParameters:
         # At worst a later run sets back what it would leave.
         with contextlib.suppress(OutputError):
             self._note.write()
-
-    def _keep(self, node: str, values: Mapping[str, object]) -> None:
-        """Keep values of a node: an empty array has the type of what it replaces."""
-        known = self._present.setdefault(node, {})
-        known |= {name: value for name, value in values.items() if value != []}
 
     def _refuse_twins(self, node: str) -> None:
         """Refuse a node that runs more than once, ahead of asking it for anything.

@@ -29,15 +29,15 @@ from bo_tuner.backends.ros.isolation import (
     isolated_environment,
     namespace_of,
 )
-from bo_tuner.backends.ros.node_parameters import Values
 from bo_tuner.backends.ros.others import START
-from bo_tuner.backends.ros.previous_parameters import PreviousParameters
+from bo_tuner.backends.ros.parameters.at_rest import take_over
+from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
-from bo_tuner.backends.ros.safe_state import SafeState
+from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
+from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
-from bo_tuner.backends.ros.take_over import take_over
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
@@ -193,7 +193,14 @@ class RosBackend(SequentialBackend):
                     self._study, self._study.run, tuner, restart, self._guard
                 )
             self._safe_state = SafeState(
-                tuner, client, safe, self._held, self._procedure, self._suspension, self._look
+                self._study,
+                tuner,
+                client,
+                safe,
+                self._held,
+                self._procedure,
+                self._suspension,
+                self._look,
             )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""

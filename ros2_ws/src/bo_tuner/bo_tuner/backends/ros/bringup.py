@@ -3,8 +3,8 @@
 import os
 
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.isolation import LEASE
+from bo_tuner.backends.ros.parameters.at_rest import InitialParameters
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension

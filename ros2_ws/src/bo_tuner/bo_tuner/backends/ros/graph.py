@@ -15,9 +15,8 @@ from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
-from bo_tuner.backends.ros.parameter_client import ParameterClient
-from bo_tuner.backends.ros.parameter_note import ParameterNote, said_of_killed
-from bo_tuner.backends.ros.parameters import to_value
+from bo_tuner.backends.ros.parameters.previous import ParameterNote, said_of_killed
+from bo_tuner.backends.ros.parameters.services import ParameterClient, to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import END_OTHERS, LOOK_AROUND, TunerNode
 from bo_tuner.errors import BackendError, StudyError
@@ -135,7 +134,7 @@ def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
         client.expect_answers(time.monotonic() + ANSWER)
         (names,) = tuner.complete([client.names()])
         # A node with one that is not set may be asked for each of hundreds.
-        asked = [client.descriptors(names), client.values(names)]
+        asked = [client.descriptors(names), client.messages(names)]
         descriptors, values = tuner.complete(asked)
     except SilentError as error:
         raise BackendError(str(error)) from error

@@ -7,9 +7,9 @@ from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.node_parameters import NodeParameters
-from bo_tuner.backends.ros.parameter_client import meet
-from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
+from bo_tuner.backends.ros.parameters.events import PARAMETER_EVENTS
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
+from bo_tuner.backends.ros.parameters.services import meet
 from bo_tuner.backends.ros.trigger import of_node
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode, full_name
 from bo_tuner.study.study import Study
@@ -93,7 +93,7 @@ class Presence:
         return self.restarted()
 
     def meet(self, key: str, deadline: float) -> None:
-        """Wait until a node knows the tuner's subscriptions; see `meet` of `parameter_client`."""
+        """Wait until a node knows the tuner's subscriptions; see `meet` of `services`."""
         meet(self._tuner, self._study.nodes[key].node, deadline)
 
     def wait_until_gone(self, timeout: float) -> None:

@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
-from bo_tuner.backends.ros.parameter_client import meet
+from bo_tuner.backends.ros.parameters.services import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.publication import UnheardError
 from bo_tuner.backends.ros.run_watch import OVERLAP, RunWatch

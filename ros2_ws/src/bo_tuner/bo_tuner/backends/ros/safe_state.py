@@ -3,11 +3,15 @@
 from collections.abc import Callable
 
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.node_parameters import Values
+from bo_tuner.backends.ros.parameters.nodes import Values
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.study.study import Study
+
+PARK_TIMEOUT = 2.0
+"""Time [s] that all nodes have to be parked: one may be hanging, and the machine is to stop."""
 
 
 class SafeState:
@@ -15,6 +19,8 @@ class SafeState:
 
     Parameters
     ----------
+    study
+        The study.
     tuner
         The tuner's node.
     client
@@ -35,6 +41,7 @@ class SafeState:
 
     def __init__(
         self,
+        study: Study,
         tuner: TunerNode,
         client: StudyClient,
         parameters: Values,
@@ -43,6 +50,7 @@ class SafeState:
         suspension: Suspension,
         look: Callable[[], None],
     ) -> None:
+        self._study = study
         self._tuner = tuner
         self._client = client
         self._parameters = parameters
@@ -98,4 +106,7 @@ class SafeState:
         return found
 
     def _park(self) -> list[str]:
-        return self._client.park(self._parameters, self._held)
+        failed = self._client.parameters.park(self._parameters, self._held, PARK_TIMEOUT)
+        return [
+            f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
+        ]

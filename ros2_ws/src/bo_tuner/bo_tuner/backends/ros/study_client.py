@@ -1,10 +1,10 @@
-"""What the backend does with a study's nodes: sets their parameters, evaluates, and parks them."""
+"""What the backend does with a study's nodes: sets their parameters, and evaluates."""
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
-from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.trigger import TriggeredRun
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
@@ -13,8 +13,6 @@ from bo_tuner.study.study import Study
 
 LONGEST_LEASE = 21.0
 """Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
-PARK_TIMEOUT = 2.0
-"""Time [s] that all nodes have to be parked: one may be hanging, and the machine is to stop."""
 
 
 class StudyClient:
@@ -33,7 +31,6 @@ class StudyClient:
     def __init__(self, study: Study, tuner: TunerNode) -> None:
         self._study = study
         self._renewed: set[str] = set()
-        self._wanted: Values = {}
         nodes = {key: spec.node for key, spec in study.nodes.items()}
         self.parameters = NodeParameters(tuner, nodes)
         self._triggered = TriggeredRun(study, tuner, self.parameters)
@@ -104,10 +101,7 @@ class StudyClient:
             self.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
         self.renew(self._renewed)
         self._refuse_twins()
-        self._wanted = wanted
-        self.parameters.expect(wanted)
-        told = self.parameters.tell(wanted, kept)
-        self.parameters.compare(wanted, self.parameters.found(wanted), told)
+        self.parameters.hold(wanted, kept)
         self.results.begin()
         try:
             try:
@@ -119,11 +113,11 @@ class StudyClient:
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise (disturbance or error) from None
-            found = self.parameters.found(wanted)
+            found = self.parameters.found()
             leave()
             # A node that was killed is looked for as long as its lease.
             self._refuse_other_nodes()
-            self.parameters.compare(wanted, found, {})
+            found.check()
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
@@ -144,30 +138,7 @@ class StudyClient:
         """
         self.restarted()
         self.renew([key])
-        self.parameters.assign_and_read_back(key, self._wanted.get(key, {}))
-
-    def park(self, values: Values, held: Mapping[str, Mapping[str, object]]) -> list[str]:
-        """Set safe parameters and read them back, on all nodes that answer.
-
-        Parameters
-        ----------
-        values
-            By node key the safe parameters.
-        held
-            By node key all that the node must have besides.
-
-        Returns
-        -------
-        list of str
-            What went wrong, a line for each node that does not have its safe parameters.
-        """
-        self._wanted = {key: {**held.get(key, {}), **values[key]} for key in values}
-        self.parameters.expect(self._wanted)
-        failed = self.parameters.assign_side_by_side(values, PARK_TIMEOUT)
-        self.parameters.overlook()
-        return [
-            f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
-        ]
+        self.parameters.hold_again(key)
 
     def _refuse_other_nodes(self) -> None:
         """Refuse an evaluation after which the nodes are not those that it began with."""

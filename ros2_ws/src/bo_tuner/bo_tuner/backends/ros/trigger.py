@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, SilentError
-from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError

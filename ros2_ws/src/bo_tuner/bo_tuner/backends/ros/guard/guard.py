@@ -29,8 +29,8 @@ from bo_tuner.backends.ros.guard.messages import (
 )
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
-from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError

@@ -9,10 +9,10 @@ from itertools import takewhile
 
 from rclpy.expand_topic_name import expand_topic_name
 
-from bo_tuner.backends.ros.held_parameters import safe_parameters
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.publishing import Topic
+from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
@@ -71,7 +71,7 @@ class Plan:
     def of(cls, study: Study) -> "Plan":
         """Return what is to be held of a study."""
         nodes = {key: spec.node for key, spec in study.nodes.items()}
-        safe = safe_parameters(study)
+        safe = safe_values(study)
         run = study.run
         if run is None:
             return cls(study.name, nodes, safe)

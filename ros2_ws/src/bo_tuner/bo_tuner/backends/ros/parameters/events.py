@@ -1,34 +1,22 @@
-"""Parameters of nodes: their messages as values, and what becomes of them during an evaluation."""
+"""What nodes tell of their parameters by themselves: a value that they should not have."""
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterEvent, ParameterValue
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.parameters.services import named_values
 from bo_tuner.study.checks import same_value
 from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
 MOST_TOLD = 100
 """Sets of values told to a node whose events are awaited: it need not publish any."""
-
-
-@dataclass(frozen=True)
-class UnknownType:
-    """A parameter value of a type that ROS does not define; equal to none that can be set."""
-
-    code: int
-
-    def __str__(self) -> str:
-        return f"of unknown type {self.code}"
 
 
 @dataclass(frozen=True)
@@ -43,35 +31,6 @@ class Difference:
     def __str__(self) -> str:
         found = "not set" if self.found is None else brief(str(self.found))
         return f"{self.node}: parameter {self.name} is {found}, expected {self.expected}"
-
-
-def to_messages(
-    values: Mapping[str, object], present: Mapping[str, object] | None = None
-) -> list[ParameterMessage]:
-    """Make the messages that set parameters.
-
-    Parameters
-    ----------
-    values
-        Values by name.
-    present
-        What the node has: an empty array has the type of the one that it replaces.
-    """
-    messages = []
-    for name, value in values.items():
-        had = (present or {}).get(name)
-        like = had if value == [] and isinstance(had, list) else value
-        kind = Parameter.Type.from_parameter_value(like)
-        messages.append(Parameter(name, kind, value).to_parameter_msg())
-    return messages
-
-
-def to_value(message: ParameterValue) -> object:
-    """Read a parameter value; None if it is not set."""
-    try:
-        return parameter_value_to_python(message)
-    except RuntimeError:
-        return UnknownType(int(message.type))
 
 
 def differences(
@@ -169,11 +128,11 @@ class ParameterWatch:
         for key in self._keys.get(event.node, ()):
             expected = self._expected.get(key, {})
             deleted = {p.name: None for p in event.deleted_parameters}
-            now = _read(event.changed_parameters) | deleted
+            now = named_values(event.changed_parameters) | deleted
             if now:
                 self._declaring.discard(key)
             if key not in self._declaring:
-                now = _read(event.new_parameters) | now
+                now = named_values(event.new_parameters) | now
             own = self._own(key, now)
             watched = {n: value for n, value in expected.items() if n in now and n not in own}
             self._seen += differences(key, now, watched)
@@ -188,13 +147,3 @@ class ParameterWatch:
                     told.popleft()
                 return values
         return {}
-
-
-def read_values(names: Sequence[str], values: Sequence[ParameterValue]) -> dict[str, object]:
-    """Read an answer of ``get_parameters`` to `names`; what is not set is left out."""
-    found = {name: to_value(value) for name, value in zip(names, values, strict=False)}
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def _read(parameters: Iterable[Any]) -> dict[str, object]:
-    return {p.name: to_value(p.value) for p in parameters}

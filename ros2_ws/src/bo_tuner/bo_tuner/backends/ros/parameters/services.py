@@ -1,19 +1,21 @@
-"""The parameters of a node, through its standard services."""
+"""The parameters of one node, through its standard services."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     ListParameters,
     SetParametersAtomically,
 )
+from rclpy.parameter import Parameter, parameter_value_to_python
 
 from bo_tuner.backends.ros.errors import SilentError
-from bo_tuner.backends.ros.parameters import to_messages
 from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
 
 NAMES = {
@@ -22,9 +24,61 @@ NAMES = {
     ListParameters: "list_parameters",
     DescribeParameters: "describe_parameters",
 }
+ARRAYS = (
+    ParameterType.PARAMETER_BYTE_ARRAY,
+    ParameterType.PARAMETER_BOOL_ARRAY,
+    ParameterType.PARAMETER_INTEGER_ARRAY,
+    ParameterType.PARAMETER_DOUBLE_ARRAY,
+    ParameterType.PARAMETER_STRING_ARRAY,
+)
 ATTEMPT = 1.0
 """Time [s] after which a request that changes nothing is repeated: a node that was killed looks
 discovered until its lease ends, and one may receive a request before it has discovered who asks."""
+
+
+@dataclass(frozen=True)
+class UnknownType:
+    """A parameter value of a type that ROS does not define; equal to none that can be set."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"of unknown type {self.code}"
+
+
+def to_value(message: ParameterValue) -> object:
+    """Read a parameter value; None if it is not set."""
+    try:
+        return parameter_value_to_python(message)
+    except RuntimeError:
+        return UnknownType(int(message.type))
+
+
+def named_values(parameters: Iterable[ParameterMessage]) -> dict[str, object]:
+    """Read messages of parameters, by name; None for those that are not set."""
+    return {item.name: to_value(item.value) for item in parameters}
+
+
+def to_messages(
+    values: Mapping[str, object], types: Mapping[str, int] | None = None
+) -> list[ParameterMessage]:
+    """Make the messages that set parameters.
+
+    Parameters
+    ----------
+    values
+        Values by name.
+    types
+        What `ParameterType` the node's own have, by name: an empty array tells of none.
+    """
+    messages = []
+    for name, value in values.items():
+        kind = Parameter.Type.from_parameter_value(value)
+        known = (types or {}).get(name)
+        if value == [] and known in ARRAYS:
+            kind = Parameter.Type(known)
+        messages.append(Parameter(name, kind, value).to_parameter_msg())
+    return messages
 
 
 class ParameterClient:
@@ -45,6 +99,7 @@ class ParameterClient:
     def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
         self.node = node
         self._tuner = tuner
+        self._types: dict[str, int] = {}
         self._clients = {
             kind: tuner.node.create_client(kind, f"{node}/{NAMES[kind]}") for kind in services
         }
@@ -91,28 +146,32 @@ class ParameterClient:
         request = DescribeParameters.Request(names=names)
         return list((yield from self._calling(DescribeParameters, request)).descriptors)
 
-    def values(self, names: Sequence[str]) -> Calls:
-        """Read parameters, not set where the node does not have one."""
+    def messages(self, names: Sequence[str]) -> Calls:
+        """Read parameters as messages, not set where the node does not have one."""
         request = GetParameters.Request(names=names)
-        values = list((yield from self._calling(GetParameters, request)).values)
-        if len(values) == len(names):
-            return values
+        found = list((yield from self._calling(GetParameters, request)).values)
+        if len(found) == len(names):
+            self._types |= {name: item.type for name, item in zip(names, found, strict=True)}
+            return found
         if len(names) == 1:
             return [ParameterValue()]
         # A node may leave out all if it lacks one.
-        values = []
+        found = []
         for name in names:
-            values += yield from self.values([name])
-        return values
+            found += yield from self.messages([name])
+        return found
 
-    def set(
-        self, values: Mapping[str, object], present: Mapping[str, object] | None = None
-    ) -> Calls:
-        """Set parameters, all of them or none, in place of those of `present`; returns the result.
+    def values(self, names: Sequence[str]) -> Calls:
+        """Read parameters, by name; None where the node does not have one."""
+        found = yield from self.messages(names)
+        return dict(zip(names, map(to_value, found), strict=True))
 
-        Arguments as of `to_messages`.
-        """
-        request = SetParametersAtomically.Request(parameters=to_messages(values, present))
+    def set(self, values: Mapping[str, object]) -> Calls:
+        """Set parameters, all of them or none; returns the result."""
+        messages = to_messages(values, self._types)
+        # A node may take them and not answer.
+        self._types |= {item.name: item.value.type for item in messages}
+        request = SetParametersAtomically.Request(parameters=messages)
         return (yield from self._calling(SetParametersAtomically, request)).result
 
     def _calling(self, kind: Any, request: Any) -> Calls:

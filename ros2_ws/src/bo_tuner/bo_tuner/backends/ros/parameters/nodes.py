@@ -1,4 +1,4 @@
-"""Sets and reads the parameters of a study's nodes."""
+"""What the nodes of a study are set to, and held at."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,22 +6,60 @@ from dataclasses import dataclass
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.parameter_client import ParameterClient
-from bo_tuner.backends.ros.parameters import Difference, ParameterWatch, differences, read_values
+from bo_tuner.backends.ros.parameters.events import Difference, ParameterWatch, differences
+from bo_tuner.backends.ros.parameters.services import ParameterClient
 from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
 from bo_tuner.study import checks
 
 Values = Mapping[str, Mapping[str, object]]
 """Parameters by node key, then by name."""
+Unset = RefusedError | LostError
+"""Why a node does not have its values."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What nodes have, by key, what else they were seen to have, and what cannot be read of it."""
+    """What nodes were found to have.
 
+    Attributes
+    ----------
+    held, values : Values
+        What they are to have, and what they have.
+    seen : sequence of Difference
+        What else they were seen to have meanwhile.
+    problem : str
+        What cannot be read of that.
+    """
+
+    held: Values
     values: Values
     seen: Sequence[Difference]
     problem: str
+
+    def check(self, told: Mapping[str, Collection[str]] | None = None) -> None:
+        """Compare what the nodes had with what they are held at.
+
+        Parameters
+        ----------
+        told
+            By node key the names of what it was told right before.
+
+        Raises
+        ------
+        RefusedError
+            If it is the node that has not taken what it was told.
+        DisturbedError
+            If somebody else changed one, or what was told of one cannot be read.
+        """
+        if self.problem:
+            raise DisturbedError(self.problem)
+        for key, values in self.held.items():
+            for difference in differences(key, self.values[key], values):
+                if difference.name in (told or {}).get(key, ()):
+                    raise _not_taken(difference)
+                raise _disturbed(difference)
+        if self.seen:
+            raise _disturbed(self.seen[0])
 
 
 class NodeParameters:
@@ -42,6 +80,7 @@ class NodeParameters:
 
     def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
         self._tuner = tuner
+        self._expected: Values = {}
         self._known: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._watch = ParameterWatch(tuner.node, nodes)
@@ -62,14 +101,6 @@ class NodeParameters:
         self._known[key] = dict(found)
         self._watch.forget(key)
         return dict(found)
-
-    def expect(self, values: Values) -> None:
-        """Expect these values of the nodes from now on: another one that they tell of is noted."""
-        self._watch.expect(values)
-
-    def overlook(self) -> None:
-        """Overlook what was changed by others up to now."""
-        self._watch.take_seen()
 
     def known(self, key: str) -> Mapping[str, object]:
         """Return what a node has for sure; it may have more, of what it was told or had before."""
@@ -93,9 +124,7 @@ class NodeParameters:
         (names,) = self._tuner.complete([self._assigning(key, values)])
         return list(names)
 
-    def assign_side_by_side(
-        self, values: Values, timeout: float
-    ) -> dict[str, RefusedError | LostError]:
+    def assign_side_by_side(self, values: Values, timeout: float) -> dict[str, Unset]:
         """Set parameters of nodes at the same time, and read them back.
 
         A node that hangs does not keep the others waiting.
@@ -112,7 +141,7 @@ class NodeParameters:
         dict
             By key why a node does not have its values; what it has is forgotten.
         """
-        failed: dict[str, RefusedError | LostError] = {}
+        failed: dict[str, Unset] = {}
 
         def assigning(key: str) -> Calls:
             try:
@@ -136,8 +165,23 @@ class NodeParameters:
         """
         self._tuner.complete([self._assigning_and_reading_back(key, values)])
 
-    def tell(self, wanted: Values, kept: Mapping[str, Collection[str]]) -> dict[str, list[str]]:
-        """Set parameters of nodes; returns the names of those that were set, by node key.
+    def park(self, values: Values, held: Values, timeout: float) -> dict[str, Unset]:
+        """Set safe values as `assign_side_by_side` does, whoever else has changed something.
+
+        Parameters
+        ----------
+        values, timeout
+            As of `assign_side_by_side`.
+        held
+            By node key all that the node must have besides.
+        """
+        self._expect({key: {**held.get(key, {}), **values[key]} for key in values})
+        failed = self.assign_side_by_side(values, timeout)
+        self._watch.take_seen()
+        return failed
+
+    def hold(self, wanted: Values, kept: Mapping[str, Collection[str]]) -> None:
+        """Set what nodes must have from now on, until this or `park` is called again.
 
         Parameters
         ----------
@@ -150,39 +194,37 @@ class NodeParameters:
         Raises
         ------
         RefusedError
-            If a node refuses them.
+            If a node refuses them, or has another value right after it was told one.
         DisturbedError
-            If it does so since somebody else changed another one.
+            If somebody else changed one, which may be why it refuses others.
         LostError
-            If it does not answer.
+            If a node does not answer.
         """
-        return {key: self._tell(key, values, kept[key]) for key, values in wanted.items()}
+        self._expect(wanted)
+        told = {key: self._tell(key, values, kept[key]) for key, values in wanted.items()}
+        self.found().check(told)
 
-    def found(self, keys: Iterable[str]) -> Found:
-        """Find out what nodes have, and had since this was last asked; raises `LostError`."""
-        values = self._read(keys)
-        self._known |= {key: dict(found) for key, found in values.items()}
-        return Found(values, self._watch.take_seen(), self._watch.problem)
-
-    def compare(self, wanted: Values, found: Found, told: Mapping[str, Sequence[str]]) -> None:
-        """Compare what the nodes had with what they should have.
+    def hold_again(self, key: str) -> None:
+        """Set what a node that was started anew must have, and read it back.
 
         Raises
         ------
-        RefusedError
-            If one has another value right after it was `told` one.
-        DisturbedError
-            If somebody else changed one, or what was told of one cannot be read.
+        RefusedError, LostError
+            If it does not take it.
         """
-        if found.problem:
-            raise DisturbedError(found.problem)
-        for key, values in wanted.items():
-            for difference in differences(key, found.values[key], values):
-                if difference.name in told.get(key, ()):
-                    raise _not_taken(difference)
-                raise _disturbed(difference)
-        if found.seen:
-            raise _disturbed(found.seen[0])
+        self.assign_and_read_back(key, self._expected.get(key, {}))
+
+    def found(self) -> Found:
+        """Find out what nodes have that are held, and had since this was last asked.
+
+        Raises
+        ------
+        LostError
+            If one does not answer.
+        """
+        values = self._read(self._expected)
+        self._known |= {key: dict(found) for key, found in values.items()}
+        return Found(self._expected, values, self._watch.take_seen(), self._watch.problem)
 
     def disturbance(self) -> DisturbedError | None:
         """Return what somebody else changed, as far as the nodes told since this was last asked."""
@@ -198,6 +240,10 @@ class NodeParameters:
             If it does not answer.
         """
         self._tuner.complete([self.clients[key].values([])])
+
+    def _expect(self, values: Values) -> None:
+        self._expected = values
+        self._watch.expect(values)
 
     def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
         before = dict(self._known.get(key, {}))
@@ -222,9 +268,10 @@ class NodeParameters:
         if not changes:
             return []
         # Until it answers, the node may have the one or the other.
-        present = {name: known.pop(name) for name in changes if name in known}
+        for name in changes:
+            known.pop(name, None)
         self._watch.tell(key, changes)
-        result = yield from self.clients[key].set(changes, present)
+        result = yield from self.clients[key].set(changes)
         if not result.successful:
             self._watch.take_back(key)
             # The refusal of rclpy does not name what is not declared.
@@ -253,8 +300,8 @@ class NodeParameters:
         return (yield from self._reading(key))
 
     def _reading(self, key: str) -> Calls:
-        names = self._names[key]
-        return read_values(names, (yield from self.clients[key].values(names)))
+        found = yield from self.clients[key].values(self._names[key])
+        return {name: value for name, value in found.items() if value is not None}
 
     def _read(self, keys: Iterable[str]) -> dict[str, dict[str, object]]:
         """Read the parameters of nodes side by side, by key."""

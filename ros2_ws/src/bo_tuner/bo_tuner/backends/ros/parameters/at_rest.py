@@ -1,0 +1,241 @@
+"""What nodes have while no run is performed: set before all else, and held from then on."""
+
+import contextlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from bo_tuner.backends.ros.errors import RefusedError
+from bo_tuner.backends.ros.graph import describe_now
+from bo_tuner.backends.ros.parameters.events import differences
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.previous import PreviousParameters
+from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.errors import BackendError, KeyPath, OutputError, StudyError
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.run_files import HELD_PARAMETERS, PREVIOUS_PARAMETERS, read_text
+from bo_tuner.study.descriptors import node_problems
+from bo_tuner.study.safe_values import safe_values
+from bo_tuner.study.study import Study
+
+
+class InitialParameters:
+    """Sets what a study sets outside of evaluations; a refusal names the place in the study.
+
+    All methods raise `StudyError` if a node does not take a value, and `LostError` if it does not
+    answer.
+
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    parameters
+        Sets and reads those of the nodes.
+    """
+
+    def __init__(self, study: Study, tuner: TunerNode, parameters: NodeParameters) -> None:
+        self._study = study
+        self._tuner = tuner
+        self._parameters = parameters
+
+    def set_constants(self) -> None:
+        """Set the constants of the nodes, and read them back."""
+        for key, spec in self._study.nodes.items():
+            try:
+                self._parameters.assign_and_read_back(key, spec.parameters)
+            except RefusedError as refusal:
+                raise self._named(key, refusal, ("nodes", key, "parameters")) from refusal
+
+    def set_undeclared(self, found: Mapping[str, Mapping[str, object]]) -> None:
+        """Set safe values of what nodes have not declared: what is never taken costs all trials.
+
+        Parameters
+        ----------
+        found
+            What the nodes have declared, by key.
+        """
+        safe = self._study.nominal_assignments(self._study.safe_parameters)
+        for key, values in safe.items():
+            undeclared = {name: v for name, v in values.items() if name not in found[key]}
+            try:
+                self._parameters.assign(key, undeclared)
+            except RefusedError as refusal:
+                raise self._named(key, refusal, ("nodes", key)) from refusal
+
+    def set_safe(self, safe: Values) -> None:
+        """Set safe values, and read them back."""
+        section = "park" if self._study.park.parameters else "parameters"
+        for key, values in safe.items():
+            try:
+                self._parameters.assign_and_read_back(key, values)
+            except RefusedError as refusal:
+                raise self._named(key, refusal, (section,), "as safe values: ") from refusal
+
+    def refuse_ranges(self) -> None:
+        """Refuse a study with values that a node says it does not take: they would fail runs."""
+        for key in self._study.nodes:
+            for problem in self._problems(key, declared=True):
+                raise problem
+
+    def _named(
+        self, key: str, refusal: RefusedError, path: KeyPath, prefix: str = ""
+    ) -> StudyError:
+        """Return what the study sets that the node cannot take, or the node's refusal itself."""
+        found = self._problems(key, declared=False)
+        return found[0] if found else StudyError(f"{prefix}{refusal}", path)
+
+    def _problems(self, key: str, *, declared: bool) -> list[StudyError]:
+        """Return as `node_problems`; none of a node that does not describe its parameters."""
+        try:
+            # The tuner has told it something by now, and has noted that down.
+            known = describe_now(self._tuner, self._study.nodes[key].node)
+        except BackendError:
+            return []
+        return node_problems(self._study, key, known, declared=declared)
+
+
+class TakenOver(NamedTuple):
+    """By node key, what the nodes of a study have outside of evaluations.
+
+    Attributes
+    ----------
+    safe : dict
+        The safe parameters.
+    held : dict
+        All that the nodes had, with the constants of the study.
+    """
+
+    safe: Values
+    held: Values
+
+
+def take_over(
+    study: Study,
+    tuner: TunerNode,
+    parameters: NodeParameters,
+    previous: PreviousParameters | None,
+    folder: Path,
+    *,
+    is_repeat: bool,
+) -> TakenOver:
+    """Note what the nodes of a study have, then set constant and safe parameters.
+
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    parameters
+        Sets and reads those of the nodes.
+    previous
+        Notes what attached nodes have; None of nodes that the tuner has started.
+    folder
+        Log directory of the run, with what its nodes had when it began.
+    is_repeat
+        Whether it is that of an earlier run, which is only read.
+
+    Raises
+    ------
+    BackendError
+        If, attached, a parameter that the study does not set is not what it was, or a node does
+        not take back what it had before a tuner that was killed.
+    LostError
+        If a node does not answer.
+    StudyError
+        If a node does not take its parameters.
+    """
+    found = {key: parameters.read_anew(key) for key in study.nodes}
+    if previous is not None:
+        previous.undo_killed(found)
+    own, others = _divide(study, found)
+    safe = safe_values(study)
+    if previous is not None:
+        previous.begin(own, safe)
+        if not is_repeat:
+            _note_previous(folder, previous.before_tuning)
+    initial = InitialParameters(study, tuner, parameters)
+    initial.set_constants()
+    is_first = _compare_with_earlier(
+        folder, others, refuse=previous is not None, note=not is_repeat
+    )
+    if is_first:
+        initial.refuse_ranges()
+    initial.set_undeclared(found)
+    if study.run is not None:
+        # The nodes run by themselves, and from now on as they will between two runs.
+        initial.set_safe(safe)
+    held = {key: found[key] | dict(spec.parameters) for key, spec in study.nodes.items()}
+    return TakenOver(safe, held)
+
+
+def _divide(
+    study: Study, values: Values
+) -> tuple[dict[str, dict[str, object]], dict[str, dict[str, object]]]:
+    """Return the parameters, by node key, that a study sets, and the others."""
+    assigned = study.nominal_assignments(study.search_space().defaults)
+    own: dict[str, dict[str, object]] = {}
+    others: dict[str, dict[str, object]] = {}
+    for key, found in values.items():
+        names = {*study.nodes[key].parameters, *assigned.get(key, {})}
+        own[key] = {name: value for name, value in found.items() if name in names}
+        others[key] = {name: value for name, value in found.items() if name not in names}
+    return own, others
+
+
+def _note_previous(folder: Path, values: Values) -> None:
+    """Note down in a folder what nodes had, by key, unless that was done when its run began."""
+    file = folder / PREVIOUS_PARAMETERS
+    # Without the file the way back is to the study's defaults, which the bundle says.
+    with contextlib.suppress(OutputError):
+        if not file.exists():
+            write_atomically(file, json.dumps(values, indent=1, default=str))
+
+
+def _compare_with_earlier(folder: Path, values: Values, *, refuse: bool, note: bool) -> bool:
+    """Compare parameters with those that were noted down first in a folder, or note them down.
+
+    A validation, or the rest of a run, on attached nodes would else measure something else.
+
+    Parameters
+    ----------
+    folder
+        Takes the file.
+    values
+        Parameters by node key.
+    refuse
+        Whether to refuse nodes that have other ones.
+    note
+        Whether to note them down where there is nothing yet; else the folder is only read.
+
+    Returns
+    -------
+    bool
+        Whether there was nothing yet to compare with.
+
+    Raises
+    ------
+    BackendError
+        If one is not what it was, with its name.
+    """
+    file = folder / HELD_PARAMETERS
+    try:
+        earlier = json.loads(read_text(file))
+        known = {key: dict(earlier[key]) for key in values}
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        known = {}
+    if not known:
+        if note:
+            with contextlib.suppress(OutputError):
+                write_atomically(file, json.dumps(values, indent=1, default=str))
+        return True
+    if not refuse:
+        return False
+    for key, now in values.items():
+        common = {name: known[key][name] for name in now if name in known[key]}
+        if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
+            raise BackendError(f"{changed[0]}, as when the run began; set it back")
+    return False

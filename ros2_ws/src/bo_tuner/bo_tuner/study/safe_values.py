@@ -1,0 +1,49 @@
+"""The values that a study's nodes have while no run is performed, by node."""
+
+from collections.abc import Mapping
+
+from bo_tuner.study.checks import same_value
+from bo_tuner.study.study import Study
+
+
+def safe_values(study: Study) -> dict[str, dict[str, object]]:
+    """Return by node key the parameters that nodes have while no run is performed."""
+    safe = _whole(study)
+    if study.seed_parameter is not None:
+        del safe[study.seed_parameter.node][study.seed_parameter.parameter]
+    return safe
+
+
+def named_safe(
+    study: Study, previous: Mapping[str, Mapping[str, object]]
+) -> dict[str, dict[str, object]]:
+    """Return by node key the values that ``park`` names and nodes do not have already.
+
+    Parameters
+    ----------
+    study
+        The study.
+    previous
+        What the nodes have, by key. Of an array the items that are not named stay as they are.
+    """
+    safe, whole = study.safe_parameters, _whole(study)
+    found: dict[str, dict[str, object]] = {}
+    for item in (study.parameters[name] for name in study.park.parameters):
+        of_node = found.setdefault(item.node, {})
+        if not item.array:
+            of_node[item.parameter] = safe[item.name]
+            continue
+        had = of_node.get(item.array, previous[item.node].get(item.array))
+        if isinstance(had, list) and item.item < len(had):
+            of_node[item.array] = [*had[: item.item], safe[item.name], *had[item.item + 1 :]]
+        else:
+            of_node[item.array] = whole[item.node][item.array]
+    return {
+        key: {n: v for n, v in values.items() if not same_value(v, previous[key].get(n))}
+        for key, values in found.items()
+    }
+
+
+def _whole(study: Study) -> dict[str, dict[str, object]]:
+    assigned = study.nominal_assignments(study.safe_parameters)
+    return {key: dict(values) for key, values in assigned.items()}
