@@ -34,6 +34,7 @@ SECTIONS = (
     ("band_coverage.json", "Bands and bounds of a certificate", answers.coverage),
     ("stop_advice.json", "The advice to stop", answers.stop),
     ("unchanged_system.json", "A system that knows nothing of the tuner", cost.unchanged),
+    ("streams.json", "References that stream", cost.streams),
     ("report.json", "The report", cost.report),
     ("soak.json", "Many cuts over ROS", faults.soak),
     ("kill_soak.json", "Killed at random moments", faults.kill),

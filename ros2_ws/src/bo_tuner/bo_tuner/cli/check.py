@@ -215,6 +215,9 @@ def _try(
         with opened(backend, interruption) as left:
             done, recordings = _runs(study, backend)
         show_signals(recordings[-1], RUNS)
+        for name, told in done[-1].outcome.details.items():
+            if name.startswith(STREAMS):
+                say(f"stream on {name.removeprefix(STREAMS)}: {told}")
         failed = [e for e in done if not e.outcome.complete]
         for evaluation in failed:
             say_error(

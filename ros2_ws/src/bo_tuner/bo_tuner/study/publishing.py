@@ -210,8 +210,15 @@ class Publish:
             for topic in self.published
         )
 
-    def read_files(self, folder: str) -> "Publish":
-        """Return it with the digests of its files, once their content and all values are checked.
+    def read_files(self, folder: str, longest: float) -> "Publish":
+        """Return it with the digests of its files, once they and values are checked.
+
+        Parameters
+        ----------
+        folder
+            The study's.
+        longest
+            Time [s] up to which values are looked at.
 
         Raises
         ------
@@ -224,15 +231,15 @@ class Publish:
             for name, item in topic.profile.items():
                 with under(*path, "profile", name):
                     profile[name] = item.read_files(folder)
-                    self._check_finite(item, folder)
+                    self._check_finite(item, folder, longest)
             topics.append(dataclasses.replace(topic, profile=profile))
         if self.topics:
             return dataclasses.replace(self, topics=tuple(topics))
         return dataclasses.replace(self, profile=topics[0].profile)
 
-    def _check_finite(self, profile: Profile, folder: str) -> None:
+    def _check_finite(self, profile: Profile, folder: str, longest: float) -> None:
         rate = self.rate or 1.0
-        count = int(min(self.duration or LOOKED_AT, LOOKED_AT) * rate) + 1
+        count = int(min(self.duration or longest, longest, LOOKED_AT) * rate) + 1
         times = np.arange(count) / rate
         values = profile.function(folder)(times)
         if len(wrong := np.flatnonzero(~np.isfinite(values))):

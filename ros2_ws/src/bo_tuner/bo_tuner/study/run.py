@@ -8,7 +8,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
-from bo_tuner.study.steps import Step, build_steps
+from bo_tuner.study.steps import SetParameter, Step, build_steps
 
 BEFORE, START = "before", "start"
 """Phases of the steps that a run begins with."""
@@ -142,11 +142,23 @@ class Run:
             read = step
             if step.publish is not None and step.publish.streams:
                 with findings.under(phase, index, "publish"):
-                    read = replace(step, publish=step.publish.read_files(folder))
+                    read = replace(step, publish=step.publish.read_files(folder, self.longest))
             phases[str(phase)].append(read)
         findings.check()
         found: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
         return replace(self, **found)
+
+    @property
+    def settings(self) -> Iterator[tuple[KeyPath, SetParameter]]:
+        """The parameters that steps set, each with its key path in the study."""
+        for path, step in self.steps:
+            if step.set is not None:
+                yield (*path, "set"), step.set
+
+    @property
+    def longest(self) -> float:
+        """Longest time [s] from its start to its end."""
+        return self.timeout if self.end.after is None else self.end.after
 
     @property
     def needs_folder(self) -> bool:

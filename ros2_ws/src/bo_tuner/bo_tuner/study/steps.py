@@ -92,6 +92,37 @@ class Lifecycle:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SetParameter:
+    """A parameter of a node that a step sets: a set-point, a mode, a gain of another controller.
+
+    It has the value from then on, until another step sets it; after a run it has again what it had,
+    or what a step of `after` sets, and in the end what it had before the tuner came.
+
+    Attributes
+    ----------
+    node : str
+        The node, by its key in `nodes`.
+    parameter : str
+        A parameter of it that is neither tuned nor set by a context.
+    value : bool, int, float, str or list of these
+        The value.
+    """
+
+    node: str
+    parameter: str
+    value: checks.ParameterValue
+
+    def __post_init__(self) -> None:
+        checks.text(self.node, "node")
+        checks.parameter_name(self.parameter, "parameter")
+        try:
+            values = checks.parameter_values({self.parameter: self.value})
+        except StudyError as error:
+            raise StudyError(error.problem, ("value", *error.path[1:])) from None
+        object.__setattr__(self, "value", values[self.parameter])
+
+
+@dataclass(frozen=True, kw_only=True)
 class WaitUntil:
     """A wait for a condition on signals, or for the moment at which one comes to hold.
 
@@ -130,6 +161,7 @@ _KINDS: dict[str, type[Any]] = {
     "publish": Publish,
     "send_goal": SendGoal,
     "lifecycle": Lifecycle,
+    "set": SetParameter,
     "wait_until": WaitUntil,
 }
 
@@ -150,6 +182,8 @@ class Step:
         Sends a goal to an action server.
     lifecycle : Lifecycle, optional
         Changes the state of a lifecycle node.
+    set : SetParameter, optional
+        Sets a parameter of a node.
     restart : str
         Node of the study, started by the tuner, that is ended and started anew.
     wait_until : WaitUntil, optional
@@ -163,6 +197,7 @@ class Step:
     stop: str = ""
     send_goal: SendGoal | None = None
     lifecycle: Lifecycle | None = None
+    set: SetParameter | None = None
     restart: str = ""
     wait_until: WaitUntil | None = None
     wait: float | None = None

@@ -31,6 +31,7 @@ from bo_tuner.study.references import (
     check_constraint,
     check_objectives,
     check_run,
+    check_settings,
     check_signals,
     check_targets,
     node_references,
@@ -160,6 +161,10 @@ class Study:
                 check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
             with findings.under():
                 check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
+            if self.run is not None:
+                varied = (self.parameters, self.contexts, self.seed_parameter)
+                with findings.under():
+                    check_settings(self.run, self.nodes, *varied)
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():

@@ -190,7 +190,7 @@ class RosBackend(SequentialBackend):
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
                 self._procedure = Procedure(
-                    self._study, self._study.run, tuner, restart, self._guard
+                    self._study, self._study.run, tuner, client.parameters, restart, self._guard
                 )
             self._safe_state = SafeState(
                 self._study,

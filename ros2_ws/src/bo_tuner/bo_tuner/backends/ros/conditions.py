@@ -39,8 +39,12 @@ class Edge:
     def __init__(self, hold: float) -> None:
         self._hold = hold
         self._since: float | None = None
-        self.was_off = False
-        """Whether it was known not to hold."""
+        self._off: float | None = None
+
+    @property
+    def was_off(self) -> bool:
+        """Whether it was known not to hold at any time."""
+        return self._off is not None
 
     def look(self, times: Array, values: Array) -> bool:
         """Take its values (n,) at times (n,) [s], up to now; whether it has come to hold for long.
@@ -53,8 +57,9 @@ class Edge:
             if np.isnan(value):
                 self._since = None
             elif value == 0.0:
-                self.was_off, self._since = True, None
-            elif self.was_off and self._since is None:
+                self._off = time if self._off is None else min(self._off, time)
+                self._since = None
+            elif self._off is not None and time > self._off and self._since is None:
                 self._since = float(time)
         return self._since is not None and float(times[-1]) - self._since >= self._hold
 

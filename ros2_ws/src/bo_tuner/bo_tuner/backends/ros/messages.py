@@ -169,7 +169,7 @@ class NumberWriter:
     Attributes
     ----------
     write : callable
-        Puts one in; for an integer, a whole one.
+        Puts one in; of an integer, the nearest one.
     limits : tuple of int, optional
         Lowest and highest number, if it is an integer.
     """
@@ -200,7 +200,7 @@ def number_writer(message: Any, path: Sequence[FieldPart]) -> NumberWriter:
     if kind.typename == "boolean":
         raise StudyError(f"{part.name} is true or false; expected a number")
     is_float = kind.typename in FLOATS
-    cast: Callable[[float], Any] = float if is_float else int
+    cast: Callable[[float], Any] = float if is_float else round
 
     def write(value: float) -> None:
         if place is None:

@@ -8,10 +8,12 @@ from rclpy.node import Node
 from bo_tuner.backends.ros.clock import RunClock, SimClock, WallClock
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.steps import (
     CONNECT_TIMEOUT,
     LifecycleChange,
+    ParameterChange,
     PreparedStep,
     ServiceCall,
 )
@@ -44,6 +46,8 @@ class Preparation:
         listen.
     ticks
         Tells the time of streams; by that of the machine unless given.
+    parameters
+        Those of the nodes, for steps that set one; None not to set any.
 
     Attributes
     ----------
@@ -60,12 +64,14 @@ class Preparation:
         attached: bool,
         listener: Node | None = None,
         ticks: Ticks | None = None,
+        parameters: NodeParameters | None = None,
     ) -> None:
         self._study = study
         self._tuner = tuner
         self._clock = clock
         self._attached = attached
         self._listener = listener
+        self._parameters = parameters
         self._ticks: Ticks = WallTicks(clock) if ticks is None else ticks
         self.topics: dict[str, OwnTopic] = {}
 
@@ -83,6 +89,8 @@ class Preparation:
                 return ServiceCall.prepare(self._tuner, step.call, path)
             if step.publish is not None:
                 return self._publication(step.publish, path[1])
+            if step.set is not None and self._parameters is not None:
+                return ParameterChange(self._parameters, step.set, path)
             if step.lifecycle is not None:
                 return LifecycleChange.prepare(self._tuner, step.lifecycle)
             if step.send_goal is not None:
@@ -105,7 +113,9 @@ class Preparation:
                 )
         if not publish.streams:
             return publications[0]
-        return Stream(self._tuner, publish, publications, self._ticks, self._study.folder)
+        run, folder = self._study.run, self._study.folder
+        longest = 0.0 if run is None else run.longest
+        return Stream(self._tuner, publish, publications, self._ticks, folder, longest)
 
     def _check_restart(self, key: str) -> None:
         spec = self._study.nodes[key]

@@ -15,6 +15,7 @@ from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.services import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.publication import UnheardError
@@ -64,6 +65,8 @@ class Procedure:
         What makes up a run.
     tuner
         The tuner's node.
+    parameters
+        Those of the nodes, for steps that set one.
     restart
         Starts a node anew, by its key; None if the tuner has started none.
     guard
@@ -85,12 +88,14 @@ class Procedure:
         study: Study,
         run: Run,
         tuner: TunerNode,
+        parameters: NodeParameters,
         restart: Callable[[str], None] | None,
         guard: GuardLink | None = None,
     ) -> None:
         self._run = run
         self._study = study
         self._tuner = tuner
+        self._parameters = parameters
         self._restart = restart
         self._guard = guard
         guarded = () if guard is None else guard.topics
@@ -145,6 +150,7 @@ class Procedure:
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
         self._is_prepared = False
+        self._streams.begin_run()
         self._watch.prepare()
         try:
             self._perform(BEFORE)
@@ -185,6 +191,7 @@ class Procedure:
             raise FailedRunError(problems[0])
         for index in self._due.copy():
             self._perform_after(index)
+        self._parameters.give_back()
         if mixed := self._recorder.mixed:
             raise DisturbedError(mixed)
         self.recording.check(self._study.signals, largest_gaps)
@@ -227,7 +234,8 @@ class Procedure:
         problems = self._leave_by(first)
         problems += self._cancel()
         # What nobody has heard just now waits for the next call.
-        return problems + self._leave_by([index for index in self._due if index not in first])
+        problems += self._leave_by([index for index in self._due if index not in first])
+        return problems + self._give_back()
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
@@ -238,6 +246,7 @@ class Procedure:
         if unended := [goal.unended for goal in self._started if goal.is_open]:
             return [f"not recovered: {problem}" for problem in unended]
         missed, self._due = self._due, self._all_after
+        self._streams.begin_run()
         try:
             self._perform(RECOVER)
             self._streams.check()
@@ -246,6 +255,14 @@ class Procedure:
         finally:
             self._streams.stop_all()
         self._due = missed
+        return self._give_back()
+
+    def _give_back(self) -> list[str]:
+        """Let nodes have again what steps have changed; returns what went wrong."""
+        try:
+            self._parameters.give_back()
+        except FAULTS as fault:
+            return [f"not given back what steps have set: {fault}"]
         return []
 
     def close(self) -> None:
@@ -456,6 +473,7 @@ class Procedure:
             attached=self._restart is None,
             listener=self._recorder.node,
             ticks=ticks,
+            parameters=self._parameters,
         )
         self._topics = preparation.topics
         for path, step in self._run.steps:

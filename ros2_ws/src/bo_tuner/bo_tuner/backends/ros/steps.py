@@ -7,12 +7,14 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
 
 from bo_tuner.backends.ros import others
+from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.messages import interface_class, make_message
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
-from bo_tuner.study.steps import Call, Lifecycle
+from bo_tuner.study.steps import Call, Lifecycle, SetParameter
 from bo_tuner.text import brief
 
 CONNECT_TIMEOUT = 5.0
@@ -74,6 +76,22 @@ class ServiceCall:
         if getattr(response, "success", True) is False:
             reason = brief(getattr(response, "message", "")) or "no reason given"
             raise FailedRunError(f"{self.service.srv_name} refused: {reason}")
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter that is set in a run."""
+
+    parameters: NodeParameters
+    spec: SetParameter
+    path: KeyPath
+
+    def perform(self) -> None:
+        """Set it, and read it back."""
+        try:
+            self.parameters.change(self.spec.node, {self.spec.parameter: self.spec.value})
+        except RefusedError as refusal:
+            raise FailedRunError(f"{where(self.path)}: {refusal}") from refusal
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.building import under
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.signals import field_path
+from bo_tuner.trials import STREAMS
 
 UNSERVED = 0.5
 """Time [s] after which a stream ends if the tuner's node is not served."""
@@ -62,24 +63,20 @@ class _Channel:
         return self.publication.name
 
     def table(self, times: Array) -> Array:
-        """Return the numbers (n, fields) at times (n,) [s]; raises `_StreamError`."""
+        """Return the numbers (n, fields) at times (n,) [s]."""
         columns = np.empty((len(times), len(self.fields)))
-        for k, (name, writer) in enumerate(zip(self.fields, self._writers, strict=True)):
-            values = self.functions[name](times)
-            wrong = ~np.isfinite(values)
-            expected = "a finite number"
-            if writer.limits is not None:
-                values = np.rint(values)
-                low, high = writer.limits
-                wrong |= (values < low) | (values > high)
-                expected = f"an integer from {low} to {high}"
-            if wrong.any():
-                at = int(np.flatnonzero(wrong)[0])
-                raise _StreamError(
-                    f"{name} is {values[at]:g} at {times[at]:g} s; expected {expected}"
-                )
-            columns[:, k] = values
+        for k, name in enumerate(self.fields):
+            columns[:, k] = self.functions[name](times)
         return columns
+
+    def check(self, values: Array, time: float) -> None:
+        """Raise `_StreamError` if the message cannot hold the numbers (fields,) of a time [s]."""
+        for name, writer, value in zip(self.fields, self._writers, values, strict=True):
+            low, high = writer.limits or (-np.inf, np.inf)
+            if not (np.isfinite(value) and low <= value <= high):
+                limits = writer.limits
+                expected = f"an integer from {low} to {high}" if limits else "a finite number"
+                raise _StreamError(f"{name} is {value:g} at {time:g} s; expected {expected}")
 
     def publish(self, values: Array, stamp: int) -> None:
         """Publish the numbers (fields,)."""
@@ -147,6 +144,8 @@ class Stream:
         Tells the time.
     folder
         The study's, for files of profiles.
+    longest
+        Time [s] up to which values are checked ahead.
 
     Raises
     ------
@@ -161,6 +160,7 @@ class Stream:
         publications: Sequence[Publication],
         ticks: Ticks,
         folder: str,
+        longest: float,
     ) -> None:
         self._tuner = tuner
         self.publish = publish
@@ -170,7 +170,7 @@ class Stream:
         self._channels = []
         for path, publication in zip(publish.paths, publications, strict=True):
             with under("publish", *path):
-                self._channels.append(self._channel(publication, folder))
+                self._channels.append(self._channel(publication, folder, longest))
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._over.set()
@@ -179,14 +179,17 @@ class Stream:
         self._active: list[_Channel] = []
         self.jitter = Jitter()
 
-    def _channel(self, publication: Publication, folder: str) -> _Channel:
+    def _channel(self, publication: Publication, folder: str, longest: float) -> _Channel:
         functions = {}
         for name, profile in publication.publish.profile.items():
             with under("profile", name):
                 functions[name] = profile.function(folder)
         channel = _Channel(publication, functions)
+        times = self._times(0)
         try:
-            channel.table(self._times(0))
+            for time_of, values in zip(times, channel.table(times), strict=True):
+                if time_of <= longest:
+                    channel.check(values, time_of)
         except _StreamError as error:
             raise StudyError(str(error), ("profile",)) from None
         return channel
@@ -350,6 +353,7 @@ class Stream:
             stamp = self._ticks.stamp()
             for channel, values in zip(self._channels, self._tables[block], strict=True):
                 if channel in self._active:
+                    channel.check(values[place], newest / self._rate)
                     channel.publish(values[place], stamp)
             late = max(now - self._due(newest), 0) * 1e-9
             self.jitter.add(late, (now - self._published) * 1e-9, left_out)
@@ -435,4 +439,4 @@ class Streams:
 
     def counts(self) -> dict[str, str]:
         """Say in words how the messages of each came out in the last run."""
-        return {f"streams.{stream.name}": str(stream.jitter) for stream in self._streams}
+        return {f"{STREAMS}{stream.name}": str(stream.jitter) for stream in self._streams}
