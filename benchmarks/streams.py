@@ -44,9 +44,11 @@ def machine(folder: Path, *, simulated: bool) -> None:
     node = Node("machine")
     node.declare_parameter("gain", 1.0)
     heard: list[tuple[float, float]] = []
-    node.create_subscription(
-        Float64, "reference", lambda m: heard.append((time.monotonic(), m.data)), 1000
-    )
+
+    def hear(message: Any) -> None:
+        heard.append((time.monotonic(), message.data))
+
+    node.create_subscription(Float64, "reference", hear, 1000)
     state = node.create_publisher(Float64, "state", 10)
     node.create_timer(0.01, lambda: state.publish(Float64(data=time.monotonic())))
     if simulated:
@@ -138,7 +140,7 @@ def main() -> None:
     parser = result_parser(__doc__ or "", "streams.json")
     parser.add_argument("--seconds", type=float, default=20.0, help="(default: %(default)s)")
     parser.add_argument("--busy", type=int, default=4, help="processes (default: %(default)s)")
-    parser.add_argument("--domain", type=int, default=88, help="(default: %(default)s)")
+    parser.add_argument("--domain", type=int, default=76, help="(default: %(default)s)")
     parser.add_argument("--rates", type=float, nargs="+", default=[20.0, 50.0, 100.0, 500.0])
     parser.add_argument("--machine", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--simulated", action="store_true", help=argparse.SUPPRESS)
@@ -147,6 +149,7 @@ def main() -> None:
         machine(arguments.machine, simulated=arguments.simulated)
         return
     about = provenance()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(arguments.domain)
     load = os.getloadavg()[0]
     rows = [

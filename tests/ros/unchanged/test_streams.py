@@ -245,7 +245,7 @@ def test_a_rate_that_is_not_held_is_a_fault_of_the_run(backend, listener, monkey
 
 
 def test_a_rate_of_which_too_much_is_left_out(backend, listener, monkeypatch):
-    monkeypatch.setattr(streams, "MOST_LEFT_OUT", 0.1)
+    monkeypatch.setattr(streams, "MOST_LEFT_OUT", 0.2)
     made = backend(run={"start": [stream("left", "t")], "end": {"after": 5.0}})
     publish = OwnTopic.publish
 
@@ -404,7 +404,7 @@ def test_in_simulated_time(backend, listener, join):
 def test_a_simulation_whose_time_goes_on_by_more_than_a_period(
     backend, listener, join, monkeypatch
 ):
-    monkeypatch.setattr(streams, "MOST_LEFT_OUT", 0.1)
+    monkeypatch.setattr(streams, "MOST_LEFT_OUT", 0.2)
     join(Simulation, 100_000_000)
     made = backend(
         signals={"angle": ANGLE},

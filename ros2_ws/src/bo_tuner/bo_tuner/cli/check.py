@@ -42,7 +42,7 @@ from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
-from bo_tuner.trials import TUNED, Evaluation, Stage
+from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
 

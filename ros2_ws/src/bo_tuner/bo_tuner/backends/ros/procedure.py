@@ -136,8 +136,9 @@ class Procedure:
             raise LostError("; ".join(problems))
 
     def forget(self) -> None:
-        """Let `recording` have nothing, as of a run that does not come about."""
+        """Let `recording` and `counts` have nothing, as of a run that does not come about."""
         self.recording = NOTHING_RECORDED
+        self._streams.begin_run()
 
     def prepare(self) -> None:
         """Perform the steps before a run; raises as `perform`.
@@ -150,7 +151,6 @@ class Procedure:
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
         self._is_prepared = False
-        self._streams.begin_run()
         self._watch.prepare()
         try:
             self._perform(BEFORE)
@@ -212,7 +212,8 @@ class Procedure:
         return "" if acts and not self._is_prepared else self._recorder.unpublished
 
     def request_cancel(self) -> None:
-        """Ask for the end of the goals that are active, and do not wait for it."""
+        """End what streams, and ask for the end of the goals that are active, not waiting for it."""
+        self._streams.stop_all()
         for goal in self._started:
             goal.request_cancel()
 
@@ -228,7 +229,6 @@ class Procedure:
         list of str
             What went wrong, each in a line.
         """
-        self._streams.stop_all()
         self.request_cancel()
         first = list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
         problems = self._leave_by(first)

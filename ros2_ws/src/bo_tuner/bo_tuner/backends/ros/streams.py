@@ -30,10 +30,10 @@ UNSERVED = 0.5
 """Time [s] after which a stream ends if the tuner's node is not served."""
 BLOCK = 256
 """Messages whose values are computed at once."""
-MOST_LEFT_OUT = 0.1
+MOST_LEFT_OUT = 0.2
 """Share of the messages that may be left out."""
-TELLING = 20
-"""Messages due before a share of them tells anything."""
+TELLING, LEAST_TOLD = 1.0, 20
+"""Time [s] of a stream, and messages due, before a share of them tells anything."""
 HEARD = 0.2
 """Time [s] between two looks at who subscribes."""
 LEAST_MOTION = 0.05
@@ -280,7 +280,7 @@ class Stream:
             problem = (
                 f"no message for {gap:.3g} s, expected one at least every {self.publish.gap:.3g} s"
             )
-        elif due >= TELLING and jitter.left_out > MOST_LEFT_OUT * due:
+        elif due >= max(LEAST_TOLD, TELLING * self._rate) and jitter.left_out > MOST_LEFT_OUT * due:
             problem = f"{jitter.left_out} of {due} messages are left out, as they would be late"
         if problem:
             raise DisturbedError(
