@@ -212,7 +212,7 @@ class Procedure:
         return "" if acts and not self._is_prepared else self._recorder.unpublished
 
     def request_cancel(self) -> None:
-        """End what streams, and ask for the end of the goals that are active, not waiting for it."""
+        """End what streams, and ask for the end of goals that are active, not waiting for it."""
         self._streams.stop_all()
         for goal in self._started:
             goal.request_cancel()
