@@ -35,6 +35,7 @@ from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.guard_record import Act, add_act
+from bo_tuner.study.building import under
 
 LOOK_AROUND = 0.5
 """Time [s] to hear of another guard."""
@@ -201,10 +202,11 @@ class Guard:
             self._say(f"waiting: {problem}")
         self._clock: RunClock = WallClock()
         topics: dict[str, OwnTopic] = {}
-        self._stop = [
-            Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
-            for item in plan.stop
-        ]
+        with under("publish"):
+            self._stop = [
+                Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
+                for item in plan.stop
+            ]
         self._cancels: list[Client] = [
             tuner.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
             for action in plan.actions
