@@ -35,6 +35,7 @@ SECTIONS = (
     ("stop_advice.json", "The advice to stop", answers.stop),
     ("unchanged_system.json", "A system that knows nothing of the tuner", cost.unchanged),
     ("node_starts.json", "A node that starts with its values", cost.node_starts),
+    ("streams.json", "References that stream", cost.streams),
     ("report.json", "The report", cost.report),
     ("soak.json", "Many cuts over ROS", faults.soak),
     ("kill_soak.json", "Killed at random moments", faults.kill),

@@ -245,3 +245,38 @@ def report(result: Result) -> list[str]:
         "before the end: other programs stretch all times by the clock.",
         markdown(["", "median [s]", "least", "most"], rows),
     ]
+
+
+def streams(result: Result) -> list[str]:
+    """How regular the messages of a stream come."""
+    rows = [
+        [
+            f"{r['rate']:g}",
+            r["clock"],
+            r["busy"],
+            f"{r['heard']} of {r['due']}",
+            *(f"{r[key]:.2f}" for key in ("deviation_median_ms", "deviation_p99_ms")),
+            f"{r['gap_longest_ms']:.1f}",
+            r["watchdog"],
+        ]
+        for r in result["streams"]
+    ]
+    return [
+        f"Runs of {result['seconds']:g} s, in which the tuner records a signal at 100 Hz; heard by "
+        "a node in another process. The deviation is that of the time between two messages from "
+        f"the period, in ms; the watchdog would stop the machine after {result['watchdog_s']:g} s "
+        f"without a message. The load average was {result['load_before']:.1f} before.",
+        markdown(
+            [
+                "rate [Hz]",
+                "clock",
+                "busy processes",
+                "heard",
+                "deviation, median",
+                "99 %",
+                "longest gap [ms]",
+                "watchdog",
+            ],
+            rows,
+        ),
+    ]

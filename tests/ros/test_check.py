@@ -18,7 +18,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 from waiting import DEADLINE
 
-from bo_tuner.backends.ros import others, preparation, steps
+from bo_tuner.backends.ros import others, preparation, publication, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
@@ -266,7 +266,7 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
 def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypatch, capsys):
     """One for each kind of step, beside a mistake in a signal."""
     # What is there is known by now; what is not is waited for, one after the other.
-    for module in (preparation, steps):
+    for module in (preparation, publication, steps):
         monkeypatch.setattr(module, "CONNECT_TIMEOUT", 1.0)
     write_study(
         tmp_path,
@@ -422,3 +422,46 @@ def test_one_value_of_a_metric_without_a_limit_does_not_differ():
     """As where the other run failed."""
     assert spread("error", [0.5], []) == ""
     assert spread("error", [0.5, 0.7], []).startswith("error: differs by 0.2 ")
+
+
+@pytest.fixture
+def mode(servo):
+    """A parameter of the servo that the study does not vary."""
+    yield servo.declare_parameter("mode", 3)
+    servo.undeclare_parameter("mode")
+
+
+STREAM = {
+    "publish": {
+        "topic": "/setpoint",
+        "rate": 20,
+        "largest_gap": 20.0,
+        "profile": {"data": {"csv": {"file": "ref.csv", "column": "x"}}},
+        "follow": {"data": "angle"},
+    }
+}
+
+
+def test_a_stream_and_a_parameter_that_a_step_sets(servo, mode, tmp_path):
+    """How regular the messages were is told, and the node is left as it was."""
+    (tmp_path / "ref.csv").write_text("t,x\n0,0\n1,2\n")
+    setting = {"set": {"node": "servo", "parameter": "mode", "value": 4}}
+    run = {"start": [setting, STREAM], "after": [{"set": setting["set"] | {"value": 5}}]}
+    code, out, err = study(tmp_path, "--attach", run=run)
+    assert (code, err) == (0, "")
+    assert re.search(r"^stream on /setpoint: \d+ messages, \d+ left out, late by", out, re.M)
+    assert servo.get_parameter("mode").value == 3
+
+
+def test_mistakes_in_streams_and_in_parameters_that_steps_set(servo, mode, tmp_path):
+    setting = {"set": {"node": "servo", "parameter": "mode", "value": 1.5}}
+    unheard = {"publish": {"topic": "/nobody", "rate": 20}}
+    code, _, err = study(tmp_path, "--attach", run={"start": [setting, unheard]})
+    assert code == 2
+    assert "run.start[0].set: 'mode' is of type integer in the node, not double" in err
+    assert "run.start[1].publish.topic: nothing subscribes to /nobody" in err
+    assert "nothing was set" in err
+    code, _, err = study(tmp_path, "--attach", run={"start": [STREAM]})
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "ref.csv: cannot be read: No such file" in err

@@ -7,8 +7,9 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
 from bo_tuner.study.fields import FieldPart, field_path
 from bo_tuner.study.metrics import SignalMetric
+from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import End
-from bo_tuner.study.steps import Call, Publish, Step
+from bo_tuner.study.steps import Call, Step
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 
 STUDY = """\

@@ -213,7 +213,7 @@ class TestFailures:
         reason = "axis: parameter gain is 1.0, expected 0.5 (changed by someone else)"
         disturbed = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
         seen = []
-        with pytest.raises(RunError, match=r"^3 trials in a row were disturbed by others: axis: p"):
+        with pytest.raises(RunError, match=r"^3 trials in a row were disturbed: axis: p"):
             iter_into(Tuning(study, function_backend(study, lambda **_: disturbed), IV), seen)
         assert len(seen) == 3
         # Three on record are three, whoever ran them.

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros import preparation, procedure, steps
+from bo_tuner.backends.ros import preparation, procedure, publication, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interrupted
@@ -69,7 +69,7 @@ def patience(monkeypatch):
     """Function that sets how long [s] a backend waits for what it does not find."""
 
     def wait(seconds):
-        for module in (steps, procedure, preparation):
+        for module in (steps, publication, procedure, preparation):
             monkeypatch.setattr(module, "CONNECT_TIMEOUT", seconds)
 
     return wait

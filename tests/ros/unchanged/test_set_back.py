@@ -213,6 +213,25 @@ def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, 
     assert gain(system) == 0.75
 
 
+def test_what_a_step_had_set_is_restored_after_a_kill(backend, system, killed):
+    """As is what a step of `after` has left."""
+    setting = {"node": "servo", "parameter": "count"}
+    had = system.get_parameter("count").value
+    made = backend(
+        run={
+            "start": [{"set": setting | {"value": 7}}],
+            "after": [{"set": setting | {"value": 0}}],
+        },
+        signals={"setpoint": {"topic": "/plain", "field": "data[0]"}},
+    )
+    run(made)
+    system.set_parameters([Parameter("count", value=7)])
+    killed(made)
+    made = backend(run={"before": []})
+    assert system.get_parameter("count").value == had
+    made.close()
+
+
 def test_nobody_takes_what_a_killed_tuner_has_left_for_the_nodes_own(
     backend, system, killed, monkeypatch
 ):

@@ -66,6 +66,9 @@ limit is relative to."""
 SPOILING = (DISTURBED, UNPREPARED)
 """Why a failed evaluation tells nothing of its parameters."""
 
+STREAMS = "streams."
+"""Begins the keys of an outcome's details that tell how the messages of a reference came out."""
+
 NOTE = "note"
 """Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
 

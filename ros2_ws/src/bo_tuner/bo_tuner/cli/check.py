@@ -42,7 +42,7 @@ from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
-from bo_tuner.trials import TUNED, Evaluation, Stage
+from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
 
@@ -185,7 +185,8 @@ def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
     """Return the signals that others publish than the run itself."""
     steps = () if study.run is None else study.run.steps
     name = tuner.node.resolve_topic_name
-    own = {name(step.publish.topic) for _, step in steps if step.publish is not None}
+    published = [step.publish for _, step in steps if step.publish is not None]
+    own = {name(item.topic) for publish in published for item in publish.published}
     return {
         key: spec
         for key, spec in study.signals.items()
@@ -219,6 +220,9 @@ def _try(
         with opened(backend, interruption) as left:
             done, recordings = _runs(study, backend)
         show_signals(recordings[-1], RUNS)
+        for name, told in done[-1].outcome.details.items():
+            if name.startswith(STREAMS):
+                say(f"stream on {name.removeprefix(STREAMS)}: {told}")
         failed = [e for e in done if not e.outcome.complete]
         for evaluation in failed:
             say_error(

@@ -66,7 +66,8 @@ def foreign_programs(study: Study) -> list[str]:
     named += python_functions(study)
     found = [program for program in dict.fromkeys(named) if program not in _shipped()]
     # What lies there may stand in for a module of a shipped study that is not installed.
-    return [*found, f"code in {study.folder}"] if study.folder else found
+    is_code = study.folder and study.names_programs
+    return [*found, f"code in {study.folder}"] if is_code else found
 
 
 def python_functions(study: Study) -> list[str]:

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.parameter import Parameter, array_and_item
+from bo_tuner.study.steps import SetParameter
 from bo_tuner.study.study import Study
+
+ROS_TYPES = {bool: "boolean", int: "integer", float: "double", str: "string"}
+"""What ROS calls the types of values."""
 
 
 @dataclass(frozen=True)
@@ -173,12 +177,34 @@ def node_problems(
             text = text or _outside(ends, variable.parameter, described)
         if text:
             found.append(StudyError(text, ("contexts", name)))
+    for path, setting in () if study.run is None else study.run.settings:
+        if setting.node == key and (text := _setting_problem(setting, known)):
+            found.append(StudyError(text, path))
     seed = study.seed_parameter
     described = known.get(seed.parameter) if seed is not None and seed.node == key else None
     if seed is not None and described is not None:
         text = _unsettable(seed.parameter, described, "integer")
         found += [StudyError(text, ("seed_parameter",))] if text else []
     return found
+
+
+def _setting_problem(setting: SetParameter, known: Mapping[str, Described]) -> str:
+    """Tell in a line why a node will not take what a step sets; empty if it will.
+
+    It is given back what it had, and so must have declared it.
+    """
+    name, value = setting.parameter, setting.value
+    described = known.get(name)
+    if described is None:
+        return _undeclared(name, known)
+    items = value if isinstance(value, tuple) else (value,)
+    kind = ROS_TYPES[type(items[0])] + ("_array" if isinstance(value, tuple) else "")
+    numbers = [] if isinstance(value, tuple | bool | str) else [float(value)]
+    return (
+        _integer_for_double(name, value, described)
+        or _unsettable(name, described, kind)
+        or _outside(numbers, name, described)
+    )
 
 
 def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:

@@ -21,6 +21,12 @@ CONTEXTS = 50
 SIGNALS = 100
 STEPS = 100
 """In each part of a run: before, start, after and recover."""
+STREAM_RATE = 1_000.0
+"""Messages of a stream in a second."""
+STREAM_TOPICS = 20
+"""Of a stream."""
+SINES = 1_000
+"""Of a multisine."""
 METRICS = 200
 CONSTRAINTS = 50
 OBJECTIVES = 3

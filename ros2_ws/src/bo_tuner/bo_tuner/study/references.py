@@ -250,6 +250,34 @@ def check_targets(
             )
 
 
+def check_settings(
+    run: Run,
+    nodes: Mapping[str, NodeSpec],
+    parameters: Mapping[str, Parameter],
+    contexts: Mapping[str, ContextVariable],
+    seed: SeedParameter | None,
+) -> None:
+    """Refuse steps that set parameters of nodes that are not there, or that the study varies."""
+    varied = {
+        (item.node, getattr(item, "array", "") or item.parameter): f"{section}.{name}"
+        for section, items in (("parameters", parameters), ("contexts", contexts))
+        for name, item in items.items()
+    }
+    if seed is not None:
+        varied[seed.node, seed.parameter] = "seed_parameter"
+    findings = Findings()
+    for path, item in run.settings:
+        with findings.under():
+            checks.reference(item.node, "node", nodes, *path, "node")
+            if other := varied.get((item.node, item.parameter)):
+                raise StudyError(
+                    f"'{item.parameter}' of node '{item.node}' is set by {other}; expected one "
+                    "that the study does not vary",
+                    (*path, "parameter"),
+                )
+    findings.check()
+
+
 def _check_item(name: str, item: Parameter, nodes: Mapping[str, NodeSpec]) -> None:
     """Refuse an item of an array that the study does not have, or not with such an item."""
     path = ("nodes", item.node, "parameters", item.array)

@@ -1,20 +1,23 @@
 """One run of a system that knows nothing of the tuner, as a procedure."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
-from bo_tuner.study.steps import Step, build_steps
+from bo_tuner.study.steps import SetParameter, Step, build_steps
 
 BEFORE, START = "before", "start"
 """Phases of the steps that a run begins with."""
 AFTER = "after"
 """Phase of the steps that bring the machine to rest."""
-PHASES = (BEFORE, START, AFTER, "recover")
+RECOVER = "recover"
+"""Phase of the steps that bring the machine home."""
+PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
 RESULT = "result"
 
@@ -95,6 +98,78 @@ class Run:
         if self.end.result and not any(step.send_goal for step in self.start):
             raise StudyError("start has no send_goal", ("end", "result"))
         self._check_times()
+        self._check_streams()
+
+    def _check_streams(self) -> None:
+        """Refuse a stream that delays the way to rest without end, and ends of what is none."""
+        for index, step in enumerate(self.after):
+            if step.publish is not None and step.publish.streams and step.publish.duration is None:
+                raise StudyError(
+                    "missing; what brings the machine to rest comes to an end",
+                    (AFTER, index, "publish", "duration"),
+                )
+        for phase in (AFTER, RECOVER):
+            for index, step in enumerate(getattr(self, phase)):
+                topics = () if step.publish is None else step.publish.published
+                if any(topic.follow for topic in topics):
+                    raise StudyError(
+                        "is judged in a run; expected this in start or before",
+                        (phase, index, "publish", "follow"),
+                    )
+        for phases in ((BEFORE, START), (AFTER,), (RECOVER,)):
+            begun: set[str] = set()
+            for phase in phases:
+                for index, step in enumerate(getattr(self, phase)):
+                    if step.publish is not None and step.publish.streams and phase != AFTER:
+                        begun |= {topic.topic.strip("/") for topic in step.publish.published}
+                    if step.stop and step.stop.strip("/") not in begun:
+                        near = checks.suggestion(step.stop, sorted(begun))
+                        raise StudyError(
+                            f"no step before it begins a stream on {step.stop}; {near}",
+                            (phase, index, "stop"),
+                        )
+
+    def read_files(self, folder: str) -> "Run":
+        """Return it with the digests of the files of its references; these are checked.
+
+        Raises
+        ------
+        StudyError
+            If one is not as it should be.
+        """
+        findings = Findings()
+        phases: dict[str, list[Step]] = {phase: [] for phase in PHASES}
+        for (_, phase, index), step in self.steps:
+            read = step
+            if step.publish is not None and step.publish.streams:
+                with findings.under(phase, index, "publish"):
+                    read = replace(step, publish=step.publish.read_files(folder, self.longest))
+            phases[str(phase)].append(read)
+        findings.check()
+        found: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
+        return replace(self, **found)
+
+    @property
+    def settings(self) -> Iterator[tuple[KeyPath, SetParameter]]:
+        """The parameters that steps set, each with its key path in the study."""
+        for path, step in self.steps:
+            if step.set is not None:
+                yield (*path, "set"), step.set
+
+    @property
+    def longest(self) -> float:
+        """Longest time [s] from its start to its end."""
+        return self.timeout if self.end.after is None else self.end.after
+
+    @property
+    def needs_folder(self) -> bool:
+        """Whether it names files."""
+        return any(
+            profile.csv is not None
+            for _, step in self.steps
+            if step.publish is not None
+            for _, profile in step.publish.profiles
+        )
 
     def _check_times(self) -> None:
         starting = sum(step.wait or 0.0 for step in self.start)
@@ -134,9 +209,15 @@ class Run:
                 yield step.wait_until.condition, (*path, "wait_until", "condition")
 
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
-        """Refuse conditions with signals, and restarts of nodes, that the study does not have."""
+        """Refuse what refers to signals and nodes that the study does not have."""
         findings = Findings()
         for path, step in self.steps:
+            if step.publish is not None:
+                for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
+                    for name, signal in topic.follow.items():
+                        here = (*path, "publish", *below, "follow", name)
+                        with findings.under():
+                            checks.reference(signal, "signal", signals, *here)
             if step.restart:
                 with findings.under():
                     checks.reference(step.restart, "node", nodes, *path, "restart")

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from bo_tuner.study.checks import same_value
+from bo_tuner.study.run import AFTER
 from bo_tuner.study.study import Study
 
 
@@ -11,7 +12,34 @@ def safe_values(study: Study) -> dict[str, dict[str, object]]:
     safe = _whole(study)
     if study.seed_parameter is not None:
         del safe[study.seed_parameter.node][study.seed_parameter.parameter]
+    for key, values in _left_by_steps(study).items():
+        safe.setdefault(key, {}).update(values)
     return safe
+
+
+def set_by_steps(study: Study) -> dict[str, dict[str, list[object]]]:
+    """Return by node key, then by parameter, the values that steps set."""
+    found: dict[str, dict[str, list[object]]] = {}
+    for _, item in () if study.run is None else study.run.settings:
+        found.setdefault(item.node, {}).setdefault(item.parameter, []).append(item.value)
+    return found
+
+
+def _left_by_steps(study: Study) -> dict[str, dict[str, object]]:
+    """Return by node key what a study says of parameters that steps set, for between two runs.
+
+    That is what the last step of `after` leaves, or a constant.
+    """
+    found: dict[str, dict[str, object]] = {}
+    settings = [] if study.run is None else list(study.run.settings)
+    for _, item in settings:
+        constants = study.nodes[item.node].parameters
+        if item.parameter in constants:
+            found.setdefault(item.node, {})[item.parameter] = constants[item.parameter]
+    for path, item in settings:
+        if path[1] == AFTER:
+            found.setdefault(item.node, {})[item.parameter] = item.value
+    return found
 
 
 def named_safe(

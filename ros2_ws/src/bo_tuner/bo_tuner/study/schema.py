@@ -24,6 +24,7 @@ from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
 from bo_tuner.study.parts import ContextVariable
+from bo_tuner.study.profiles import Profile
 from bo_tuner.study.run import End
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
@@ -187,6 +188,9 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
 def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
     if hint in SCALARS:
         return dict(SCALARS[hint])
+    if hint is Profile:
+        # Text alone is an expression.
+        return {"anyOf": [_reference(hint, definitions), {"type": "string"}]}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return _reference(hint, definitions)
     origin, parts = typing.get_origin(hint), typing.get_args(hint)

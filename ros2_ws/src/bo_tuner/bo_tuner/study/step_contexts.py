@@ -63,6 +63,12 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
                     "is, also without the tuner",
                     path,
                 )
+    for path, text in () if run is None else _in_streams(run):
+        for found in names_in(text):
+            with findings.under():
+                raise StudyError(
+                    f"expected no context, found '{found}': a stream has none in it", path
+                )
     for name, variable in contexts.items():
         if variable is not None and not variable.node and name not in used:
             with findings.under():
@@ -89,6 +95,18 @@ def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
         if step.publish is None:
             return
         yield ("run", AFTER, index, "publish", "message"), step.publish.message
+
+
+def _in_streams(run: Run) -> Iterator[tuple[KeyPath, Any]]:
+    """Yield what streams, with its place."""
+    for path, step in run.steps:
+        if step.publish is None or not step.publish.streams:
+            continue
+        for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
+            here = (*path, "publish", *below)
+            yield (*here, "message"), topic.message
+            for name, profile in topic.profile.items():
+                yield (*here, "profile", name), profile.expression
 
 
 def _names(step: Step) -> Iterator[tuple[KeyPath, str]]:

@@ -7,37 +7,10 @@ from typing import Any
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.building import Findings, arguments, build, under
-from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
+from bo_tuner.study.publishing import Publish, build_publish, check_message
+from bo_tuner.study.signals import GRAPH_NAME
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Publish:
-    """A message that is published once.
-
-    Attributes
-    ----------
-    topic : str
-        Topic.
-    message : mapping
-        Fields of the message by name; those that are left out are zero. A header without a stamp
-        gets the present time.
-    type : str
-        Type of the message; that of the topic's subscribers unless given.
-    """
-
-    topic: str
-    message: Mapping[str, object] = field(default_factory=dict)
-    type: str = ""
-
-    def __post_init__(self) -> None:
-        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
-        _check_message(self.message, "message")
-        if self.type != "":
-            checks.matching(
-                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +33,7 @@ class Call:
 
     def __post_init__(self) -> None:
         checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
-        _check_message(self.request, "request")
+        check_message(self.request, "request")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
@@ -87,7 +60,7 @@ class SendGoal:
 
     def __post_init__(self) -> None:
         checks.matching(self.action, GRAPH_NAME, "an action name such as /follow_path", "action")
-        _check_message(self.goal, "goal")
+        check_message(self.goal, "goal")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
@@ -119,27 +92,64 @@ class Lifecycle:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SetParameter:
+    """A parameter of a node that a step sets: a set-point, a mode, a gain of another controller.
+
+    It has the value from then on, until another step sets it; after a run it has again what it had,
+    or what a step of `after` sets, and in the end what it had before the tuner came.
+
+    Attributes
+    ----------
+    node : str
+        The node, by its key in `nodes`.
+    parameter : str
+        A parameter of it that is neither tuned nor set by a context.
+    value : bool, int, float, str or list of these
+        The value.
+    """
+
+    node: str
+    parameter: str
+    value: checks.ParameterValue
+
+    def __post_init__(self) -> None:
+        checks.text(self.node, "node")
+        checks.parameter_name(self.parameter, "parameter")
+        try:
+            values = checks.parameter_values({self.parameter: self.value})
+        except StudyError as error:
+            raise StudyError(error.problem, ("value", *error.path[1:])) from None
+        object.__setattr__(self, "value", values[self.parameter])
+
+
+@dataclass(frozen=True, kw_only=True)
 class WaitUntil:
-    """A wait for a condition on signals.
+    """A wait for a condition on signals, or for the moment at which one comes to hold.
 
     Attributes
     ----------
     condition : str
         An expression, such as `abs(position) < 0.1`.
     hold : float
-        Time [s] for which it must hold without a break.
+        Time [s] for which it must hold without a break; with 0, a single message is enough.
     timeout : float
         Longest time [s] of the wait; a run in which it does not hold until then fails.
+    rising : bool
+        Whether it must come to hold: it counts only once it has not held since the step began.
     """
 
     condition: str
     hold: float = 0.1
     timeout: float = 10.0
+    rising: bool = False
 
     def __post_init__(self) -> None:
         checks.text(self.condition, "condition")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-        object.__setattr__(self, "hold", checks.positive(self.hold, "hold"))
+        checks.boolean(self.rising, "rising")
+        object.__setattr__(self, "hold", checks.number(self.hold, "hold"))
+        if self.hold < 0.0:
+            raise StudyError(f"expected at least 0 s, found {self.hold:g}", ("hold",))
         if self.hold > self.timeout:
             raise StudyError(
                 f"{self.hold:g} s are more than the timeout, {self.timeout:g} s", ("hold",)
@@ -151,6 +161,7 @@ _KINDS: dict[str, type[Any]] = {
     "publish": Publish,
     "send_goal": SendGoal,
     "lifecycle": Lifecycle,
+    "set": SetParameter,
     "wait_until": WaitUntil,
 }
 
@@ -164,11 +175,15 @@ class Step:
     call : Call, optional
         Calls a service.
     publish : Publish, optional
-        Publishes a message.
+        Publishes a message, or begins to stream a reference.
+    stop : str
+        Topic that a stream has published, and now ends to.
     send_goal : SendGoal, optional
         Sends a goal to an action server.
     lifecycle : Lifecycle, optional
         Changes the state of a lifecycle node.
+    set : SetParameter, optional
+        Sets a parameter of a node.
     restart : str
         Node of the study, started by the tuner, that is ended and started anew.
     wait_until : WaitUntil, optional
@@ -179,8 +194,10 @@ class Step:
 
     call: Call | None = None
     publish: Publish | None = None
+    stop: str = ""
     send_goal: SendGoal | None = None
     lifecycle: Lifecycle | None = None
+    set: SetParameter | None = None
     restart: str = ""
     wait_until: WaitUntil | None = None
     wait: float | None = None
@@ -192,9 +209,11 @@ class Step:
 
     def __post_init__(self) -> None:
         checks.text(self.restart, "restart")
+        if self.stop != "":
+            checks.matching(self.stop, GRAPH_NAME, "a topic name such as /setpoint", "stop")
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]
-        if len(given) + bool(self.restart) != 1:
-            raise StudyError(f"expected one of {', '.join((*_KINDS, 'restart'))} and wait")
+        if len(given) + bool(self.restart) + bool(self.stop) != 1:
+            raise StudyError(f"expected one of {', '.join((*_KINDS, 'restart', 'stop'))} and wait")
         if self.wait is not None:
             object.__setattr__(self, "wait", checks.timeout(self.wait, "wait"))
 
@@ -221,20 +240,6 @@ def _build_step(value: object) -> Step:
     for key, cls in _KINDS.items():
         if key in fields:
             with under(key):
-                fields[key] = build(cls, fields[key])
+                is_publish = cls is Publish
+                fields[key] = build_publish(fields[key]) if is_publish else build(cls, fields[key])
     return Step(**fields)
-
-
-def _check_message(value: object, *path: str | int) -> None:
-    """Refuse what no message can hold."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            checks.text(key, *path)
-            if not isinstance(item, (bool, int, float, str)):
-                _check_message(item, *path, key)
-    elif isinstance(value, (list, tuple)) and len(path) > 1:
-        for index, item in enumerate(value):
-            if not isinstance(item, (bool, int, float, str)):
-                _check_message(item, *path, index)
-    else:
-        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)

@@ -33,6 +33,7 @@ from bo_tuner.study.references import (
     check_kinds,
     check_objectives,
     check_run,
+    check_settings,
     check_signals,
     check_targets,
     node_references,
@@ -113,9 +114,9 @@ class Study:
     description : str
         Free text.
     folder : str
-        Where `command` and `launch` of a node are carried out, and where the modules of Python
-        functions and objects are looked for, beside those that Python finds anyway. Relative to
-        the study file; the folder that this lies in unless given.
+        Where `command` and `launch` of a node are carried out, where files of references lie, and
+        where the modules of Python functions and objects are looked for, beside those that Python
+        finds anyway. Relative to the study file; the folder that this lies in unless given.
 
     Raises
     ------
@@ -172,6 +173,10 @@ class Study:
                 check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
             with findings.under():
                 _ = self.start_names
+            if self.run is not None:
+                varied = (self.parameters, self.contexts, self.seed_parameter)
+                with findings.under():
+                    check_settings(self.run, self.nodes, *varied)
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
@@ -272,6 +277,11 @@ class Study:
 
     @property
     def needs_folder(self) -> bool:
+        """Whether it names programs, code or files that may lie in its folder."""
+        return self.names_programs or (self.run is not None and self.run.needs_folder)
+
+    @property
+    def names_programs(self) -> bool:
         """Whether it names programs or code that may lie in its folder."""
         return any(
             node.command or node.launch or node.object or node.parameter_file

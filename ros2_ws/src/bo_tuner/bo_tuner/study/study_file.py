@@ -110,14 +110,25 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
     study = parse_study(read_text(Path(name_or_path), source), source, describe)
-    return _in_folder(study, Path(name_or_path).resolve().parent)
+    return _in_folder(study, Path(name_or_path).resolve().parent, source)
 
 
-def _in_folder(study: Study, folder: Path) -> Study:
-    """Return a study with its own folder, from wherever it is run; `folder` has its file."""
-    if not study.needs_folder:
-        return study
-    return dataclasses.replace(study, folder=str((folder / study.folder).resolve()))
+def _in_folder(study: Study, folder: Path, source: str) -> Study:
+    """Return a study with its own folder, from wherever it is run; `folder` has its file.
+
+    Raises
+    ------
+    StudyError
+        If what its references are over time cannot be had from files there.
+    """
+    own = str((folder / study.folder).resolve()) if study.needs_folder else study.folder
+    try:
+        with under("run"):
+            run = study.run and study.run.read_files(own)
+    except StudyError as error:
+        found = [each.located(source, None) for each in (error, *error.others)]
+        raise found[0].with_others(found[1:]) from None
+    return dataclasses.replace(study, folder=own, run=run)
 
 
 def parse_study(text: str, source: str = "study", describe: Describe | None = None) -> Study:

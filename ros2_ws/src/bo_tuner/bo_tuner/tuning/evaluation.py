@@ -33,7 +33,7 @@ def evaluate(backend: Backend, planned: Evaluation, observer: RunObserver) -> Ev
 
 HOW = {
     EvaluationState.LOST: "were lost with their nodes",
-    DISTURBED: "were disturbed by others",
+    DISTURBED: "were disturbed",
     UNPREPARED: "could not be prepared",
 }
 

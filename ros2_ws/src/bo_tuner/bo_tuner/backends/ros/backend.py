@@ -201,7 +201,7 @@ class RosBackend(SequentialBackend):
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
                 self._procedure = Procedure(
-                    self._study, self._study.run, tuner, restart, self._guard
+                    self._study, self._study.run, tuner, client.parameters, restart, self._guard
                 )
                 client.start_values.between = self._procedure.forget_ended
                 client.start_values.after = self._procedure.welcome
@@ -387,11 +387,11 @@ class RosBackend(SequentialBackend):
             # A metric may be a function of the user's that takes its time.
             self._suspension.skip()
         except (RefusedError, FailedRunError) as refusal:
-            counts = self.recording.counts()
-            return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), counts)
+            return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), self._counts())
         except DisturbedError as error:
             reason = brief(str(error))
-            return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+            details = {DISTURBED: reason, **self._counts()}
+            return Outcome(EvaluationState.FAILED, {}, reason, details)
         except GuardActedError as acted:
             return self._overruled(acted)
         except UnpreparedError as error:
@@ -402,12 +402,15 @@ class RosBackend(SequentialBackend):
         details = {
             **result.details,
             "ignored_results": str(client.results.take_ignored()),
-            **self.recording.counts(),
+            **self._counts(),
             **self._rates.details(self.recording),
         }
         if remarks := self._rates.remarks(self.recording):
             details[NOTE] = brief("; ".join(remarks))
         return dataclasses.replace(result, details=details)
+
+    def _counts(self) -> dict[str, str]:
+        return {} if self._procedure is None else self._procedure.counts()
 
     def _prepare(self, procedure: Procedure) -> None:
         """Prepare a run with the safe parameters.

@@ -27,6 +27,43 @@ def known(values: Array) -> NDArray[np.bool_]:
     return np.isfinite(values) & (values != 0.0)
 
 
+class Edge:
+    """Looks for a condition that comes to hold, and holds for a time.
+
+    Parameters
+    ----------
+    hold
+        The time [s].
+    """
+
+    def __init__(self, hold: float) -> None:
+        self._hold = hold
+        self._since: float | None = None
+        self._off: float | None = None
+
+    @property
+    def was_off(self) -> bool:
+        """Whether it was known not to hold at any time."""
+        return self._off is not None
+
+    def look(self, times: Array, values: Array) -> bool:
+        """Take its values (n,) at times (n,) [s], up to now; whether it has come to hold for long.
+
+        What was taken before may come again, with what has come in meanwhile.
+        """
+        for time, value in zip(times, values, strict=True):
+            if self._since is not None and time - self._since >= self._hold:
+                return True
+            if np.isnan(value):
+                self._since = None
+            elif value == 0.0:
+                self._off = time if self._off is None else min(self._off, time)
+                self._since = None
+            elif self._off is not None and time > self._off and self._since is None:
+                self._since = float(time)
+        return self._since is not None and float(times[-1]) - self._since >= self._hold
+
+
 def latest(specs: Mapping[str, Signal], recording: Recording) -> str:
     """Tell in brackets the latest values of signals, and between which they were since time 0.
 

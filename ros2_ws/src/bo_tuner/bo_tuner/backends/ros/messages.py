@@ -198,13 +198,18 @@ def _value(kind: AbstractType, value: object) -> Any:
     return _integer(kind.typename, value)
 
 
-def _integer(typename: str, value: object) -> int:
+def integer_limits(typename: str) -> tuple[int, int]:
+    """Return the lowest and the highest integer of a type."""
     bits = int("".join(c for c in typename if c.isdigit()) or 8)
-    lowest, beyond = (
-        (0, 2**bits) if typename.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1))
-    )
+    if typename.startswith("u"):
+        return 0, 2**bits - 1
+    return -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+
+
+def _integer(typename: str, value: object) -> int:
+    lowest, highest = integer_limits(typename)
     if isinstance(value, bool) or not isinstance(value, int):
         raise StudyError(f"expected an integer, found {checks.show(value)}")
-    if not lowest <= operator.index(value) < beyond:
-        raise StudyError(f"expected an integer from {lowest} to {beyond - 1}, found {value}")
+    if not lowest <= operator.index(value) <= highest:
+        raise StudyError(f"expected an integer from {lowest} to {highest}, found {value}")
     return value

@@ -1,5 +1,6 @@
 """Topics that the study's steps publish: what others say on one in a run is not of the study."""
 
+import threading
 import time
 from typing import Any
 
@@ -19,7 +20,8 @@ class OwnTopic:
     """A topic that the tuner publishes, and listens to.
 
     The middleware stamps each message when it is published. One whose stamp does not lie within a
-    call of `publish`, or lies within one that has had its message, is somebody else's.
+    call of `publish`, or lies within one that has had its message, is somebody else's. Threads may
+    publish while another one takes what came in.
 
     Parameters
     ----------
@@ -37,6 +39,8 @@ class OwnTopic:
         self._node = listener
         self._published: list[tuple[int, int]] = []
         self._foreign = 0
+        # A message must not be taken before it is known as one's own.
+        self._lock = threading.Lock()
         # What is latched was said before: this hears only what comes from now on, by any publisher.
         qos = QoSProfile(depth=DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._subscription = listener and listener.create_subscription(
@@ -45,11 +49,11 @@ class OwnTopic:
 
     def publish(self, message: Any) -> None:
         """Publish a message."""
-        self.take()
-        begun = time.time_ns()
-        self.publisher.publish(message)
-        if self._subscription is not None:
-            self._published.append((begun - ROUNDING, time.time_ns() + ROUNDING))
+        with self._lock:
+            begun = time.time_ns()
+            self.publisher.publish(message)
+            if self._subscription is not None:
+                self._published.append((begun - ROUNDING, time.time_ns() + ROUNDING))
 
     def begin(self) -> None:
         """Overlook what others have said up to now."""
@@ -61,7 +65,7 @@ class OwnTopic:
         if self._subscription is None:
             return
         handle = self._subscription.handle
-        with handle:
+        with self._lock, handle:
             for _ in range(DEPTH):
                 item = handle.take_message(self._kind, True)
                 if item is None:

@@ -8,16 +8,21 @@ from rclpy.node import Node
 from bo_tuner.backends.ros.clock import RunClock, SimClock, WallClock
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
+from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.steps import (
     CONNECT_TIMEOUT,
     LifecycleChange,
+    ParameterChange,
     PreparedStep,
-    Publication,
     ServiceCall,
 )
+from bo_tuner.backends.ros.streams import Stream
+from bo_tuner.backends.ros.ticks import Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
+from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
 from bo_tuner.study.step_contexts import filled_step
 from bo_tuner.study.steps import Step
@@ -40,6 +45,10 @@ class Preparation:
     listener
         Hears whether others publish what the steps ahead of the end of a run do; None not to
         listen.
+    ticks
+        Tells the time of streams; by that of the machine unless given.
+    parameters
+        Those of the nodes, for steps that set one; None not to set any.
 
     Attributes
     ----------
@@ -55,16 +64,20 @@ class Preparation:
         *,
         attached: bool,
         listener: Node | None = None,
+        ticks: Ticks | None = None,
+        parameters: NodeParameters | None = None,
     ) -> None:
         self._study = study
         self._tuner = tuner
         self._clock = clock
         self._attached = attached
         self._listener = listener
+        self._parameters = parameters
+        self._ticks: Ticks = WallTicks(clock) if ticks is None else ticks
         self.topics: dict[str, OwnTopic] = {}
 
-    def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | None:
-        """Return what a step needs: a goal, something else to perform, or None if it needs nothing.
+    def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | Stream | None:
+        """Return what a step needs: a goal, a stream, what is performed otherwise, or None.
 
         Raises
         ------
@@ -76,12 +89,9 @@ class Preparation:
             if step.call is not None:
                 return ServiceCall.prepare(self._tuner, step.call, path)
             if step.publish is not None:
-                phase = path[1]
-                # What only stops the machine after a run may be the controller's own in it.
-                listener = self._listener if phase in (BEFORE, START) else None
-                return Publication.prepare(
-                    self._tuner, step.publish, self._clock, self.topics, listener, phase == AFTER
-                )
+                return self._publication(step.publish, path[1])
+            if step.set is not None and self._parameters is not None:
+                return ParameterChange(self._parameters, step.set, path)
             if step.lifecycle is not None:
                 return LifecycleChange.prepare(self._tuner, step.lifecycle)
             if step.send_goal is not None:
@@ -90,6 +100,23 @@ class Preparation:
             if step.restart:
                 self._check_restart(step.restart)
         return None
+
+    def _publication(self, publish: Publish, phase: str | int) -> Publication | Stream:
+        # What only stops the machine after a run may be the controller's own in it.
+        listener = self._listener if phase in (BEFORE, START) else None
+        publications = []
+        for path, topic in zip(publish.paths, publish.published, strict=True):
+            with under("publish", *path):
+                publications.append(
+                    Publication.prepare(
+                        self._tuner, topic, self._clock, self.topics, listener, phase == AFTER
+                    )
+                )
+        if not publish.streams:
+            return publications[0]
+        run, folder = self._study.run, self._study.folder
+        longest = 0.0 if run is None else run.longest
+        return Stream(self._tuner, publish, publications, self._ticks, folder, longest)
 
     def _check_restart(self, key: str) -> None:
         spec = self._study.nodes[key]

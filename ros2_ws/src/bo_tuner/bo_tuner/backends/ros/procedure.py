@@ -10,17 +10,21 @@ import numpy as np
 from rclpy.duration import Duration
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
-from bo_tuner.backends.ros.conditions import latest, sampled
+from bo_tuner.backends.ros.conditions import Edge, latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.services import meet
 from bo_tuner.backends.ros.preparation import Preparation
-from bo_tuner.backends.ros.run_watch import RunWatch
+from bo_tuner.backends.ros.publication import UnheardError
+from bo_tuner.backends.ros.run_watch import OVERLAP, RunWatch
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, UnheardError, where
+from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
+from bo_tuner.backends.ros.streams import Stream, Streams
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
+from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import (
@@ -31,7 +35,7 @@ from bo_tuner.metrics.recording import (
 from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
-from bo_tuner.study.run import AFTER, BEFORE, SIM, START, Run
+from bo_tuner.study.run import AFTER, BEFORE, RECOVER, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.step_contexts import filled_step, varies
 from bo_tuner.study.steps import Step, WaitUntil
@@ -68,6 +72,8 @@ class Procedure:
         What makes up a run.
     tuner
         The tuner's node.
+    parameters
+        Those of the nodes, for steps that set one.
     restart
         Starts a node anew, by its key; None if the tuner has started none.
     guard
@@ -89,12 +95,14 @@ class Procedure:
         study: Study,
         run: Run,
         tuner: TunerNode,
+        parameters: NodeParameters,
         restart: Callable[[str], None] | None,
         guard: GuardLink | None = None,
     ) -> None:
         self._run = run
         self._study = study
         self._tuner = tuner
+        self._parameters = parameters
         self._restart = restart
         self._guard = guard
         guarded = () if guard is None else guard.topics
@@ -104,6 +112,8 @@ class Procedure:
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
         self._topics: dict[str, OwnTopic] = {}
+        self._prepared_streams: dict[KeyPath, Stream] = {}
+        self._streams = Streams(tuner)
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
@@ -122,6 +132,7 @@ class Procedure:
                 self._clock,
                 self._started,
                 list(self._topics.values()),
+                self._streams,
             )
             self._watch.enter(self._context)
         except BaseException:
@@ -143,8 +154,9 @@ class Procedure:
         self._watch.enter(context)
 
     def forget(self) -> None:
-        """Let `recording` have nothing, as of a run that does not come about."""
+        """Let `recording` and `counts` have nothing, as of a run that does not come about."""
         self.recording = NOTHING_RECORDED
+        self._streams.begin_run()
 
     def prepare(self) -> None:
         """Perform the steps before a run; raises as `perform`.
@@ -165,6 +177,7 @@ class Procedure:
             self._watch.expect_own_messages()
             raise
         self._watch.expect_own_messages()
+        self._streams.check()
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
         self._is_prepared = self._is_ready = True
@@ -196,9 +209,15 @@ class Procedure:
             raise FailedRunError(problems[0])
         for index in self._due.copy():
             self._perform_after(index)
+        self._parameters.give_back()
         if mixed := self._recorder.mixed or self._recorder.mixed_frames:
             raise DisturbedError(mixed)
         self.recording.check(self._study.signals, largest_gaps)
+        self._streams.check_follow(self.recording)
+
+    def counts(self) -> dict[str, str]:
+        """Say in words how many messages of signals and of streams there were in the last run."""
+        return self.recording.counts() | self._streams.counts()
 
     @property
     def reason_of_abort(self) -> str:
@@ -216,7 +235,8 @@ class Procedure:
         return "" if acts and not self._is_prepared else self._recorder.unpublished
 
     def request_cancel(self) -> None:
-        """Ask for the end of the goals that are active, and do not wait for it."""
+        """End what streams, and ask for the end of goals that are active, not waiting for it."""
+        self._streams.stop_all()
         for goal in self._started:
             goal.request_cancel()
 
@@ -265,7 +285,8 @@ class Procedure:
         problems = self._leave_by(first)
         problems += self._cancel()
         # What nobody has heard just now waits for the next call.
-        return problems + self._leave_by([index for index in self._due if index not in first])
+        problems += self._leave_by([index for index in self._due if index not in first])
+        return problems + self._give_back()
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
@@ -276,15 +297,28 @@ class Procedure:
         if unended := [goal.unended for goal in self._started if goal.is_open]:
             return [f"not recovered: {problem}" for problem in unended]
         missed, self._due = self._due, self._all_after
+        self._streams.begin_run()
         try:
-            self._perform("recover")
+            self._perform(RECOVER)
+            self._streams.check()
         except FAULTS as fault:
             return [f"not recovered: {fault}"]
+        finally:
+            self._streams.stop_all()
         self._due = missed
+        return self._give_back()
+
+    def _give_back(self) -> list[str]:
+        """Let nodes have again what steps have changed; returns what went wrong."""
+        try:
+            self._parameters.give_back()
+        except FAULTS as fault:
+            return [f"not given back what steps have set: {fault}"]
         return []
 
     def close(self) -> None:
         """Hear no more, once what was published has been received."""
+        self._streams.stop_all()
         for topic in self._topics.values():
             topic.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         for goal in self._goals.values():
@@ -295,6 +329,7 @@ class Procedure:
         self._is_ready = False
         self._clock.begin()
         self._recorder.begin()
+        self._streams.begin_run()
         self._watch.begin(largest_gaps)
         self._is_recording = True
         guarded = contextlib.nullcontext() if self._guard is None else self._guard.run()
@@ -309,6 +344,7 @@ class Procedure:
             raise
         finally:
             self._is_recording = False
+            self._streams.stop_all()
             self._recorder.end()
             self._clock.end()
 
@@ -383,13 +419,26 @@ class Procedure:
             self._wait_until(path, step.wait_until)
         elif step.restart and self._restart is not None:
             self._restart(step.restart)
+        elif step.stop:
+            self._streams.release(self._tuner.node.resolve_topic_name(step.stop))
         else:
             judged = self._tuner.also_watched_by(self._watch.judge)
             with judged if self._is_recording else contextlib.nullcontext():
                 if path in self._goals:
                     self._send(self._goals[path])
+                elif path in self._prepared_streams:
+                    self._stream(path, self._prepared_streams[path])
                 else:
+                    if step.publish is not None:
+                        name = self._tuner.node.resolve_topic_name(step.publish.topic)
+                        self._streams.release(name)
                     self._steps[path].perform()
+
+    def _stream(self, path: KeyPath, stream: Stream) -> None:
+        if path[1] == AFTER:
+            self._streams.perform(stream, self._recorder.take)
+        else:
+            self._streams.begin(stream)
 
     def _send(self, goal: Goal) -> None:
         if goal not in self._started:
@@ -418,42 +467,51 @@ class Procedure:
         used = {name: self._study.signals[name] for name in condition.names - {TIME}}
         if not self._is_recording:
             self._recorder.begin(in_run=False)
-        began = self._recorder.seconds
+        began = looked = self._recorder.seconds
         watch = Stopwatch(self._clock)
+        edge = Edge(wait.hold)
 
         def held() -> bool:
-            """Whether it has held all the time since `hold` seconds ago."""
+            """Whether it has held all the time since `hold` seconds ago, or has come to."""
+            nonlocal looked
             if not self._is_recording and self._recorder.clock_was_set:
                 self._recorder.begin(in_run=False)
             now = self._recorder.seconds
-            since = now - wait.hold
+            since = max(looked - OVERLAP, began) if wait.rising else now - wait.hold
             if since < began:
                 return False
             recording = self._recorder.recording(now, since)
             if any(recording.silence(name, spec) for name, spec in used.items()):
                 return False
             times, values = sampled(condition, recording, since)
+            if wait.rising:
+                looked = now
+                return edge.look(times, values)
             # Of a signal without an earlier message nothing is known before its first one.
             is_whole = len(times) > 0 and times[0] <= since
             return is_whole and bool(np.all(np.nan_to_num(values) != 0.0))
 
         if self._is_recording:
             self._watch.wait_until(began + wait.timeout, held)
+            found = held()
         else:
             poll = self._poll(path)
-            while not held() and watch.seconds <= wait.timeout:
+            while not (found := held()) and watch.seconds <= wait.timeout:
                 self._tuner.spin_once(POLL_PERIOD)
                 self._clock.look()
                 poll()
-        if not held():
+        if not found:
             if unpublished := self._recorder.unpublished_of(used):
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
             dead = any(recording.silence(name, spec) for name, spec in used.items())
             advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
+            how = f"does not hold for {wait.hold:g} s"
+            if wait.rising:
+                how = "does not come to hold" + ("" if edge.was_off else ", as it never ceased to")
             raise FailedRunError(
-                f"{where(path)}: {checks.quoted(text)} does not hold for {wait.hold:g} s "
-                f"within {wait.timeout:g} s{latest(used, recording)}{advice}"
+                f"{where(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
+                f"{latest(used, recording)}{advice}"
             )
 
     def _cancel(self) -> list[str]:
@@ -482,23 +540,30 @@ class Procedure:
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
+        ticks: Ticks = WallTicks(self._clock)
         if self._run.clock == SIM:
             clock = SimClock(self._recorder.node)
             with under("run", "clock"):
                 clock.connect(wait)
-            self._clock = clock
+                self._clock = clock
+                ticks = SimTicks(self._recorder.node)
+                ticks.connect(wait)
         preparation = Preparation(
             self._study,
             self._tuner,
             self._clock,
             attached=self._restart is None,
             listener=self._recorder.node,
+            ticks=ticks,
+            parameters=self._parameters,
         )
         self._topics = preparation.topics
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, filled_step(step, self._context))
             if isinstance(prepared, Goal):
                 self._goals[path] = prepared
+            elif isinstance(prepared, Stream):
+                self._prepared_streams[path] = prepared
             elif prepared is not None:
                 self._steps[path] = prepared
         # That a field cannot hold a value shows at the ends of what the contexts can be.

@@ -10,6 +10,7 @@ from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.signals import SignalRecorder
+from bo_tuner.backends.ros.streams import Streams
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.numerics.expressions import Expression
@@ -42,6 +43,8 @@ class RunWatch:
         Goals sent in runs; others may be sent while this looks on.
     topics
         What the steps publish.
+    streams
+        What streams while steps go on.
 
     Attributes
     ----------
@@ -58,6 +61,7 @@ class RunWatch:
         clock: RunClock,
         goals: Sequence[Goal],
         topics: Sequence[OwnTopic],
+        streams: Streams,
     ) -> None:
         self._run = run
         self._signals = signals
@@ -66,6 +70,7 @@ class RunWatch:
         self._clock = clock
         self._goals = goals
         self._topics = topics
+        self._streams = streams
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
         self._end: Expression | None = None
         self._when = ""
@@ -155,6 +160,7 @@ class RunWatch:
         """
         now = self._now
         self.expect_own_messages()
+        self._streams.check()
         seen = min(now, end)
         since = self._since
         self.look_for_abort(now, seen)

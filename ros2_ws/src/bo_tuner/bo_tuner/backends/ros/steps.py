@@ -5,36 +5,22 @@ from typing import Any, Protocol
 
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
-from rclpy.duration import Infinite
-from rclpy.node import Node
-from rclpy.qos import (
-    QoSCompatibility,
-    QoSDurabilityPolicy,
-    QoSLivelinessPolicy,
-    QoSProfile,
-    qos_check_compatible,
-)
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros import others
-from bo_tuner.backends.ros.clock import RunClock, to_stamp
-from bo_tuner.backends.ros.messages import interface_class, make_message, type_name
-from bo_tuner.backends.ros.own_topics import OwnTopic
-from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
+from bo_tuner.backends.ros.errors import RefusedError
+from bo_tuner.backends.ros.messages import interface_class, make_message
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
-from bo_tuner.study.steps import Call, Lifecycle, Publish, Step
+from bo_tuner.study.steps import Call, Lifecycle, SetParameter, Step
 from bo_tuner.text import brief
 
 CONNECT_TIMEOUT = 5.0
-"""Time [s] to find a topic, a service, an action, or the subscribers of a message."""
+"""Time [s] to find a topic, a service or an action."""
 UNDONE = {"deactivate": ("inactive", "unconfigured"), "cleanup": ("unconfigured",)}
 """States in which a transition that takes something back has nothing to do."""
-
-
-class UnheardError(FailedRunError):
-    """Nobody hears a message."""
 
 
 class PreparedStep(Protocol):
@@ -111,144 +97,23 @@ class ServiceCall:
 
 
 @dataclass(frozen=True)
-class Publication:
-    """A message for a topic.
+class ParameterChange:
+    """A parameter that is set in a run."""
 
-    Attributes
-    ----------
-    is_stop
-        Whether it is to bring the machine to rest: it is published as soon as anybody hears it,
-        and in the end also if nobody seems to.
-    """
-
-    tuner: TunerNode
-    topic: OwnTopic
-    publish: Publish
-    kind: Any
-    clock: RunClock
-    is_stop: bool
-
-    @classmethod
-    def prepare(
-        cls,
-        tuner: TunerNode,
-        publish: Publish,
-        clock: RunClock,
-        topics: dict[str, OwnTopic],
-        listener: Node | None,
-        is_stop: bool,
-    ) -> "Publication":
-        """Find the subscribers and make the publisher, unless it is in `topics`.
-
-        Raises
-        ------
-        StudyError
-            If nothing subscribes, or the messages do not have the fields.
-        """
-        node = tuner.node
-        topic = node.resolve_topic_name(publish.topic)
-
-        def subscribers() -> list[TopicEndpointInfo]:
-            found = node.get_subscriptions_info_by_topic(topic)
-            # The tuner's own nodes, which record the topic, do not count.
-            return [info for info in found if not is_own(info.node_name)]
-
-        def of_type() -> list[TopicEndpointInfo]:
-            return [i for i in subscribers() if publish.type in ("", i.topic_type)]
-
-        if not tuner.wait_until(lambda: bool(of_type()), CONNECT_TIMEOUT) and not subscribers():
-            near = others.instead(topic, others.topics(node), node)
-            raise StudyError(f"nothing subscribes to {topic}; {near}", ("publish", "topic"))
-        found = of_type()
-        types = sorted({info.topic_type for info in found or subscribers()})
-        if not found or len(types) > 1:
-            expected = f"expected {publish.type}" if publish.type else "name one of them"
-            raise StudyError(
-                f"{topic} carries {' and '.join(types)}; {expected}", ("publish", "type")
-            )
-        with under("publish", "topic"):
-            kind = interface_class(types[0])
-        with under("publish", "message"):
-            make_message(kind, publish.message)
-        if topic not in topics:
-            durability, depth = QoSDurabilityPolicy.VOLATILE, 10
-            if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
-                # Who joins later is to hear the last message only, not what came before.
-                durability, depth = QoSDurabilityPolicy.TRANSIENT_LOCAL, 1
-            # In full, as the graph tells those of subscribers: by default they do not compare.
-            qos = QoSProfile(
-                depth=depth,
-                durability=durability,
-                deadline=Infinite,
-                liveliness=QoSLivelinessPolicy.AUTOMATIC,
-                liveliness_lease_duration=Infinite,
-            )
-            topics[topic] = OwnTopic(node.create_publisher(kind, topic, qos), kind, listener)
-        made = cls(tuner, topics[topic], publish, kind, clock, is_stop)
-        if not tuner.wait_until(made._reaches_all, CONNECT_TIMEOUT) and not made._reaches_any():
-            raise StudyError(made._unheard, ("publish", "topic"))
-        return made
+    parameters: NodeParameters
+    spec: SetParameter
+    path: KeyPath
 
     def perform(self) -> None:
-        """Publish it, once those who subscribe are connected: what comes earlier is lost."""
-        connected = self._reaches_any if self.is_stop else self._reaches_all
-        is_heard = self.tuner.wait_until(connected, CONNECT_TIMEOUT) or self._reaches_any()
-        if is_heard or self.is_stop:
-            self.publish_now()
-        if not is_heard:
-            raise UnheardError(self._unheard)
+        """Set it, and read it back."""
+        try:
+            self.parameters.change(self.spec.node, {self.spec.parameter: self.spec.value})
+        except RefusedError as refusal:
+            raise FailedRunError(f"{where(self.path)}: {refusal}") from refusal
 
-    def filled(self, step: Step) -> "Publication":
-        """Return the publication of a step's message."""
-        if step.publish is None:
-            return self
-        with under("publish", "message"):
-            make_message(self.kind, step.publish.message)
-        return replace(self, publish=step.publish)
-
-    def publish_now(self) -> None:
-        """Publish it for whoever is connected."""
-        stamp = to_stamp(self.clock.now)
-        self.topic.publish(make_message(self.kind, self.publish.message, stamp))
-
-    @property
-    def _unheard(self) -> str:
-        """Tell that nobody hears it: why somebody who subscribes does not, if there is one."""
-        for info in self._endpoints():
-            if not is_own(info.node_name) and (reason := self._obstacle(info)):
-                name = full_name(info.node_namespace, info.node_name)
-                return f"{name} cannot hear what is published on {self._topic}: {reason}"
-        return f"nothing subscribes to {self._topic}"
-
-    @property
-    def _topic(self) -> str:
-        return str(self.topic.publisher.topic_name)
-
-    def _endpoints(self) -> list[TopicEndpointInfo]:
-        """Return the subscribers of the topic whose messages have this type."""
-        found = self.tuner.node.get_subscriptions_info_by_topic(self._topic)
-        return [info for info in found if info.topic_type == type_name(self.kind)]
-
-    def _obstacle(self, info: TopicEndpointInfo) -> str:
-        """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
-        offered = self.topic.publisher.qos_profile
-        compatible, reason = qos_check_compatible(offered, info.qos_profile)
-        return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""
-
-    def _subscribers(self) -> tuple[int, int]:
-        """Count the subscribers that can hear the publisher: the tuner's own, and others."""
-        hearing = [is_own(info.node_name) for info in self._endpoints() if not self._obstacle(info)]
-        return hearing.count(True), hearing.count(False)
-
-    def _reaches_any(self) -> bool:
-        """Whether a subscriber of others is connected."""
-        own, _ = self._subscribers()
-        return bool(self.topic.publisher.get_subscription_count() > own)
-
-    def _reaches_all(self) -> bool:
-        """Whether all subscribers of others are connected, and there are some."""
-        own, others = self._subscribers()
-        return others > 0 and bool(self.topic.publisher.get_subscription_count() >= own + others)
+    def filled(self, step: Step) -> "ParameterChange":
+        """Return the change of a step's value."""
+        return self if step.set is None else replace(self, spec=step.set)
 
 
 @dataclass(frozen=True)

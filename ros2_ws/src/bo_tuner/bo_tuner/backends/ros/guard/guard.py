@@ -38,7 +38,7 @@ from bo_tuner.backends.ros.guard.watch import Cause, Watch
 from bo_tuner.backends.ros.lifecycle import UNCONFIGURED, LifecycleNode
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
-from bo_tuner.backends.ros.steps import Publication
+from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.guard_record import Act, add_act
@@ -225,10 +225,11 @@ class Guard:
         self._clock = self._connect_clock(listener)
         self._in_run = Stopwatch(self._clock)
         topics: dict[str, OwnTopic] = {}
-        self._stop = [
-            Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
-            for item in plan.stop
-        ]
+        with under("publish"):
+            self._stop = [
+                Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
+                for item in plan.stop
+            ]
         self._cancels: list[Client] = [
             tuner.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
             for action in plan.actions

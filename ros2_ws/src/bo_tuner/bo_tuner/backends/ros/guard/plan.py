@@ -11,10 +11,10 @@ from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.publishing import Topic
 from bo_tuner.study.run import WALL
 from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
-from bo_tuner.study.steps import Publish
 from bo_tuner.study.study import Study
 
 PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
@@ -50,8 +50,8 @@ class Plan:
         Names of the nodes by their keys in the study, relative to the namespace or absolute.
     safe : mapping
         By node key the parameters that the nodes are to be left with.
-    stop : tuple of Publish
-        The messages that stop the machine: those at the head of ``after``.
+    stop : tuple of Topic
+        The messages that stop the machine: those at the head of ``after``, of a stream the last.
     actions : tuple of str
         Actions whose goals are cancelled.
     abort_when : str
@@ -67,7 +67,7 @@ class Plan:
     name: str
     nodes: Mapping[str, str]
     safe: Mapping[str, Mapping[str, object]]
-    stop: tuple[Publish, ...] = ()
+    stop: tuple[Topic, ...] = ()
     actions: tuple[str, ...] = ()
     abort_when: str = ""
     signals: Mapping[str, Signal] | None = None
@@ -97,7 +97,12 @@ class Plan:
             study.name,
             nodes,
             safe,
-            tuple(step.publish for step in head if step.publish is not None),
+            tuple(
+                topic
+                for step in head
+                if step.publish is not None
+                for topic in step.publish.ending(study.folder)
+            ),
             tuple(dict.fromkeys(s.send_goal.action for s in steps if s.send_goal is not None)),
             run.abort_when,
             study.signals,

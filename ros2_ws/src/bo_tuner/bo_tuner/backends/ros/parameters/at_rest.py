@@ -16,7 +16,7 @@ from bo_tuner.errors import BackendError, KeyPath, OutputError, StudyError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import HELD_PARAMETERS, PREVIOUS_PARAMETERS, read_text
 from bo_tuner.study.descriptors import node_problems
-from bo_tuner.study.safe_values import safe_values
+from bo_tuner.study.safe_values import safe_values, set_by_steps
 from bo_tuner.study.study import Study
 
 
@@ -153,6 +153,11 @@ def take_over(
         previous.undo_killed(found)
     own, others = _divide(study, found)
     safe = safe_values(study)
+    steps = set_by_steps(study)
+    for key, names in steps.items():
+        # What the study does not say of them is what the node has.
+        had = {name: value for name, value in found[key].items() if name in names}
+        safe[key] = had | safe.get(key, {})
     if previous is not None:
         previous.begin(own, safe)
         if not is_repeat:
@@ -169,6 +174,8 @@ def take_over(
         # The nodes run by themselves, and from now on as they will between two runs.
         initial.set_safe(safe)
     held = {key: found[key] | dict(spec.parameters) for key, spec in study.nodes.items()}
+    for key, names in steps.items():
+        held[key] |= {name: safe[key][name] for name in names if name in safe[key]}
     return TakenOver(safe, held)
 
 
@@ -177,10 +184,11 @@ def _divide(
 ) -> tuple[dict[str, dict[str, object]], dict[str, dict[str, object]]]:
     """Return the parameters, by node key, that a study sets, and the others."""
     assigned = study.nominal_assignments(study.search_space().defaults)
+    steps = set_by_steps(study)
     own: dict[str, dict[str, object]] = {}
     others: dict[str, dict[str, object]] = {}
     for key, found in values.items():
-        names = {*study.nodes[key].parameters, *assigned.get(key, {})}
+        names = {*study.nodes[key].parameters, *assigned.get(key, {}), *steps.get(key, {})}
         own[key] = {name: value for name, value in found.items() if name in names}
         others[key] = {name: value for name, value in found.items() if name not in names}
     return own, others

@@ -77,9 +77,13 @@ class ParameterWatch:
         )
 
     def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:
-        """Expect these values of the nodes from now on, by key."""
-        self._take_all()
+        """Expect these values of the nodes from now on, by key, and nothing of before."""
+        self.change(expected)
         self.problem = ""
+
+    def change(self, expected: Mapping[str, Mapping[str, object]]) -> None:
+        """Expect these values of the nodes from now on, by key, and others up to now."""
+        self._take_all()
         self._expected = expected
 
     def tell(self, key: str, values: Mapping[str, object]) -> None:

@@ -81,6 +81,8 @@ class NodeParameters:
     def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
         self._tuner = tuner
         self._expected: Values = {}
+        self._changed: dict[str, dict[str, object]] = {}
+        self._before: dict[str, dict[str, object]] = {}
         self._known: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._watch = ParameterWatch(tuner.node, nodes)
@@ -179,6 +181,7 @@ class NodeParameters:
         later
             Keys of nodes that are started anew next, and told then.
         """
+        self._changed, self._before = {}, {}
         self.expect({key: {**held.get(key, {}), **values[key]} for key in values})
         now = {key: values[key] for key in values if key not in later}
         failed = self.assign_side_by_side(now, timeout)
@@ -205,8 +208,9 @@ class NodeParameters:
         LostError
             If a node does not answer.
         """
-        self.expect(wanted)
-        told = {key: self._tell(key, values, kept[key]) for key, values in wanted.items()}
+        changed = {key: {**v, **self._changed.get(key, {})} for key, v in wanted.items()}
+        self.expect(changed)
+        told = {key: self._tell(key, values, kept[key]) for key, values in changed.items()}
         self.found().check(told)
 
     def hold_again(self, key: str) -> None:
@@ -218,6 +222,28 @@ class NodeParameters:
             If it does not take it.
         """
         self.assign_and_read_back(key, self._expected.get(key, {}))
+
+    def change(self, key: str, values: Mapping[str, object]) -> None:
+        """Set parameters of a node that is held, which is held at these from now on.
+
+        Until `give_back` or `park`, also by `hold`.
+
+        Raises
+        ------
+        RefusedError, LostError
+            If the node does not take them.
+        """
+        before = self._before.setdefault(key, {})
+        for name in values:
+            before.setdefault(name, self._expected.get(key, {}).get(name))
+        self._changed.setdefault(key, {}).update(values)
+        self._change(key, values)
+
+    def give_back(self) -> None:
+        """Set again, and hold, what nodes had that was changed; raises as `change`."""
+        before, self._before, self._changed = self._before, {}, {}
+        for key, values in before.items():
+            self._change(key, {name: v for name, v in values.items() if v is not None})
 
     def found(self) -> Found:
         """Find out what nodes have that are held, and had since this was last asked.
@@ -245,6 +271,11 @@ class NodeParameters:
             If it does not answer.
         """
         self._tuner.complete([self.clients[key].values([])])
+
+    def _change(self, key: str, values: Mapping[str, object]) -> None:
+        self._expected = {**self._expected, key: {**self._expected.get(key, {}), **values}}
+        self._watch.change(self._expected)
+        self.assign_and_read_back(key, values)
 
     def expect(self, values: Values) -> None:
         """Expect of nodes what they are to `hold`, ahead of telling them."""

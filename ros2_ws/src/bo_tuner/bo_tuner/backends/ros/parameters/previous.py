@@ -22,7 +22,7 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.state import state_folder
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.safe_values import named_safe
+from bo_tuner.study.safe_values import named_safe, set_by_steps
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
 
@@ -224,6 +224,7 @@ class PreviousParameters:
 
         What a node was told before stays noted until it is known what it has.
         """
+        steps = set_by_steps(self._study)
         for key, values in self._previous.items():
             node, known = self._study.nodes[key].node, self._parameters.known(key)
             earlier = self._note.content.get(node, {}).get("told", {})
@@ -231,6 +232,8 @@ class PreviousParameters:
             for name in values:
                 sets = (self._safe.get(key, {}), known, told.get(key, {}))
                 by_name[name] = [s[name] for s in sets if name in s]
+                # A step may set it at any time.
+                by_name[name] += steps.get(key, {}).get(name, [])
                 if name not in known:
                     by_name[name] += earlier.get(name, [])
             original = self._original[key]

@@ -1,0 +1,410 @@
+"""Profiles of a reference that streams: a number over the time since the stream began."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_tuner.errors import StudyError
+from bo_tuner.numerics import profiles
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.reference_table import HOLD, Table, read_table
+from bo_tuner.study.signals import TIME, named_expression
+
+PI = "pi"
+LINEAR, LOGARITHMIC = "linear", "logarithmic"
+
+
+def _numbers(profile: object, *names: str) -> None:
+    for name in names:
+        object.__setattr__(profile, name, checks.magnitude(getattr(profile, name), name))
+
+
+def _delay(profile: Any) -> None:
+    after = checks.number(profile.after, "after")
+    if not 0.0 <= after <= maxima.TIMEOUT:
+        raise StudyError(f"expected 0 to {maxima.TIMEOUT:g} s, found {after:g}", ("after",))
+    object.__setattr__(profile, "after", after)
+
+
+def _duration(profile: Any) -> None:
+    object.__setattr__(profile, "duration", checks.timeout(profile.duration, "duration"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepProfile:
+    """One value, and another one from a time on.
+
+    Attributes
+    ----------
+    final : float
+        The value from `after` on.
+    initial : float
+        The value before.
+    after : float
+        Time [s] of the step since the stream began.
+    """
+
+    final: float
+    initial: float = 0.0
+    after: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        _numbers(self, "final", "initial")
+        _delay(self)
+
+    def at(self, time: Array) -> Array:
+        """Return its values (n,) at times (n,) [s]."""
+        return profiles.step(time, self.initial, self.final, self.after)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RampProfile:
+    """A straight line from one value to another one, at which it stays.
+
+    Attributes
+    ----------
+    final : float
+        The value at its end.
+    duration : float
+        How long it takes [s].
+    initial : float
+        The value at its beginning, and before.
+    after : float
+        Time [s] at which it begins, since the stream began.
+    """
+
+    final: float
+    duration: float
+    initial: float = 0.0
+    after: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        _numbers(self, "final", "initial")
+        _duration(self)
+        _delay(self)
+
+    def at(self, time: Array) -> Array:
+        """Return its values (n,) at times (n,) [s]."""
+        return profiles.ramp(time, self.initial, self.final, self.after, self.duration)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SineProfile:
+    """A sine.
+
+    Attributes
+    ----------
+    amplitude : float
+        Its amplitude.
+    frequency : float
+        Its frequency [Hz].
+    offset : float
+        What it oscillates about.
+    phase : float
+        Its phase [rad] at the beginning.
+    """
+
+    amplitude: float
+    frequency: float
+    offset: float = 0.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        _numbers(self, "amplitude", "offset", "phase")
+        object.__setattr__(self, "frequency", checks.positive(self.frequency, "frequency"))
+
+    @property
+    def highest_frequency(self) -> float:
+        """Its frequency [Hz]."""
+        return self.frequency
+
+    def at(self, time: Array) -> Array:
+        """Return its values (n,) at times (n,) [s]."""
+        return profiles.sine(time, self.amplitude, self.frequency, self.offset, self.phase)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChirpProfile:
+    """A sine whose frequency goes from one to another; then it stays at the value it ends with.
+
+    Attributes
+    ----------
+    amplitude : float
+        Its amplitude.
+    frequencies : tuple of float
+        First and last frequency [Hz].
+    duration : float
+        Time [s] from the first frequency to the last one.
+    offset : float
+        What it oscillates about, and begins at.
+    sweep : str
+        `linear` in time, or `logarithmic`: as long for each octave.
+    """
+
+    amplitude: float
+    frequencies: tuple[float, float]
+    duration: float
+    offset: float = 0.0
+    sweep: str = LINEAR
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        _numbers(self, "amplitude", "offset")
+        _duration(self)
+        checks.choice(self.sweep, (LINEAR, LOGARITHMIC), "sweep")
+        pair = checks.pair(self.frequencies, "[first, last] frequency", "frequencies")
+        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
+        object.__setattr__(self, "frequencies", found)
+
+    @property
+    def highest_frequency(self) -> float:
+        """The higher one of its frequencies [Hz]."""
+        return max(self.frequencies)
+
+    def at(self, time: Array) -> Array:
+        """Return its values (n,) at times (n,) [s]."""
+        return profiles.chirp(
+            time,
+            self.amplitude,
+            self.frequencies,
+            self.duration,
+            self.offset,
+            self.sweep == LOGARITHMIC,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultisineProfile:
+    """A sum of sines.
+
+    Attributes
+    ----------
+    frequencies : tuple of float
+        Their frequencies [Hz].
+    amplitude : float, optional
+        Amplitude of each.
+    amplitudes : tuple of float
+        Their amplitudes instead, one for each frequency.
+    phases : tuple of float
+        Their phases [rad]; unless given those of Schroeder, which keep the peak low.
+    offset : float
+        What they oscillate about.
+    """
+
+    frequencies: tuple[float, ...]
+    amplitude: float | None = None
+    amplitudes: tuple[float, ...] = ()
+    phases: tuple[float, ...] = ()
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        _numbers(self, "offset")
+        items = checks.sequence(self.frequencies, "a list of frequencies", "frequencies")
+        checks.at_most(items, maxima.SINES, "frequencies")
+        if not items:
+            raise StudyError("expected at least one", ("frequencies",))
+        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
+        object.__setattr__(self, "frequencies", found)
+        if (self.amplitude is None) == (not self.amplitudes):
+            raise StudyError("expected one of amplitude and amplitudes")
+        if self.amplitude is not None:
+            _numbers(self, "amplitude")
+        for key in ("amplitudes", "phases"):
+            self._one_each(key)
+
+    def _one_each(self, key: str) -> None:
+        values = checks.sequence(getattr(self, key), f"a list of {key}", key)
+        if values and len(values) != len(self.frequencies):
+            raise StudyError(
+                f"expected one for each of {len(self.frequencies)} frequencies, found "
+                f"{len(values)}",
+                (key,),
+            )
+        found = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
+        object.__setattr__(self, key, found)
+
+    @property
+    def highest_frequency(self) -> float:
+        """The highest one of its frequencies [Hz]."""
+        return max(self.frequencies)
+
+    def at(self, time: Array) -> Array:
+        """Return its values (n,) at times (n,) [s]."""
+        count = len(self.frequencies)
+        equal = (0.0 if self.amplitude is None else self.amplitude,) * count
+        phases = self.phases or profiles.schroeder_phases(count)
+        return profiles.multisine(
+            time, self.amplitudes or equal, self.frequencies, phases, self.offset
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CsvProfile:
+    """A column of a file with comma-separated values, over another one that is the time.
+
+    Attributes
+    ----------
+    file : str
+        The file; relative to the folder of the study.
+    column : str
+        Its column, by the name in the first line.
+    time : str
+        Its column with the time [s] since the stream began.
+    between : str
+        `linear`, straight lines between two rows, or `hold`: the value of a row until the next.
+    digest : str
+        SHA-256 of the file, added when the study is read: a run goes on only with the same one.
+    """
+
+    file: str
+    column: str
+    time: str = TIME
+    between: str = LINEAR
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        for key in ("file", "column", "time", "digest"):
+            checks.text(getattr(self, key), key)
+        if not self.file or "\0" in self.file:
+            raise StudyError("expected the path of a file", ("file",))
+        checks.choice(self.between, (LINEAR, HOLD), "between")
+
+    def read(self, folder: str) -> Table:
+        """Return what the file has, with the study's folder for a relative path.
+
+        Raises
+        ------
+        StudyError
+            If it cannot be read, its rows are no increasing times with numbers, or it is not the
+            one with the digest.
+        """
+        path = Path(folder) / self.file
+        table = read_table(path, self.time, self.column)
+        if self.digest not in ("", table.digest):
+            raise StudyError(
+                f"{path}: is another one than when the study was read (SHA-256 "
+                f"{self.digest[:12]}..., now {table.digest[:12]}...)",
+                ("file",),
+            )
+        return table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A number over time; exactly one field is given. Text alone is an expression.
+
+    Attributes
+    ----------
+    step : StepProfile, optional
+        Steps once.
+    ramp : RampProfile, optional
+        Goes in a straight line from one value to another.
+    sine : SineProfile, optional
+        Oscillates.
+    chirp : ChirpProfile, optional
+        Oscillates ever faster, or slower.
+    multisine : MultisineProfile, optional
+        Oscillates at several frequencies at once.
+    csv : CsvProfile, optional
+        Is a column of a file.
+    expression : str
+        An expression of `t`, the time [s] since the stream began, and `pi`.
+    """
+
+    step: StepProfile | None = None
+    ramp: RampProfile | None = None
+    sine: SineProfile | None = None
+    chirp: ChirpProfile | None = None
+    multisine: MultisineProfile | None = None
+    csv: CsvProfile | None = None
+    expression: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that it is one."""
+        given = [key for key in _KINDS if getattr(self, key) is not None]
+        if len(given) + (self.expression != "") != 1:
+            raise StudyError(f"expected one of {', '.join((*_KINDS, 'expression'))}")
+        if self.expression != "":
+            named_expression(self.expression, (TIME, PI), "name", "expression")
+
+    @property
+    def highest_frequency(self) -> float:
+        """Highest frequency [Hz] that it names; 0 if none."""
+        waves = (self.sine, self.chirp, self.multisine)
+        return max((wave.highest_frequency for wave in waves if wave is not None), default=0.0)
+
+    def read_files(self, folder: str) -> "Profile":
+        """Return it with the digest of its file, if it has one; raises as `function`."""
+        if self.csv is None:
+            return self
+        with under("csv"):
+            return replace(self, csv=replace(self.csv, digest=self.csv.read(folder).digest))
+
+    def function(self, folder: str) -> Callable[[Array], Array]:
+        """Return what gives its values (n,) at times (n,) [s] since the stream began.
+
+        Parameters
+        ----------
+        folder
+            The study's, for files.
+
+        Raises
+        ------
+        StudyError
+            If its file is not as it should be.
+        """
+        if self.expression:
+            found = Expression(self.expression, (TIME, PI))
+            return lambda time: np.broadcast_to(found({TIME: time, PI: np.pi}), time.shape)
+        if self.csv is not None:
+            with under("csv"):
+                return partial(self.csv.read(folder).at, hold=self.csv.between == HOLD)
+        kind = self.step or self.ramp or self.sine or self.chirp or self.multisine
+        if kind is None:
+            raise StudyError(f"expected one of {', '.join((*_KINDS, 'expression'))}")
+        return kind.at
+
+
+_KINDS: dict[str, type[Any]] = {
+    "step": StepProfile,
+    "ramp": RampProfile,
+    "sine": SineProfile,
+    "chirp": ChirpProfile,
+    "multisine": MultisineProfile,
+    "csv": CsvProfile,
+}
+
+
+def build_profile(value: object) -> Profile:
+    """Return the profile that a study file describes; text alone is an expression.
+
+    Raises
+    ------
+    StudyError
+        If it is none.
+    """
+    if isinstance(value, str):
+        return Profile(expression=value)
+    if not isinstance(value, dict):
+        raise StudyError(
+            "expected an expression of t, or a mapping such as {sine: {amplitude: 1.0, frequency: "
+            f"0.5}}}}; found {checks.show(value)}"
+        )
+    fields = arguments(Profile, value)
+    for key, cls in _KINDS.items():
+        if key in fields:
+            with under(key):
+                fields[key] = build(cls, fields[key])
+    return Profile(**fields)

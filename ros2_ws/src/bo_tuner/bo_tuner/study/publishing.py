@@ -1,0 +1,299 @@
+"""What a step of a run publishes: a message, once, or a reference that streams."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.building import Findings, arguments, under
+from bo_tuner.study.fields import field_path
+from bo_tuner.study.profiles import Profile, StepProfile, build_profile
+from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
+
+WATCHDOG = 0.1
+"""Time [s] without a message after which many drivers stop a machine."""
+LOOKED_AT = 60.0
+"""Time [s] of an expression that is looked at before the first run; what follows, as it comes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """A topic that a step publishes.
+
+    Attributes
+    ----------
+    topic : str
+        Topic.
+    message : mapping
+        Fields of the message by name; those that are left out are zero. A header without a stamp
+        gets the present time.
+    type : str
+        Type of the message; that of the topic's subscribers unless given.
+    profile : mapping from str to Profile
+        Of a stream, numbers over time by their field, such as `data`, `twist.linear.x` or
+        `points[0].positions[1]`; an array is as long as they need it.
+    follow : mapping from str to str
+        Signals by the field of `profile` that they are to follow: a run fails in which the signal
+        moves by less than a twentieth of what the field does.
+    """
+
+    topic: str
+    message: Mapping[str, object] = field(default_factory=dict)
+    type: str = ""
+    profile: Mapping[str, Profile] = field(default_factory=dict)
+    follow: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
+        check_message(self.message, "message")
+        if self.type != "":
+            checks.matching(
+                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
+            )
+        for key in ("profile", "follow"):
+            if not isinstance(getattr(self, key), Mapping):
+                found = checks.show(getattr(self, key))
+                example = "{data: angle}" if key == "follow" else '{data: "sin(t)"}'
+                raise StudyError(f"expected fields such as {example}, found {found}", (key,))
+        for name in self.profile:
+            with under("profile", str(name)):
+                try:
+                    field_path(checks.text(name))
+                except StudyError as error:
+                    raise StudyError(error.problem) from None
+        for name in self.follow:
+            checks.reference(name, "field in profile", self.profile, "follow")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Publish:
+    """A message that is published once, or, with a `rate`, a reference that streams.
+
+    Attributes
+    ----------
+    topic : str
+        Topic.
+    message : mapping
+        Fields of the message by name; those that are left out are zero. A header without a stamp
+        gets the present time.
+    type : str
+        Type of the message; that of the topic's subscribers unless given.
+    rate : float, optional
+        Messages in a second: it streams from this step on, while later ones are performed.
+    profile : mapping from str to Profile
+        Of a stream, numbers over time by their field, such as `data`, `twist.linear.x` or
+        `points[0].positions[1]`; an array is as long as they need it. Without any, the same
+        message again and again.
+    duration : float, optional
+        Time [s] after which a stream ends; with the run unless given.
+    largest_gap : float, optional
+        Longest time [s] between two messages of a stream; three periods, but at least 0.1, unless
+        given. A run with a longer one does not count.
+    follow : mapping from str to str
+        Signals by the field of `profile` that they are to follow: a run fails in which the signal
+        moves by less than a twentieth of what the field does.
+    topics : tuple of Topic
+        Several topics that stream in step, instead of one.
+    """
+
+    topic: str = ""
+    message: Mapping[str, object] = field(default_factory=dict)
+    type: str = ""
+    rate: float | None = None
+    profile: Mapping[str, Profile] = field(default_factory=dict)
+    duration: float | None = None
+    largest_gap: float | None = None
+    follow: Mapping[str, str] = field(default_factory=dict)
+    topics: tuple[Topic, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        if self.topics:
+            own = [f.name for f in dataclasses.fields(Topic) if getattr(self, f.name)]
+            if own:
+                raise StudyError("stands beside topics; expected it in each of these", (own[0],))
+            checks.at_most(self.topics, maxima.STREAM_TOPICS, "topics")
+        elif self.topic == "":
+            raise StudyError("missing", ("topic",))
+        if self.rate is None:
+            for key in ("profile", "duration", "largest_gap", "follow", "topics"):
+                if getattr(self, key):
+                    raise StudyError(f"missing; expected how often, for {key}", ("rate",))
+        names = [item.topic.strip("/") for item in self.published]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise StudyError(f"{name} stands here twice", ("topics", index, "topic"))
+        if self.rate is not None:
+            self._check_stream()
+
+    def _check_stream(self) -> None:
+        rate = checks.positive(self.rate, "rate")
+        if rate > maxima.STREAM_RATE:
+            most = maxima.STREAM_RATE
+            raise StudyError(f"expected at most {most:g} Hz, found {rate:g}", ("rate",))
+        object.__setattr__(self, "rate", rate)
+        for key in ("duration", "largest_gap"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, checks.timeout(getattr(self, key), key))
+        if self.largest_gap is not None and self.largest_gap <= 1.0 / rate:
+            raise StudyError(
+                f"{self.largest_gap:g} s are no more than a period of {1.0 / rate:g} s",
+                ("largest_gap",),
+            )
+        for path, profile in self.profiles:
+            # Nyquist: what is faster looks slower.
+            if profile.highest_frequency >= rate / 2.0:
+                raise StudyError(
+                    f"{profile.highest_frequency:g} Hz cannot be seen in {rate:g} messages a "
+                    f"second; expected a rate above {2.0 * profile.highest_frequency:g}",
+                    path,
+                )
+
+    @property
+    def published(self) -> tuple[Topic, ...]:
+        """The topics that it publishes."""
+        if self.topics:
+            return self.topics
+        return (
+            Topic(
+                topic=self.topic,
+                message=self.message,
+                type=self.type,
+                profile=self.profile,
+                follow=self.follow,
+            ),
+        )
+
+    @property
+    def paths(self) -> list[tuple[str | int, ...]]:
+        """Key path of each of `published`, from this step."""
+        return [("topics", i) for i in range(len(self.topics))] or [()]
+
+    @property
+    def profiles(self) -> Iterator[tuple[tuple[str | int, ...], Profile]]:
+        """Its profiles, each with its key path."""
+        for path, topic in zip(self.paths, self.published, strict=True):
+            for name, profile in topic.profile.items():
+                yield (*path, "profile", name), profile
+
+    @property
+    def streams(self) -> bool:
+        """Whether it publishes more than once."""
+        return self.rate is not None
+
+    @property
+    def gap(self) -> float:
+        """Longest time [s] between two messages of a stream."""
+        return self.largest_gap or max(WATCHDOG, 3.0 / (self.rate or 1.0))
+
+    def ending(self, folder: str) -> tuple[Topic, ...]:
+        """Return its last messages: of a stream, with what its profiles come to at its end.
+
+        Raises
+        ------
+        StudyError
+            If a file of a profile is not as it should be.
+        """
+        end = np.array([self.duration or 0.0])
+
+        def constant(profile: Profile) -> Profile:
+            return Profile(step=StepProfile(final=float(profile.function(folder)(end)[0])))
+
+        return tuple(
+            dataclasses.replace(
+                topic, profile={name: constant(item) for name, item in topic.profile.items()}
+            )
+            for topic in self.published
+        )
+
+    def read_files(self, folder: str, longest: float) -> "Publish":
+        """Return it with the digests of its files, once they and values are checked.
+
+        Parameters
+        ----------
+        folder
+            The study's.
+        longest
+            Time [s] up to which values are looked at.
+
+        Raises
+        ------
+        StudyError
+            If a file is not as it should be, or an expression is not finite.
+        """
+        topics = []
+        for path, topic in zip(self.paths, self.published, strict=True):
+            profile = dict(topic.profile)
+            for name, item in topic.profile.items():
+                with under(*path, "profile", name):
+                    profile[name] = item.read_files(folder)
+                    self._check_finite(item, folder, longest)
+            topics.append(dataclasses.replace(topic, profile=profile))
+        if self.topics:
+            return dataclasses.replace(self, topics=tuple(topics))
+        return dataclasses.replace(self, profile=topics[0].profile)
+
+    def _check_finite(self, profile: Profile, folder: str, longest: float) -> None:
+        rate = self.rate or 1.0
+        count = int(min(self.duration or longest, longest, LOOKED_AT) * rate) + 1
+        times = np.arange(count) / rate
+        values = profile.function(folder)(times)
+        if len(wrong := np.flatnonzero(~np.isfinite(values))):
+            raise StudyError(
+                f"is {values[wrong[0]]:g} at {times[wrong[0]]:g} s; expected a finite number"
+            )
+
+
+def build_publish(value: object) -> Publish:
+    """Return what a step of a study file publishes.
+
+    Raises
+    ------
+    StudyError
+        If it violates a rule.
+    """
+    fields = _with_profiles(arguments(Publish, value))
+    if "topics" in fields:
+        items = checks.sequence(fields["topics"], "a list of topics", "topics")
+        findings = Findings()
+        topics = []
+        for index, item in enumerate(items):
+            with findings.under("topics", index):
+                topics.append(Topic(**_with_profiles(arguments(Topic, item))))
+        findings.check()
+        fields["topics"] = tuple(topics)
+    return Publish(**fields)
+
+
+def _with_profiles(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields with the profiles that they describe."""
+    given = fields.get("profile")
+    if isinstance(given, dict):
+        findings = Findings()
+        found = {}
+        for name, item in given.items():
+            with findings.under("profile", str(name)):
+                found[name] = build_profile(item)
+        findings.check()
+        fields["profile"] = found
+    return fields
+
+
+def check_message(value: object, *path: str | int) -> None:
+    """Refuse what no message can hold."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            checks.text(key, *path)
+            if not isinstance(item, (bool, int, float, str)):
+                check_message(item, *path, key)
+    elif isinstance(value, (list, tuple)) and len(path) > 1:
+        for index, item in enumerate(value):
+            if not isinstance(item, (bool, int, float, str)):
+                check_message(item, *path, index)
+    else:
+        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)
