@@ -100,11 +100,11 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
-        effects = [ParameterEffects.from_mapping(item) for item in summary.get("effects", ())]  # type: ignore[attr-defined]
+        effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
         return replace(
             verdict,
             remarks=(*verdict.remarks, *better),
-            unseen=tuple(item for item in effects if item.unseen),
+            effects=effects,
             of_parameters=effects_in_words(record.study, effects),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -207,7 +207,7 @@ def _certified(
         has_result=has_result,
         at_bounds=at_bounds(study, trial.parameters),
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
-        unseen=by_validation.unseen if by_validation is not None else (),
+        effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
     )
 

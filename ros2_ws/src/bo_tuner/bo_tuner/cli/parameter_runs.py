@@ -74,7 +74,10 @@ def try_parameters(
 
 
 def tell_effects(study: Study, planned: Plan, runs: Runs, *, whole_range: bool) -> bool:
-    """Show what each parameter moves; returns whether any of those that were tried moves a metric.
+    """Show what each parameter moves; returns whether the study has something to tune.
+
+    It has not if over their whole range none of the parameters was seen to move a metric. That none
+    did in small steps may be for the noise.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ def tell_effects(study: Study, planned: Plan, runs: Runs, *, whole_range: bool) 
         )
     if not unseen:
         return True
-    none = not moves
+    none = whole_range and not moves and not open_
     for item in unseen:
         tried = listed([shown(value) for value in planned.values[item.parameter]])
         default = study.search_space().defaults[item.parameter]

@@ -31,7 +31,8 @@ exit codes:
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL; with --check, a run of the default failed,
-       nothing moved in it, or no tuned parameter was seen to move a metric
+       nothing moved in it, or over their whole range no tuned parameter was
+       seen to move a metric
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: the output pipe was closed);
        the nodes are stopped, the record is kept, and --resume continues the run

@@ -61,7 +61,7 @@ def dependences(
     """
     encoded = coding.encode(points)
     scales = GaussianProcess.fit(encoded, response, rng=rng).length_scales
-    groups = np.repeat(np.arange(points.shape[1]), coding.spread(np.ones(points.shape[1])) > 0)
+    groups = coding.spread(np.arange(points.shape[1]))
     return [
         _dependence(
             response, encoded[:, groups != k], scales[groups != k], *_factor(points[:, k], m), level

@@ -181,7 +181,10 @@ def _ends(space: SearchSpace, name: str) -> list[Value]:
         if lower == name:
             most = min(most, float(default[upper]))
     ends = [max(float(space.lower[column]), least), min(float(space.upper[column]), most)]
-    values = [_possible(space, name, end) for end in ends]
+    (item,) = (item for item in space.parameters if item.name == name)
+    # Of a grid the last value may lie within the bound.
+    numbers = map(item.on_grid, ends)
+    values: list[Value] = [round(n) if item.is_integer else n for n in numbers]
     return [value for value in dict.fromkeys(values) if value != default[name]]
 
 
@@ -203,14 +206,6 @@ def _levels(
     # A default at a bound is one of the two.
     both = sorted([*values, default][:2] if len(values) < 2 else values, key=float)
     return both[0], both[-1]
-
-
-def _possible(space: SearchSpace, name: str, number: float) -> Value:
-    """Return the value of a parameter that is nearest to a number, beside the default."""
-    column = space.names.index(name)
-    whole = space.integer[column]
-    point = space.to_cube({**space.defaults, name: round(number) if whole else number})
-    return space.to_parameters(space.repair(point[None])[0])[name]
 
 
 def order_of_runs(study: Study, planned: Plan, default_runs: int) -> list[int | None]:
@@ -240,8 +235,15 @@ def order_of_runs(study: Study, planned: Plan, default_runs: int) -> list[int | 
 def judge(study: Study, planned: Plan, runs: Runs) -> dict[str, Found]:
     """Return what the runs tell of each parameter that was tried, by its name."""
     level = test_level(study, len(study.metrics))
+    at_once = [
+        evaluation
+        for place, variation in enumerate(planned.variations)
+        if not variation.moved
+        for evaluation in runs.varied.get(place, [])
+    ]
+    points = study.search_space().cube_of(evaluation.parameters for evaluation in at_once)
     return {
-        name: _screened(study, planned, runs, name, level)
+        name: _screened(study, planned, at_once, points, name, level)
         if name in planned.screened
         else _singly(study, planned, runs, name, level)
         for name in planned.values
@@ -275,33 +277,31 @@ def _singly(study: Study, planned: Plan, runs: Runs, name: str, level: float) ->
     return result
 
 
-def _screened(study: Study, planned: Plan, runs: Runs, name: str, level: float) -> Found:
-    """Return what a parameter does that was moved with others."""
+def _screened(
+    study: Study,
+    planned: Plan,
+    done: Sequence[Evaluation],
+    points: Array,
+    name: str,
+    level: float,
+) -> Found:
+    """Return what a parameter does that was moved with others, in runs at some points (n, d)."""
     space = study.search_space()
-    columns = [space.names.index(other) for other in planned.screened]
-    done = [
-        evaluation
-        for place, variation in enumerate(planned.variations)
-        if not variation.moved
-        for evaluation in runs.varied.get(place, [])
-    ]
-    ends = space.cube_of({**space.defaults, name: value} for value in planned.values[name])
     own = space.names.index(name)
+    others = [space.names.index(other) for other in planned.screened if other != name]
+    lower, upper = planned.values[name]
+    ends = space.cube_of({**space.defaults, name: value} for value in (lower, upper))
     contrasts = np.array([[ends[1, own] - ends[0, own]]])
 
-    def tested(evaluations: Sequence[Evaluation], values: Array) -> LinearEffect:
-        points = space.cube_of(evaluation.parameters for evaluation in evaluations)
-        points = points.reshape(len(evaluations), space.dimension)
-        others = [column for column in columns if column != own]
-        rest = np.column_stack([np.ones(len(points)), points[:, others]])
-        return _tested(values, rest, points[:, [own]], contrasts, level)
+    def tested(values: Array, which: Array) -> LinearEffect:
+        rest = np.column_stack([np.ones(len(values)), points[which][:, others]])
+        return _tested(values, rest, points[which][:, [own]], contrasts, level)
 
-    complete = _complete(done)
-    upper = planned.values[name][1]
-    each = {m: (tested(complete, _values([complete], m)), upper) for m in study.metrics}
-    if len(complete) < len(done):
-        failed = np.array([float(not evaluation.outcome.complete) for evaluation in done])
-        each[FAILURES] = (tested(done, failed), upper)
+    complete = np.array([evaluation.outcome.complete for evaluation in done], dtype=bool)
+    each = {m: (tested(_values([_complete(done)], m), complete), upper) for m in study.metrics}
+    if not complete.all():
+        failed = (~complete).astype(np.float64)
+        each[FAILURES] = (tested(failed, np.ones_like(complete)), upper)
     return _found(study, name, each, level)
 
 

@@ -64,9 +64,10 @@ def _visible(effects: Sequence[Effect]) -> str:
     noisy = [
         f"above {amount(float(f'{e.visible:.2g}'), e)} on {e.metric}" for e in metrics if e.visible
     ]
-    exact = [f"any on {e.metric}" for e in metrics if not e.visible]
-    parts = (noisy + exact)[:NAMED]
-    return f"an effect {listed(parts)} would have been seen"
+    if noisy:
+        return f"an effect {listed(noisy[:NAMED])} would have been seen"
+    exact = [e.metric for e in metrics]
+    return f"any effect on {listed(exact[:NAMED])} would have been seen"
 
 
 def _proposal(study: Study, key: str, names: Sequence[str]) -> str:

@@ -178,10 +178,10 @@ class Verdict:
         The tuned parameters of the result that are at a bound of the search.
     default_lost
         Number of test runs of the default that tell nothing of it.
-    unseen
-        The tuned parameters that were not seen to move any metric.
+    effects
+        What the trials tell of each tuned parameter.
     of_parameters
-        What is to know of these, and of those that too few trials tell of, in sentences.
+        What is to know of those that were not seen to move any metric, in sentences.
     """
 
     state: State
@@ -201,13 +201,18 @@ class Verdict:
     outliers: tuple[int, ...] = ()
     at_bounds: tuple[AtBound, ...] = ()
     default_lost: int = 0
-    unseen: tuple[ParameterEffects, ...] = ()
+    effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
         """Whether the result may be used: the exit code is 0 if so, and 3 if not."""
         return self.state in (State.VALIDATED, State.CERTIFIED)
+
+    @property
+    def unseen(self) -> tuple[ParameterEffects, ...]:
+        """The tuned parameters that were not seen to move any metric."""
+        return tuple(item for item in self.effects if item.unseen)
 
     @property
     def default_unrefuted(self) -> bool:
