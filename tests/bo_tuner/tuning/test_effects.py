@@ -110,7 +110,7 @@ def test_too_few_trials_tell_nothing():
     effects = effects_in(study, trials_of(study, lambda rng, **_: noise(rng), 4))
     assert [(item.seen, item.told) for item in effects] == [(False, False)] * 2
     assert effects_in_words(study, effects) == (
-        "The trials are too few to tell whether kp and ki moves a metric.",
+        "The trials are too few to tell whether kp and ki move a metric.",
     )
     assert file_notes(study, effects) == ()
     assert effects_in(study, []) == ()

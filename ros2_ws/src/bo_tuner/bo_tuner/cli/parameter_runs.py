@@ -99,8 +99,9 @@ def tell_effects(study: Study, planned: Plan, runs: Runs, *, whole_range: bool) 
     unseen = [item.effects for item in found.values() if item.effects.unseen]
     open_ = [n for n, item in found.items() if not (item.effects.seen or item.effects.told)]
     if open_:
+        verb = "moves" if len(open_) == 1 else "move"
         say_error(
-            f"warning: too few runs were completed to tell whether {listed(open_)} moves a metric"
+            f"warning: too few runs were completed to tell whether {listed(open_)} {verb} a metric"
         )
     if not unseen:
         return True

@@ -29,7 +29,8 @@ def effects_in_words(study: Study, found: Sequence[ParameterEffects]) -> tuple[s
     sentences = [f"{not_seen(item)}." for item in found if item.unseen]
     sentences += proposals(study, [item.parameter for item in found if item.unseen])
     if open_ := [item.parameter for item in found if not item.seen and not item.told]:
-        sentences.append(f"The trials are too few to tell whether {listed(open_)} moves a metric.")
+        verb = "moves" if len(open_) == 1 else "move"
+        sentences.append(f"The trials are too few to tell whether {listed(open_)} {verb} a metric.")
     return tuple(sentences)
 
 
