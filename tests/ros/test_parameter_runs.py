@@ -84,14 +84,20 @@ def write_study(folder, *names, **changes):
             "ask": {"topic": "/ask", "field": "data"},
         },
         "run": {
+            # What is said last before the start is part of the run.
+            "before": [
+                {"publish": {"topic": "/ask", "message": {"data": 0.0}}},
+                {"wait": 0.1},
+            ],
             "start": [
                 {"publish": {"topic": "/ask", "message": {"data": 0.0}}},
                 {"wait": 0.05},
                 {"publish": {"topic": "/ask", "message": {"data": 2.0}}},
             ],
-            "end": {"after": 0.2},
+            # Judged once the steps of start are done, however late they are.
+            "end": {"when": "t > 0.3"},
         },
-        "metrics": {"level": {"of": "out", "measure": "final", "unit": "m"}},
+        "metrics": {"level": {"of": "out", "measure": "maximum", "unit": "m"}},
         "objective": {"metric": "level"},
         "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
@@ -112,6 +118,7 @@ def test_a_parameter_that_does_nothing_is_named(odd, tmp_path):
     code, out, err = check(tmp_path)
     assert code == 0, err
     assert "trying 2 parameters in small steps from the default: 14 runs, about " in out
+    assert len(err.splitlines()) == 1, err
     (line,) = err.splitlines()
     assert re.match(
         r"warning: gain was not seen to move any metric \(an effect above 0\.0\d+ m on level would "
@@ -121,8 +128,9 @@ def test_a_parameter_that_does_nothing_is_named(odd, tmp_path):
     assert "odd may read gain only while it starts: with at_start: true under nodes.odd" in out
     assert "--sensitivity tries the whole range" in out
     assert "note: not tried: fast cannot be moved alone" in out
-    (row,) = [line for line in out.splitlines() if line.strip().startswith("offset")]
-    assert "level" in row
+    table = out.partition("what the parameters move")[2].partition("note: ")[0]
+    (row,) = [line for line in table.splitlines() if "level" in line]
+    assert "offset" in row
     assert min(odd.offsets) == pytest.approx(0.8)
     assert max(odd.offsets) == pytest.approx(1.2)
     assert odd.get_parameter("offset").value == odd.get_parameter("gain").value == 1.0
@@ -147,7 +155,7 @@ def test_not_at_all(odd, tmp_path):
     code, out, err = check(tmp_path, "--no-sensitivity")
     assert (code, err) == (0, "")
     assert "trying" not in out
-    assert odd.answers == 2 * 2
+    assert odd.answers == 2 * 3
 
 
 def test_the_option_alone(tmp_path):
