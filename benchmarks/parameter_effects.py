@@ -50,7 +50,7 @@ def main() -> None:
         result["trials"] = [
             trials(name, count, noise, arguments.seeds)
             for name in PROBLEMS
-            for count in (15, 30, 60)
+            for count in (15, 30)
             for noise in (0.02, 0.3)
         ]
         result["check"] = [singly(arguments.seeds), screened(arguments.seeds)]
