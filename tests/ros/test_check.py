@@ -91,8 +91,10 @@ def write_study(tmp_path, **changes):
 
 
 def study(tmp_path, *options, **changes):
+    """Check a study without what `test_parameter_runs` is about."""
     write_study(tmp_path, **changes)
-    return finish(Fork("tune", "--check", "servo.yaml", *options, folder=tmp_path))
+    arguments = ("tune", "--check", "servo.yaml", "--no-sensitivity", *options)
+    return finish(Fork(*arguments, folder=tmp_path))
 
 
 def test_a_study_that_is_right(servo, tmp_path):
@@ -311,7 +313,7 @@ def test_a_node_that_is_not_set_back_is_told(servo, tmp_path, monkeypatch, capsy
 
     monkeypatch.setattr(RosBackend, "close", refuse)
     write_study(tmp_path)
-    code, out, err = call(tune, capsys, "--check", tmp_path / "servo.yaml")
+    code, out, err = call(tune, capsys, "--check", tmp_path / "servo.yaml", "--no-sensitivity")
     assert code == 1
     assert err.splitlines()[-1] == "error: servo could not be restored: servo does not answer"
     assert "metrics of the default" in out
@@ -365,7 +367,8 @@ def started(tmp_path):
 
 
 def check(folder, *options):
-    found = finish(Fork("tune", "--check", "study.yaml", *options, folder=folder))
+    arguments = ("tune", "--check", "study.yaml", "--no-sensitivity", *options)
+    found = finish(Fork(*arguments, folder=folder))
     running = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
     assert not [line for line in running if str(folder).encode() in line], "a node was left"
     return found

@@ -26,8 +26,10 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning import limits
+from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.at_bounds import at_bounds
+from bo_tuner.verdict.effects import effects_in_words
 from bo_tuner.verdict.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.passed_over import passed_over_in_words
@@ -98,7 +100,13 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
-        return replace(verdict, remarks=(*verdict.remarks, *better))
+        effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
+        return replace(
+            verdict,
+            remarks=(*verdict.remarks, *better),
+            effects=effects,
+            of_parameters=effects_in_words(record.study, effects),
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
@@ -199,6 +207,8 @@ def _certified(
         has_result=has_result,
         at_bounds=at_bounds(study, trial.parameters),
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
+        effects=by_validation.effects if by_validation is not None else (),
+        of_parameters=by_validation.of_parameters if by_validation is not None else (),
     )
 
 

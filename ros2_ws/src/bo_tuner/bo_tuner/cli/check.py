@@ -1,4 +1,4 @@
-"""``tune --check``: hold a study against its nodes, and try two runs."""
+"""``tune --check``: hold a study against its nodes, try two runs, and what each parameter does."""
 
 import contextlib
 import dataclasses
@@ -24,10 +24,11 @@ from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.common import ended, opened
-from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.parameter_runs import duration, tell_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.test_runs import show_metrics, show_signals
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.interruption import Interruption
 from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
 from bo_tuner.metrics.recording import Recording
@@ -59,6 +60,7 @@ def check_study(
     interruption: Interruption,
     *,
     attach: bool | None = None,
+    sensitivity: bool | None = None,
 ) -> int:
     """Check a study on its nodes; returns the exit code.
 
@@ -73,6 +75,9 @@ def check_study(
     attach
         Whether to use nodes that run already, or else to start them. Unless given they are started
         where the study says how, and none of them runs.
+    sensitivity
+        Whether to try each parameter, over its whole range. Unless given it is tried, in small
+        steps on nodes that run already.
 
     Raises
     ------
@@ -91,7 +96,7 @@ def check_study(
         if attach:
             with opened_node(ros_arguments, interruption.check) as tuner:
                 _hold_against(study, tuner, attached=True)
-        return _try(study, attach, ros_arguments, interruption)
+        return _try(study, attach, sensitivity, ros_arguments, interruption)
     except _MistakesError:
         return EXIT_USAGE
 
@@ -195,9 +200,16 @@ def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
 
 
 def _try(
-    study: Study, attach: bool, ros_arguments: Sequence[str], interruption: Interruption
+    study: Study,
+    attach: bool,
+    sensitivity: bool | None,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
 ) -> int:
-    """Run the default a few times; shows signals and metrics, and how long a study will take."""
+    """Run the default a few times, and try each parameter; shows what came out.
+
+    These are signals and metrics, what each parameter moves, and how long a study will take.
+    """
     with _log_folder(keep=not attach) as folder:
         backend = RosBackend(
             study,
@@ -217,31 +229,64 @@ def _try(
                 _hold_against(study, tuner, attached=False)
 
         backend.at_nodes = look
-        with opened(backend, interruption) as left:
-            done, recordings = _runs(study, backend)
-        show_signals(recordings[-1], RUNS)
-        for name, told in done[-1].outcome.details.items():
-            if name.startswith(STREAMS):
-                say(f"stream on {name.removeprefix(STREAMS)}: {told}")
-        failed = [e for e in done if not e.outcome.complete]
-        for evaluation in failed:
-            say_error(
-                f"error: run {evaluation.index + 1} of the default failed: "
-                f"{evaluation.outcome.reason}"
-            )
-        for evaluation in done:
-            if evaluation.outcome.note:
-                say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
-        if complete := [e for e in done if e not in failed]:
-            show_metrics(study, complete)
-        # Of a run that failed, nothing may be known.
-        moves = bool(failed) or _tell_of_motion(study, recordings, heard)
+        sound, acts, complete = False, True, []
+        try:
+            with opened(backend, interruption) as left:
+                done, recordings = _runs(study, backend)
+                complete = [e for e in done if e.outcome.complete]
+                sound = _tell_runs(study, done, recordings, heard)
+                if sound and sensitivity is not False:
+                    whole_range = bool(sensitivity) or not attach
+                    acts = _try_parameters(study, backend, complete, whole_range=whole_range)
+        except RunError as error:
+            say_error(f"error: {error}")
+            return EXIT_FAULT
         if complete:
             _estimate(study, complete)
-        code = ended(left, EXIT_OK if moves and not failed else EXIT_INFEASIBLE)
+        code = ended(left, EXIT_OK if sound and acts else EXIT_INFEASIBLE)
         if code == EXIT_OK:
             shutil.rmtree(folder)
         return code
+
+
+def _tell_runs(
+    study: Study,
+    done: Sequence[Evaluation],
+    recordings: Sequence[Recording],
+    heard: Sequence[str],
+) -> bool:
+    """Show runs of the default; returns whether all are complete, and something moves."""
+    show_signals(recordings[-1], RUNS)
+    for name, told in done[-1].outcome.details.items():
+        if name.startswith(STREAMS):
+            say(f"stream on {name.removeprefix(STREAMS)}: {told}")
+    failed = [e for e in done if not e.outcome.complete]
+    for evaluation in failed:
+        say_error(
+            f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
+        )
+    for evaluation in done:
+        if evaluation.outcome.note:
+            say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
+    if complete := [e for e in done if e not in failed]:
+        show_metrics(study, complete)
+    # Of a run that failed, nothing may be known.
+    return not failed and _tell_of_motion(study, recordings, heard)
+
+
+def _try_parameters(
+    study: Study, backend: RosBackend, done: Sequence[Evaluation], *, whole_range: bool
+) -> bool:
+    """Try each parameter, and show what it moves; returns whether any moves a metric."""
+    planned, runs = try_parameters(
+        study, backend, done, whole_range=whole_range, wait=_seconds(done)
+    )
+    return tell_effects(study, planned, runs, whole_range=whole_range)
+
+
+def _seconds(complete: Sequence[Evaluation]) -> float:
+    """Return the mean time [s] of runs."""
+    return float(np.mean([evaluation.seconds for evaluation in complete]))
 
 
 @contextlib.contextmanager
@@ -354,9 +399,9 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting
     seconds_of_certificate = certificate * seconds + starts_of_certificate * starting
-    say(f"study: at most {tuning} evaluations, {_duration(seconds_of_study)}")
+    say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
     say(
-        f"certificate: at most {certificate} evaluations, {_duration(seconds_of_certificate)}; "
+        f"certificate: at most {certificate} evaluations, {duration(seconds_of_certificate)}; "
         "fewer once the verdict is clear"
     )
 
@@ -367,10 +412,3 @@ def _starts_each_time(study: Study) -> bool:
     if study.seed_parameter is not None:
         targets.append((study.seed_parameter.node, study.seed_parameter.parameter))
     return any(name in study.start_names.get(node, ()) for node, name in targets)
-
-
-def _duration(seconds: float) -> str:
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2.0 * size:
-            return f"about {seconds / size:.0f} {unit}"
-    return f"about {seconds:.0f} s"

@@ -55,6 +55,7 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
+from bo_tuner.verdict.effects import file_notes
 from bo_tuner.verdict.verdict import Verdict
 from bo_tuner.web.address import Address
 from bo_tuner.web.live_page import LivePage
@@ -416,7 +417,8 @@ class Session:
     def _report(self, found: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
         parameters = found.recommendation.candidate.trial.parameters
-        path = folder.write_parameters(self._study, parameters)
+        notes = file_notes(self._study, verdict.unseen)
+        path = folder.write_parameters(self._study, parameters, notes)
         summary |= verdict.to_summary()
         folder.write_json(SUMMARY, summary)
         self._display.result(Result(self._study, verdict, parameters, path, summary))

@@ -54,7 +54,7 @@ FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
 OF_INIT = ("nodes", "parameters", "signals")
 """Options that go with ``--init``, and with nothing else."""
-OF_CHECK = ("trials", "evaluations", "seed", "bounds", "attach")
+OF_CHECK = ("trials", "evaluations", "seed", "bounds", "attach", "sensitivity")
 """Options that go with ``--check``."""
 
 
@@ -104,13 +104,17 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     for name in OF_INIT:
         if getattr(arguments, name) is not None:
             parser.error(f"--{name} needs --init")
+    if arguments.sensitivity is not None and arguments.check is None:
+        parser.error("--sensitivity needs --check")
     if arguments.check is not None:
         parser.refuse_others(arguments, "check", OF_CHECK)
         attach = arguments.attach
         look = _look(ros_arguments, interruption)
         loaded = _load(arguments.check, attach is not False, look)
         study = _changed(loaded, arguments, named_namespace(ros_arguments))
-        return check_study(study, ros_arguments, interruption, attach=attach)
+        return check_study(
+            study, ros_arguments, interruption, attach=attach, sensitivity=arguments.sensitivity
+        )
     return _run(arguments, parser, ros_arguments, interruption)
 
 

@@ -30,8 +30,9 @@ exit codes:
        not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
-       certificate is a FAIL; with --check, a run of the default failed, or
-       nothing moved in it
+       certificate is a FAIL; with --check, a run of the default failed,
+       nothing moved in it, or over their whole range no tuned parameter was
+       seen to move a metric
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: the output pipe was closed);
        the nodes are stopped, the record is kept, and --resume continues the run
@@ -178,10 +179,18 @@ def _add_running_nodes(parser: Parser) -> None:
         "--check",
         metavar="NAME|FILE",
         help="check a study against its nodes, report every mistake in parameters, contexts, "
-        "signals and steps of the run, make two test runs of the default, and estimate how long "
-        "the study would take (also with --trials, --evaluations or --seed); nothing is recorded, "
-        "and all values of the nodes are restored; nodes that are not running are started and "
-        "ended if the study says how (--attach: never, --no-attach: always)",
+        "signals and steps of the run, make two test runs of the default, try what each tuned "
+        "parameter moves (see --sensitivity), and estimate how long the study would take (also "
+        "with --trials, --evaluations or --seed); nothing is recorded, and all values of the nodes "
+        "are restored; nodes that are not running are started and ended if the study says how "
+        "(--attach: never, --no-attach: always)",
+    )
+    parser.add_argument(
+        "--sensitivity",
+        action=argparse.BooleanOptionalAction,
+        help="with --check: try the whole range of each tuned parameter, not only small steps from "
+        "the default; or do not try them at all (default: the whole range on nodes that the check "
+        "starts, small steps on nodes that run already)",
     )
     parser.add_argument(
         "--init",

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.certificate.judgement import most_draws_needed
-from bo_tuner.certificate.run_verdict import certified
+from bo_tuner.certificate.run_verdict import certified, run_verdict
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     latest_certificate,
@@ -53,6 +53,7 @@ from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.settling import with_checks
+from bo_tuner.verdict.effects import file_notes
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
 
@@ -322,7 +323,8 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
         content = read_text(path)
         found = from_yaml(content)
     except (OSError, ValueError):
-        path = folder.write_parameters(record.study, trial.parameters)
+        notes = file_notes(record.study, run_verdict(record).unseen)
+        path = folder.write_parameters(record.study, trial.parameters, notes)
         console.print(f"warning: {path}: missing or damaged; made from the journal", soft_wrap=True)
         return hashlib.sha256(path.read_bytes()).hexdigest()
     if found != node_values(record.study, trial.parameters):

@@ -23,6 +23,7 @@ from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
+from bo_tuner.verdict.effects import file_notes
 
 DEPLOY = "deploy"
 PARAMETERS = "parameters.yaml"
@@ -114,8 +115,9 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     if rollback is not None:
         _check_restorable(rollback, default)
     folder = record.path / DEPLOY
+    notes = file_notes(record.study, run_verdict(record).unseen)
     files = {
-        PARAMETERS: to_yaml(tuned).encode(),
+        PARAMETERS: to_yaml(tuned, notes).encode(),
         DIFFERENCE: _table(differences(record.study, default, tuned)).encode(),
     }
     with writing(folder):

@@ -25,6 +25,7 @@ class Stream(IntEnum):
     CERTIFICATE_SEARCH = 11
     ROBUSTNESS = 12
     WEIGHTS = 13
+    EFFECTS = 14
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

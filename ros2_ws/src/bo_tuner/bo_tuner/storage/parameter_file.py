@@ -1,6 +1,6 @@
 """Parameter files in the form that ``--params-file`` takes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import yaml
 
@@ -9,6 +9,7 @@ from bo_tuner.storage.ros_reader import SECTION, read_sections
 from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.study import Study
+from bo_tuner.text import one_line
 from bo_tuner.trials import Value
 
 NodeValues = Mapping[str, Mapping[str, object]]
@@ -36,8 +37,8 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
     return values
 
 
-def to_yaml(values: NodeValues) -> str:
-    """Return the text of a parameter file.
+def to_yaml(values: NodeValues, notes: Iterable[str] = ()) -> str:
+    """Return the text of a parameter file, with notes in comments ahead of it, a line each.
 
     A node is addressed by its name in any namespace. Doubles keep their decimal point, since a
     node refuses an integer for one. Texts are quoted: ROS takes a plain ``y`` for true, and ``1e5``
@@ -47,7 +48,8 @@ def to_yaml(values: NodeValues) -> str:
         f"{ANY_NAMESPACE}{node}": {SECTION: {k: _quoted(v) for k, v in of_node.items()}}
         for node, of_node in values.items()
     }
-    return yaml.dump(nodes, Dumper=_Dumper, sort_keys=False)
+    comments = "".join(f"# {one_line(note)}\n" for note in notes)
+    return comments + yaml.dump(nodes, Dumper=_Dumper, sort_keys=False)
 
 
 def from_yaml(text: str) -> dict[str, dict[str, object]]:

@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Self
@@ -184,12 +184,14 @@ class RunFolder:
             link.unlink(missing_ok=True)
             raise OutputError(f"{target}: cannot point to the run: {error.strerror}") from error
 
-    def write_parameters(self, study: Study, parameters: Mapping[str, Value]) -> Path:
+    def write_parameters(
+        self, study: Study, parameters: Mapping[str, Value], notes: Iterable[str] = ()
+    ) -> Path:
         """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
 
-        Raises as `write_atomically`.
+        The notes are as in `to_yaml`. Raises as `write_atomically`.
         """
-        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
+        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters), notes))
 
     def write_study(self, study: Study) -> Path:
         """Write ``study.yaml``, and return its path; raises as `write_atomically`."""

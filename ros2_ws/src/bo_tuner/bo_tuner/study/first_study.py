@@ -73,6 +73,7 @@ def first_study(
             if node.name not in own and (node in nodes or context_offers(node))
         ),
         "",
+        "# tune --check tries which move a metric: a node may read some only while it starts.",
         "parameters:",
         *_parameter_lines(nodes, parameters, keys),
         *_context_lines(seen.nodes, parameters, keys),

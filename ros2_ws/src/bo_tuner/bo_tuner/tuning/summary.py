@@ -27,6 +27,7 @@ from bo_tuner.trials import (
     count_trials,
     parameter_set,
 )
+from bo_tuner.tuning.effects import ParameterEffects, effects_in
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
@@ -44,11 +45,14 @@ class Conclusion:
         The recommended trial.
     default, tuned
         Validation of the hand-tuned parameter set and of the recommended one.
+    effects
+        What the trials tell of each tuned parameter.
     """
 
     recommendation: Recommendation
     default: Validation
     tuned: Validation
+    effects: tuple[ParameterEffects, ...]
 
 
 def conclude(
@@ -92,7 +96,7 @@ def conclude(
         observer=observer,
     )
     observer.end(Phase.VALIDATION)
-    return Conclusion(best, default, tuned)
+    return Conclusion(best, default, tuned, effects_in(study, trials))
 
 
 def continued(
@@ -204,6 +208,7 @@ def summarize(
         "predicted_feasibility": best.candidate.feasibility,
         "default": asdict(default),
         "tuned": asdict(tuned),
+        "effects": [asdict(item) for item in conclusion.effects],
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
     }

@@ -11,6 +11,7 @@ from math import isfinite, isnan
 
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.limits import Standing
 from bo_tuner.verdict.at_bounds import AtBound
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
@@ -177,6 +178,10 @@ class Verdict:
         The tuned parameters of the result that are at a bound of the search.
     default_lost
         Number of test runs of the default that tell nothing of it.
+    effects
+        What the trials tell of each tuned parameter.
+    of_parameters
+        What is to know of those that were not seen to move any metric, in sentences.
     """
 
     state: State
@@ -196,11 +201,18 @@ class Verdict:
     outliers: tuple[int, ...] = ()
     at_bounds: tuple[AtBound, ...] = ()
     default_lost: int = 0
+    effects: tuple[ParameterEffects, ...] = ()
+    of_parameters: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
         """Whether the result may be used: the exit code is 0 if so, and 3 if not."""
         return self.state in (State.VALIDATED, State.CERTIFIED)
+
+    @property
+    def unseen(self) -> tuple[ParameterEffects, ...]:
+        """The tuned parameters that were not seen to move any metric."""
+        return tuple(item for item in self.effects if item.unseen)
 
     @property
     def default_unrefuted(self) -> bool:
@@ -313,6 +325,7 @@ class Verdict:
         found.append(self.default_in_words)
         found += self._changes()
         found += [bound.sentence for bound in self.at_bounds]
+        found += self.of_parameters
         if self.choice:
             found.append(self.choice)
         return (*found, *self.remarks)
@@ -415,6 +428,7 @@ class Verdict:
                 [asdict(q) | {"change": str(q.change)} for q in self.quantities]
             ),
             "at_bounds": [asdict(bound) for bound in self.at_bounds],
+            "unseen_parameters": [item.parameter for item in self.unseen],
         }
 
     def to_summary(self) -> dict[str, object]:

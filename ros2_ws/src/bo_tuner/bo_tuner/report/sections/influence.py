@@ -1,6 +1,7 @@
 """How much each tuned parameter matters for each metric, over the whole search space."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from math import isinf
 
 import numpy as np
 
@@ -8,11 +9,14 @@ from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.linear_effects import POWER
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table
 from bo_tuner.trials import Trial, pooled
+from bo_tuner.tuning.effects import ERROR, ParameterEffects
+from bo_tuner.verdict.effects import amount
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -35,15 +39,21 @@ def influence(analysis: Analysis) -> Section | None:
     found = {name: _indices(analysis, chosen, y) for name, y in _responses(analysis, chosen)}
     if all(np.isnan(totals).any() for totals in found.values()):
         return None
-    names = space.names
+    names, effects = space.names, analysis.verdict.effects
+    moved = {e.metric for item in effects for e in item.effects if e.seen}
+    # Of a response that none was seen to move, the model has explained noise.
+    still = {f"mean {name}" for name in analysis.study.metrics if effects and name not in moved}
+    lead = [
+        f"{response}: no effect was seen."
+        if response in still
+        else f"{response}: most by {names[int(np.argmax(totals))]}."
+        for response, totals in found.items()
+        if not np.isnan(totals).any()
+    ]
     return Section(
         name="influence",
         title="Influence of each parameter",
-        lead=" ".join(
-            f"{response}: most by {names[int(np.argmax(totals))]}."
-            for response, totals in found.items()
-            if not np.isnan(totals).any()
-        ),
+        lead=" ".join([*lead, *analysis.verdict.of_parameters]),
         figures=[_figure(names, found)],
         tables=[
             Table(
@@ -52,7 +62,8 @@ def influence(analysis: Analysis) -> Section | None:
                 rows=[[response, *map(_shown, totals)] for response, totals in found.items()],
                 numeric=list(range(1, 1 + len(names))),
                 folded=True,
-            )
+            ),
+            *([_effects(effects)] if effects else []),
         ],
         notes=[
             "Total index (Homma and Saltelli 1996): the share of the variance over the search "
@@ -94,6 +105,29 @@ def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
     rng = generator(analysis.study.seed, Stream.ACQUISITION, 2**31, len(trials))
     model = fit(points, values, rng=rng, minimum_length_scales=space.minimum_length_scales())
     return total_indices(lambda cube: model.predict_mean(space.repair(cube)), space.dimension)
+
+
+def _effects(found: Sequence[ParameterEffects]) -> Table:
+    """Show which effects were seen, and which ones would have been."""
+    return Table(
+        caption=f"Effects that were seen: a parameter that does nothing is among them with a "
+        f"probability of {100.0 * ERROR:g} % at most, and one of the smallest size is not with "
+        f"{100.0 * (1.0 - POWER):g} %",
+        header=["parameter", "metric", "seen", "largest difference", "smallest to be seen"],
+        rows=[
+            [
+                item.parameter,
+                effect.metric,
+                "yes" if effect.seen else "no",
+                amount(abs(effect.change), effect),
+                "–" if isinf(effect.visible) else amount(effect.visible, effect),
+            ]
+            for item in found
+            for effect in item.effects
+        ],
+        numeric=[3, 4],
+        folded=True,
+    )
 
 
 def _figure(names: tuple[str, ...], found: Mapping[str, Array]) -> Figure:

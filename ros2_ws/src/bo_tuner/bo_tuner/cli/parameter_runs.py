@@ -1,0 +1,171 @@
+"""``tune --check``: try each tuned parameter, and say which metrics it moves."""
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.cli.streams import say_error
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.study.study import Study
+from bo_tuner.text import brief, counted, shown
+from bo_tuner.trials import Evaluation, Stage
+from bo_tuner.tuning.evaluation import Losses
+from bo_tuner.tuning.variations import (
+    DEFAULT_RUNS,
+    Move,
+    Plan,
+    Runs,
+    judge,
+    order_of_runs,
+    plan,
+)
+from bo_tuner.verdict.effects import amount, listed, not_seen, proposals
+
+
+def try_parameters(
+    study: Study, backend: Backend, done: Sequence[Evaluation], *, whole_range: bool, wait: float
+) -> tuple[Plan, Runs]:
+    """Run the default and parameter sets around it, as `tuning.variations` plans them.
+
+    Parameters
+    ----------
+    study
+        The study.
+    backend
+        Runs the evaluations; open.
+    done
+        Complete runs of the default, in the nominal context.
+    whole_range
+        Whether parameters are moved to the ends of their range.
+    wait
+        Time [s] that a run takes.
+
+    Raises
+    ------
+    RunError
+        If three runs in a row were lost with their nodes or disturbed.
+    """
+    planned = plan(study, whole_range=whole_range)
+    runs = Runs(list(done))
+    alone = any(variation.moved for variation in planned.variations)
+    order = order_of_runs(study, planned, max(DEFAULT_RUNS - len(done), 0) if alone else 0)
+    if not planned.variations:
+        return planned, runs
+    how = "over the whole range" if whole_range else "in small steps from the default"
+    count = counted(len(planned.values), "parameter")
+    say(f"trying {count} {how}: {counted(len(order), 'run')}, {duration(len(order) * wait)}")
+    defaults, contexts = study.search_space().defaults, study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    losses = Losses("runs")
+    for index, place in enumerate(order, start=len(done)):
+        parameters = defaults if place is None else planned.variations[place].parameters
+        seed = noise_seed(study.seed, Stream.NOISE, 0, index)
+        (evaluation,) = backend.run(
+            [Evaluation(0, index, Stage.NOMINAL, parameters, nominal, seed)]
+        )
+        losses.note(evaluation)
+        losses.check()
+        if not evaluation.outcome.spoilt:
+            kept = runs.default if place is None else runs.varied.setdefault(place, [])
+            kept.append(evaluation)
+    return planned, runs
+
+
+def tell_effects(study: Study, planned: Plan, runs: Runs, *, whole_range: bool) -> bool:
+    """Show what each parameter moves; returns whether the study has something to tune.
+
+    It has not if over their whole range none of the parameters was seen to move a metric. That none
+    did in small steps may be for the noise.
+
+    Parameters
+    ----------
+    study
+        The study.
+    planned, runs
+        As from `try_parameters`.
+    whole_range
+        As there.
+    """
+    found = judge(study, planned, runs)
+    moves = [(name, move) for name, item in found.items() for move in item.moves]
+    if moves:
+        plain_console().print(_table(study, planned, moves))
+    _tell_failures(planned, runs)
+    if untried := [name for name in study.search_space().names if name not in found]:
+        how = "" if whole_range else ", in small steps; --sensitivity tries their whole range"
+        say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
+    unseen = [item.effects for item in found.values() if item.effects.unseen]
+    open_ = [n for n, item in found.items() if not (item.effects.seen or item.effects.told)]
+    if open_:
+        verb = "moves" if len(open_) == 1 else "move"
+        say_error(
+            f"warning: too few runs were completed to tell whether {listed(open_)} {verb} a metric"
+        )
+    if not unseen:
+        return True
+    none = whole_range and not moves and not open_
+    for item in unseen:
+        tried = listed([shown(value) for value in planned.values[item.parameter]])
+        default = study.search_space().defaults[item.parameter]
+        say_error(
+            f"{'error' if none else 'warning'}: {not_seen(item)}; tried: {tried}, beside the "
+            f"default {shown(default)}"
+        )
+    steps = [] if whole_range else ["These were small steps; --sensitivity tries the whole range."]
+    for text in [*proposals(study, [item.parameter for item in unseen]), *steps]:
+        say(text)
+    return not none
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"
+
+
+def _table(study: Study, planned: Plan, moves: Sequence[tuple[str, Move]]) -> Table:
+    """Return which parameter moves which metrics, and by how much."""
+    table = Table(title="what the parameters move", title_justify="left")
+    for column in ("parameter", "to", "from", "metric", "change", "in noise"):
+        table.add_column(column)
+    defaults = study.search_space().defaults
+    for name, move in moves:
+        effect = move.effect
+        start = planned.values[name][0] if name in planned.screened else defaults[name]
+        sign = "+" if effect.change > 0.0 else ""
+        noise = abs(effect.change) / move.noise if move.noise > 0.0 else 0.0
+        table.add_row(
+            name,
+            shown(move.value),
+            shown(start),
+            effect.metric,
+            f"{sign}{amount(effect.change, effect)}",
+            f"{noise:.2g}" if noise else "",
+        )
+    return table
+
+
+def _tell_failures(planned: Plan, runs: Runs) -> None:
+    """Name the runs that failed for their parameters."""
+    screened: list[Evaluation] = []
+    for place, variation in enumerate(planned.variations):
+        done = runs.varied.get(place, [])
+        if not variation.moved:
+            screened += done
+        else:
+            value = variation.parameters[variation.moved]
+            _tell_failed(f"{variation.moved} {shown(value)}", done)
+    _tell_failed("several parameters moved at once", screened)
+    _tell_failed("the default", runs.default)
+
+
+def _tell_failed(what: str, done: Sequence[Evaluation]) -> None:
+    failed = [evaluation for evaluation in done if not evaluation.outcome.complete]
+    if failed:
+        reasons = "; ".join(dict.fromkeys(e.outcome.reason for e in failed))
+        count = f"{len(failed)} of {counted(len(done), 'run')}"
+        say(f"note: {what}: {count} failed: {brief(reasons)}")

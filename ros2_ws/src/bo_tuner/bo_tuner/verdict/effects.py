@@ -1,0 +1,97 @@
+"""What is said of tuned parameters that were not seen to move any metric, on every screen."""
+
+from collections.abc import Iterable, Sequence
+from math import isinf
+
+from bo_tuner.study.study import Study
+from bo_tuner.text import shown
+from bo_tuner.tuning.effects import FAILURES, Effect, ParameterEffects
+
+NAMED = 3
+"""Largest number of metrics that are named beside a parameter; the summary has all."""
+
+
+def not_seen(found: ParameterEffects) -> str:
+    """Return what to know of a parameter that was not seen to move any metric."""
+    return f"{found.parameter} was not seen to move any metric ({_visible(found.effects)})"
+
+
+def effects_in_words(study: Study, found: Sequence[ParameterEffects]) -> tuple[str, ...]:
+    """Return sentences on the parameters that a run has not seen to move any metric.
+
+    Parameters
+    ----------
+    study
+        The study.
+    found
+        Its parameters; there is nothing to say of those that move one.
+    """
+    sentences = [f"{not_seen(item)}." for item in found if item.unseen]
+    sentences += proposals(study, [item.parameter for item in found if item.unseen])
+    if open_ := [item.parameter for item in found if not item.seen and not item.told]:
+        verb = "moves" if len(open_) == 1 else "move"
+        sentences.append(f"The trials are too few to tell whether {listed(open_)} {verb} a metric.")
+    return tuple(sentences)
+
+
+def proposals(study: Study, parameters: Iterable[str]) -> list[str]:
+    """Return what to do about parameters that do nothing, a sentence for each node."""
+    by_node: dict[str, list[str]] = {}
+    for name in parameters:
+        by_node.setdefault(study.parameters[name].node, []).append(name)
+    return [_proposal(study, key, names) for key, names in by_node.items()]
+
+
+def file_notes(study: Study, found: Iterable[ParameterEffects]) -> tuple[str, ...]:
+    """Return what a file of parameters is to say of its values, a line each."""
+    return tuple(
+        f"{item.parameter} of {study.nodes[study.parameters[item.parameter].node].node}: not seen "
+        f"to move any metric ({_visible(item.effects)})"
+        for item in found
+        if item.unseen
+    )
+
+
+def amount(size: float, effect: Effect) -> str:
+    """Return a size of an effect with its unit."""
+    if effect.metric == FAILURES:
+        return f"{100.0 * size:.3g} %"
+    return f"{shown(size)} {effect.unit}".rstrip()
+
+
+def _visible(effects: Sequence[Effect]) -> str:
+    """Return which effects would have been seen."""
+    metrics = [e for e in effects if e.metric != FAILURES and not isinf(e.visible)]
+    noisy = [
+        f"above {amount(float(f'{e.visible:.2g}'), e)} on {e.metric}" for e in metrics if e.visible
+    ]
+    if noisy:
+        return f"an effect {listed(noisy[:NAMED])} would have been seen"
+    exact = [e.metric for e in metrics]
+    return f"any effect on {listed(exact[:NAMED])} would have been seen"
+
+
+def _proposal(study: Study, key: str, names: Sequence[str]) -> str:
+    """Return what may be the matter with parameters of a node."""
+    them, node = "it" if len(names) == 1 else "them", study.nodes[key].node
+    if all(_is_set_at_start(study, name) for name in names):
+        return (
+            f"{node} is started with {listed(names)} (at_start), so it may ignore what it is "
+            f"started with, or the runs do not depend on {them}: leave {them} fixed."
+        )
+    return (
+        f"{node} may read {listed(names)} only while it starts: with at_start: true under "
+        f"nodes.{key} the tuner starts it with the values of each trial. Otherwise the runs do not "
+        f"depend on {them}: leave {them} fixed."
+    )
+
+
+def _is_set_at_start(study: Study, name: str) -> bool:
+    """Return whether the tuner starts the node of a parameter with its value."""
+    item = study.parameters[name]
+    return item.parameter in study.start_names.get(item.node, ())
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as in ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
