@@ -13,7 +13,7 @@ from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.parameters.services import to_value
+from bo_tuner.backends.ros.parameters.messages import to_value
 from bo_tuner.errors import BackendError
 from bo_tuner.study import maxima
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping

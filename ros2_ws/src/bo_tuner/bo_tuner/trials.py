@@ -66,6 +66,10 @@ SPOILING = (DISTURBED, UNPREPARED)
 NOTE = "note"
 """Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
 
+HOLDS = "holds "
+"""Begins the keys of an outcome's details with the value that a device has in place of one that it
+was told: it keeps fewer digits. The node in the study and the name of the parameter follow."""
+
 DEFAULT_HAS = "default's "
 """Begins the keys of an outcome's details with what the default has, in the same context and with
 the same seed, of the metric named after it."""

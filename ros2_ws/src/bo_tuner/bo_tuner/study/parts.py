@@ -53,7 +53,7 @@ class ContextVariable:
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.parameter_name(self.parameter, "parameter")
+        checks.name_in_node(self.parameter, "parameter")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class SeedParameter:
 
     def __post_init__(self) -> None:
         checks.text(self.node, "node")
-        checks.parameter_name(self.parameter, "parameter")
+        checks.name_in_node(self.parameter, "parameter")
 
 
 @dataclass(frozen=True, kw_only=True)

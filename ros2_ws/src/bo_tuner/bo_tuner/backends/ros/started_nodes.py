@@ -107,7 +107,10 @@ class StartedNodes:
         """Return the program of a node and its arguments; empty if it has none."""
         if spec.package and spec.executable:
             program = str(find_executable(spec.package, spec.executable))
-            return [program, "--ros-args", "-r", f"__ns:={self._namespace}"]
+            namespace = self._namespace
+            if spec.node.startswith("/"):
+                namespace = spec.node.rpartition("/")[0] or "/"
+            return [program, "--ros-args", "-r", f"__ns:={namespace}"]
         if spec.launch:
             return [*_ros2_launch(spec), *shlex.split(spec.launch)]
         if not spec.command:

@@ -16,6 +16,7 @@ from std_msgs.msg import String
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.guard.condition import AbortCondition
 from bo_tuner.backends.ros.guard.messages import (
     BEAT_TOPIC,
@@ -188,7 +189,7 @@ class Guard:
             self._beats.connect(tuner, self._name)
         if alone:
             self._refuse_others()
-        self._parameters = NodeParameters(tuner, plan.nodes)
+        self._parameters = NodeParameters(tuner, plan.nodes, plan.safe)
         clients = self._parameters.clients
 
         def absent() -> list[str]:
@@ -199,6 +200,12 @@ class Guard:
             if not wait:
                 raise BackendError(problem)
             self._say(f"waiting: {problem}")
+        for key in plan.nodes:
+            # How a node is to be asked must be known when it is to be left safe.
+            with contextlib.suppress(LostError):
+                self._parameters.read_anew(key)
+        for remark in self._parameters.take_remarks():
+            self._say(remark)
         self._clock: RunClock = WallClock()
         topics: dict[str, OwnTopic] = {}
         self._stop = [
