@@ -72,11 +72,17 @@ class Device(System):
                 self.create_service(kind, f"~/{name}", answer, callback_group=group)
         if atomic is not None:
 
-            def refuse(_request, response):
+            async def refuse(request, response):
+                await self.fits(request.parameters)
                 response.result.reason = atomic
                 return response
 
-            self.create_service(SetParametersAtomically, "~/set_parameters_atomically", refuse)
+            self.create_service(
+                SetParametersAtomically,
+                "~/set_parameters_atomically",
+                refuse,
+                callback_group=ReentrantCallbackGroup(),
+            )
 
     async def fits(self, items):
         """Whether a request has room, if it can be read."""

@@ -36,6 +36,7 @@ def test_that_of_more_digits_is_another_value_than_one_that_was_told_in_few(told
         (0.2, 0.15),
         (None, 0.15),
         (1e39, 1e300),
+        (float(2**62), 2**62 + 1),
         ([], [0.1]),
     ],
 )

@@ -33,6 +33,7 @@ DEVICES = {
     "of a flight controller": {"atomic": "device do not support atomic set"},
     "of a microcontroller": {"atomic": "Unimplemented service", "room": 1},
     "that cannot read more": {"atomic": "", "room": 1, "is_mute": True},
+    "with words of its own": {"atomic": "use the other one"},
     "without a list": {"lacks": ["list_parameters", "describe_parameters"]},
 }
 

@@ -62,7 +62,7 @@ def test_what_an_ordinary_node_refuses_is_not_set_in_parts(backend, system):
     def judge(parameters):
         asked.append({item.name: item.value for item in parameters})
         refused = any(item.name == "limited" and item.value > 1.0 for item in parameters)
-        return SetParametersResult(successful=not refused, reason="this is not supported")
+        return SetParametersResult(successful=not refused, reason="this is unsupported")
 
     made.close()
     system.add_on_set_parameters_callback(judge)
@@ -72,7 +72,7 @@ def test_what_an_ordinary_node_refuses_is_not_set_in_parts(backend, system):
         made.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": 0.375, "limited": 1.5}, {}, 1))
     )
     system.remove_on_set_parameters_callback(judge)
-    assert reason.startswith("servo refused its parameters: this is not supported")
+    assert reason.startswith("servo refused its parameters: this is unsupported")
     assert gain(system) == 0.5
     assert {"gain": 0.375} not in asked
     assert {"gain": 0.375, "limited": 1.5} in asked

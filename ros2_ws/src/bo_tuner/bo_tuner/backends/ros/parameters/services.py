@@ -50,7 +50,7 @@ WITHOUT = {
 }
 """What is done without a service."""
 NOT_OFFERED = re.compile(r"atomic|support|implement|^\s*$", re.IGNORECASE)
-"""Words of a node that sets no parameters together, whatever they are."""
+"""Words of a node that sets no parameters together, if there is no better sign of that."""
 INCOMPLETE = 2.0
 """Time [s] without a further service after which those that are missing are done without."""
 ATTEMPT = 1.0
@@ -186,15 +186,22 @@ class ParameterClient:
         messages = to_messages(values, self._types)
         # A node may take them and not answer.
         self._types |= {item.name: item.value.type for item in messages}
-        if self._is_atomic is not False and self.offers(SetParametersAtomically):
-            result = yield from self._set_atomically(messages)
-            if result.successful or (yield from self._takes_its_own(result, list(values))):
-                self._is_atomic = True
-                return result
         if not self.offers(SetParameters):
             return (yield from self._set_atomically(messages))
+        refusal = None
+        # Where there is no room for several, such a request may not even be read.
+        tries = self._is_atomic is not False and not self._one_by_one
+        if tries and self.offers(SetParametersAtomically):
+            refusal = yield from self._set_atomically(messages)
+            if refusal.successful or (yield from self._takes_its_own(refusal, list(values))):
+                self._is_atomic = True
+                return refusal
+        result, reasons = yield from self._set_each(messages)
+        if refusal is not None and reasons == {refusal.reason}:
+            # It takes nothing at all now, in whatever way.
+            return refusal
         self._is_atomic = False
-        return (yield from self._set_each(messages))
+        return result
 
     def _set_atomically(self, messages: Sequence[ParameterMessage]) -> Calls:
         values = named_values(messages)
@@ -208,30 +215,36 @@ class ParameterClient:
     def _takes_its_own(self, refusal: SetParametersResult, names: Sequence[str]) -> Calls:
         """Whether it is these values that a node has refused.
 
-        One that takes none in this way says so in words of its own, and refuses what it has, too.
+        One that takes none in this way refuses what it has, too.
         """
-        if self._is_atomic or not NOT_OFFERED.search(refusal.reason):
+        if self._is_atomic:
             return True
-        present = dict(zip(names, (yield from self.messages(names)), strict=True))
+        present = zip(names, (yield from self.messages(names)), strict=True)
         own = [
             ParameterMessage(name=name, value=value)
-            for name, value in present.items()
+            for name, value in present
             if value.type != ParameterType.PARAMETER_NOT_SET
         ]
-        return bool(own) and (yield from self._set_atomically(own)).successful
+        for message in own:
+            # Of several one may be read-only.
+            if (yield from self._set_atomically([message])).successful:
+                return True
+        return not own and not NOT_OFFERED.search(refusal.reason)
 
     def _set_each(self, messages: Sequence[ParameterMessage]) -> Calls:
+        """Set parameters one by one, all or none; returns the result, and the reasons if none."""
         names = [item.name for item in messages]
         before = dict(zip(names, (yield from self.messages(names)), strict=True))
         refused = yield from self._set_in_any_order(messages)
         if not refused:
-            return SetParametersResult(successful=True)
+            return SetParametersResult(successful=True), set()
         done = [name for name in reversed(names) if name not in refused]
         back = [ParameterMessage(name=name, value=before[name]) for name in done]
         stuck = yield from self._set_in_any_order(back)
         found = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
         found += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
-        return SetParametersResult(successful=False, reason="; ".join(found))
+        result = SetParametersResult(successful=False, reason="; ".join(found))
+        return result, set() if done else set(refused.values())
 
     def _set_in_any_order(self, messages: Sequence[ParameterMessage]) -> Calls:
         """Set parameters, those again that are refused after which others were set.
