@@ -229,7 +229,7 @@ def set_again_and_again(folder: str) -> None:
     tuner = TunerNode(None, [], lambda: None)
     plan = Plan.of(study)
     link = GuardLink(tuner, plan, Path(folder))
-    parameters = NodeParameters(tuner, {"pid": "pid"})
+    parameters = NodeParameters(tuner, {"pid": "pid"}, {"pid": ["kp"]})
     tuner.wait_until(parameters.clients["pid"].is_ready, LONGEST)
     link.begin(study, [])
     value = 1.0

@@ -68,8 +68,8 @@ class Simulation(Node):
 class System(Node):
     """Follows /setpoint by `gain` at 100 Hz, from its start on."""
 
-    def __init__(self, context):
-        super().__init__("servo", context=context)
+    def __init__(self, context, **options):
+        super().__init__("servo", context=context, **options)
         self.declare_parameter("gain", 0.5)
         self.declare_parameter("serial", 7.0, ParameterDescriptor(read_only=True))
         self.declare_parameter("count", 3)

@@ -21,7 +21,7 @@ from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros.parameters.services import UnknownType
+from bo_tuner.backends.ros.parameters.messages import UnknownType
 from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import ApplyError, NodeError, set_values

@@ -75,7 +75,8 @@ def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsy
     assert code == 2
     last = err.splitlines()[-1]
     expected = "parameter noise_variance is 0.001, expected 0.5, as when the run began; set it back"
-    assert last == f"error: plant: {expected}"
+    offer = "or if the node changes it by itself: unwatched: [noise_variance] in nodes.plant"
+    assert last == f"error: plant: {expected}, {offer}"
 
 
 def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attached):

@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rclpy.serialization import serialize_message
 
 from bo_tuner.backends.ros.parameters.events import ParameterWatch
-from bo_tuner.backends.ros.parameters.services import to_messages
+from bo_tuner.backends.ros.parameters.messages import to_messages
 
 
 class Events(contextlib.nullcontext):
@@ -92,7 +92,7 @@ def test_a_late_event_of_the_own_change_is_no_change_by_others(watch, events):
 
 def test_what_was_refused_is_not_awaited(watch, events):
     watch.tell("axis", {"gain": 1.0})
-    watch.take_back("axis")
+    watch.take_back("axis", {"gain": 1.0})
     events.tell("changed", gain=1.0)
     assert seen(watch) == ["axis: parameter gain is 1.0, expected 2.0"]
 

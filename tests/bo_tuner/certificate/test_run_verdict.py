@@ -4,6 +4,7 @@ import dataclasses
 import json
 from math import isnan
 
+import numpy as np
 import pytest
 from judged_runs import certify, default_trial, evaluations, made
 
@@ -214,6 +215,26 @@ def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
     bound = found.tuned.constraints[0].worst[0].violation_bound
     assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
     assert isnan(quantity.bound)
+
+
+def test_what_a_device_holds_in_fewer_digits_is_named(run):
+    """Of the parameter set that was judged, and of nothing that changes from run to run."""
+    trial = run.trials[run.summary["trial"]]
+    name, item = next((n, i) for n, i in run.study.parameters.items() if i.is_tuned)
+    told = trial.parameters[name]
+    held = float(np.float32(told))
+    details = {f"holds {item.node}.{item.parameter}": repr(held), "holds axis.load": "0.125"}
+    drawn = tuple(
+        dataclasses.replace(e, outcome=dataclasses.replace(e.outcome, details=details))
+        for e in evaluations(1, trial.parameters, [(1.0, 0.7)] * 40)
+    )
+    evidence = {"tuned": Evidence(trial.parameters, drawn)}
+    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "ros", None)
+    content = json.loads(write_certificate(run.path, found, evidence).read_text())
+    assert held != told
+    assert content["held"] == {name: held}
+    warning = f"{name}: the device holds {held}, in 32 bits, of the {told} that it is told"
+    assert warning in content["warnings"]
 
 
 @pytest.fixture

@@ -58,6 +58,9 @@ class FakeNodes:
     def guarded(self, study, before, folder):
         return contextlib.nullcontext()
 
+    def take_remarks(self):
+        return []
+
     def before_killed(self, node, values):
         return {}
 

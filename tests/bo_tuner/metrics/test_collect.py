@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -64,6 +65,7 @@ ASSIGNED = {"gain": 0.1 + 0.2, "count": 2**62 + 1, "mode": "up", "on": True, "le
         {"gain": repr(0.1 + 0.2), "count": str(2**62 + 1), "mode": "up", "on": "True"},
         {"gain": 0.1 + 0.2, "count": 2**62 + 1, "on": "true", "levels": "whatever"},
         {"count": f"{2**62 + 1}", "other": "5"},
+        {"gain": str(float(np.float32(0.1 + 0.2)))},
     ],
 )
 def test_parameters_that_a_node_reports_as_they_were_set(make_study, reported):

@@ -99,9 +99,12 @@ def test_asking_what_is_open_changes_nothing():
         ({"parameter": "locked"}, "bounds: missing; node pid gives no range for it"),
         ({"parameter": "gains[0]"}, "bounds: missing; node pid gives no range for it"),
         ({"parameter": "kp[0]"}, "node pid: kp is no array"),
-        ({"parameter": "gains[a]"}, "or covariance[7], found text 'gains[a]'"),
-        ({"parameter": "gains[]"}, "or covariance[7], found text 'gains[]'"),
-        ({"parameter": "gains[-1]"}, "or covariance[7], found text 'gains[-1]'"),
+        ({"parameter": "gains[a]"}, "node pid has no parameter 'gains[a]'; did you mean 'gains'?"),
+        ({"parameter": "gains[]"}, "node pid has no parameter 'gains[]'; did you mean 'gains'?"),
+        (
+            {"parameter": "gains[-1]"},
+            "node pid has no parameter 'gains[-1]'; did you mean 'gains'?",
+        ),
     ],
 )
 def test_what_no_node_can_say(item, complaint):

@@ -48,6 +48,25 @@ def written(nodes, topics, signals=None, take=lambda offer: offer.suggested, sou
 
 
 class TestParameters:
+    def test_a_name_that_no_study_takes_gets_one(self):
+        names = {"gains.ur5e/pan.p": HALF, "arm:wrist_gain": HALF, "1": HALF}
+        _, made = written([pid(**names)], [STATES, SETPOINT], take=lambda offer: True)
+        found = {name: item.parameter for name, item in made.parameters.items()}
+        assert found == {
+            "kp": "kp",
+            "gains.ur5e_pan.p": "gains.ur5e/pan.p",
+            "arm_wrist_gain": "arm:wrist_gain",
+            "_1": "1",
+        }
+
+    def test_what_a_node_changes_by_itself_is_left_to_it(self):
+        node = SeenNode("pid", {"kp": HALF, "gain_seen": HALF, "mass": HALF}, ("gain_seen", "mass"))
+        text, made = written([node], [STATES, SETPOINT])
+        assert list(made.parameters) == ["kp"]
+        assert made.nodes["pid"].unwatched == ("gain_seen", "mass")
+        assert "# gain_seen of pid: the node changes it by itself" in text
+        assert "\n# contexts:" not in text
+
     def test_range_step_and_description_are_those_of_the_node(self):
         described = Described("double", 0.5, 0.0, 2.0, 0.25, description="gain\nof the loop")
         (offer,) = offers(kp=described)[0].values()

@@ -154,8 +154,8 @@ class TestRefusedValues:
             ),
             (
                 "nodes/drive/node",
-                "/drive",
-                "expected a node name without leading slash such as axis, found text '/drive'",
+                "drive/",
+                "expected a node name such as axis or /arm/axis, found text 'drive/'",
             ),
             (
                 "nodes/drive/result",
@@ -207,6 +207,29 @@ class TestRefusedValues:
                 "order",
                 [["window"]],
                 "order[0]: expected [smaller, larger], two names of parameters, found a list of 1",
+            ),
+            (
+                "nodes/drive/unwatched",
+                "count",
+                "nodes.drive.unwatched: expected a list of names or patterns such as STAT_*, found "
+                "text 'count'",
+            ),
+            (
+                "nodes/drive/unwatched",
+                ["count", ""],
+                "nodes.drive.unwatched[1]: expected a list of names or patterns such as STAT_*",
+            ),
+            (
+                "nodes/drive/unwatched",
+                ["count", "win*"],
+                "nodes.drive.unwatched: 'win*' is also 'window', which the study sets; what is set "
+                "is watched",
+            ),
+            (
+                "parameters/window/parameter",
+                "a\tb",
+                "parameters.window.parameter: expected the name of a ROS parameter, up to 255 "
+                "printable characters, found text 'a\\tb'",
             ),
             (
                 "nodes/drive/package",
@@ -272,9 +295,9 @@ class TestRefusedValues:
         assert refusal(put(value, *path.split("/"))) == message
 
     @pytest.mark.parametrize("name", ["1st", "a b", "a..b", ".a", "a.", "", "\u00e4", "a\nb"])
-    def test_names_that_ros_does_not_take(self, name):
+    def test_names_that_a_study_does_not_take(self, name):
         changed = put(mapping()["parameters"]["gains.kp"], "parameters", name)
-        assert "expected a ROS parameter name such as gains.kp" in refusal(changed)
+        assert "expected a parameter name such as gains.kp" in refusal(changed)
 
     @pytest.mark.parametrize(
         ("path", "suggestion"),

@@ -108,6 +108,19 @@ def backend(system, tmp_path, patient):
 
 
 @pytest.fixture
+def killed():
+    """Function that lets a backend go as `kill -9` does: it says nothing to the nodes any more."""
+
+    def kill(backend):
+        backend._procedure.close()
+        backend._tuner.close()
+        backend._claim.release()
+        backend._procedure = backend._tuner = backend._claim = None
+
+    return kill
+
+
+@pytest.fixture
 def interruptible(system, tmp_path, patient):
     """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
     opened = []

@@ -1,7 +1,11 @@
 """What a node does not take is found before the first trial, and named."""
 
 import pytest
-from servo import ROOM, SAFE, UNSTABLE, failure, run
+from devices import TWO
+from rcl_interfaces.msg import SetParametersResult
+from servo import ROOM, SAFE, UNSTABLE, failure, gain, run
+
+from bo_tuner.trials import Evaluation, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -48,3 +52,27 @@ def test_a_context_that_the_node_does_not_take_in_full(refusal):
     context = {"node": "servo", "distribution": "uniform", "bounds": [1, 3], "nominal": 1}
     reason = refusal(contexts={"limited": context})
     assert reason == ("contexts.limited: 3 lies outside the range of 'limited' in the node, [0, 2]")
+
+
+def test_what_an_ordinary_node_refuses_is_not_set_in_parts(backend, system):
+    """It takes its parameters together, whatever words it has for a refusal."""
+    made = backend()
+    asked = []
+
+    def judge(parameters):
+        asked.append({item.name: item.value for item in parameters})
+        refused = any(item.name == "limited" and item.value > 1.0 for item in parameters)
+        return SetParametersResult(successful=not refused, reason="this is unsupported")
+
+    made.close()
+    system.add_on_set_parameters_callback(judge)
+    made = backend(parameters=TWO)
+    asked.clear()
+    reason = failure(
+        made.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": 0.375, "limited": 1.5}, {}, 1))
+    )
+    system.remove_on_set_parameters_callback(judge)
+    assert reason.startswith("servo refused its parameters: this is unsupported")
+    assert gain(system) == 0.5
+    assert {"gain": 0.375} not in asked
+    assert {"gain": 0.375, "limited": 1.5} in asked

@@ -185,19 +185,6 @@ def test_a_node_that_refuses_the_safe_values_beside_its_own_has_its_own_again(fi
     assert said in capfd.readouterr().err
 
 
-@pytest.fixture
-def killed():
-    """Function that lets a backend go as `kill -9` does: it says nothing to the nodes any more."""
-
-    def kill(backend):
-        backend._procedure.close()
-        backend._tuner.close()
-        backend._claim.release()
-        backend._procedure = backend._tuner = backend._claim = None
-
-    return kill
-
-
 @pytest.mark.parametrize("park", [{}, {"parameters": {"gain": SAFE}, "between_runs": True}])
 def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, killed, park):
     system.set_gain(0.375)
@@ -382,11 +369,12 @@ def test_what_nodes_of_other_studies_had_stays_noted(backend, system):
     """The command that works on them may come later."""
     note = state_folder() / "attached" / f"domain{os.environ['ROS_DOMAIN_ID']}.json"
     note.parent.mkdir(parents=True, exist_ok=True)
-    other = {"arm": {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}, "original": {}}}
+    entry = {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}, "original": {}, "undeclared": []}
+    other = {"/arm": entry}
     note.write_text(json.dumps(other))
     try:
         made = backend(run={"before": []})
-        assert json.loads(note.read_text()).keys() == {"arm", "servo"}
+        assert json.loads(note.read_text()).keys() == {"/arm", "/servo"}
         made.close()
         assert json.loads(note.read_text()) == other
     finally:

@@ -75,6 +75,9 @@ NOTE = "note"
 STARTS, START_SECONDS = "starts", "start_seconds"
 """Keys of an outcome's details: how often nodes were started anew with other values ahead of it or
 because of it, and the time [s] that this took."""
+HOLDS = "holds "
+"""Begins the keys of an outcome's details with the value that a device has in place of one that it
+was told: it keeps fewer digits. The node in the study and the name of the parameter follow."""
 
 DEFAULT_HAS = "default's "
 """Begins the keys of an outcome's details with what the default has, in the same context and with

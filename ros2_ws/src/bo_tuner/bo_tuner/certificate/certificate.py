@@ -32,9 +32,10 @@ from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.checks import same_value
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
+from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.verdict import FAIL, PASS
 
@@ -59,6 +60,8 @@ class Certificate:
         Number of the attempt to certify a parameter set of the run, from 1.
     tuned, default
         Findings for the parameter set, and for the hand-tuned one if it was evaluated as well.
+    held
+        By the name of a parameter the value that a device has in place of one with more digits.
     earlier
         What was known of the parameter set before.
     widths
@@ -82,6 +85,7 @@ class Certificate:
     attempt: int
     tuned: Findings
     default: Findings | None
+    held: Mapping[str, float]
     earlier: Earlier
     widths: Sequence[SearchWidth]
     gaps: Sequence[Gap]
@@ -103,7 +107,7 @@ class Certificate:
     def warnings(self) -> tuple[str, ...]:
         """Warnings that do not affect the verdict."""
         narrow = self.sensitivity.warning if self.sensitivity is not None else ""
-        return (*((narrow,) if narrow else ()), *self._busy)
+        return (*((narrow,) if narrow else ()), *self._busy, *self._rounded)
 
     @property
     def _busy(self) -> Iterator[str]:
@@ -116,6 +120,13 @@ class Certificate:
                     f"which was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; measure it "
                     "with nothing else running, on the computer that will control the machine"
                 )
+
+    @property
+    def _rounded(self) -> Iterator[str]:
+        """What a device holds in fewer digits than it was told, which is what was measured."""
+        for name, held in self.held.items():
+            told = self.tuned.parameters[name]
+            yield f"{name}: the device holds {held}, in 32 bits, of the {told} that it is told"
 
     def to_mapping(self, evaluations_sha256: str) -> dict[str, object]:
         """Return the content of the certificate's file.
@@ -135,6 +146,7 @@ class Certificate:
             "trial": self.trial,
             "parameters": dict(self.tuned.parameters),
             "parameters_sha256": parameters_sha256(self.tuned.parameters),
+            "held": dict(self.held),
             "best_yaml_sha256": self.best_sha256,
             "evaluations_sha256": evaluations_sha256,
             "draws": self.draws,
@@ -220,6 +232,7 @@ def make_certificate(
         attempt=attempt,
         tuned=findings,
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
+        held=_held(study, tuned),
         earlier=tuned.earlier,
         widths=_widths(study, tuned),
         gaps=training_gaps(study, trial, ranked_by(surrogates, study, trials, models), findings),
@@ -264,6 +277,24 @@ def _widths(study: Study, evidence: Evidence) -> Sequence[SearchWidth]:
     if not evidence.search:
         return ()
     return search_widths(study.context_space(), [e.context for e in evidence.evaluations])
+
+
+def _held(study: Study, evidence: Evidence) -> dict[str, float]:
+    """Return what devices have of the parameters in place of values with more digits."""
+    details: dict[str, str] = {}
+    for evaluation in evidence.evaluations:
+        details |= evaluation.outcome.details
+    held = {}
+    for name, item in study.parameters.items():
+        if text := details.get(f"{HOLDS}{item.node}.{item.array or item.parameter}", ""):
+            # Of an array the items stand in brackets, as in JSON.
+            found = json.loads(text)
+            held[name] = found[item.item] if item.array else found
+    return {
+        name: value
+        for name, value in held.items()
+        if not same_value(value, evidence.parameters[name])
+    }
 
 
 def _findings(findings: Findings) -> dict[str, object]:

@@ -33,7 +33,9 @@ TEXTS = frozenset(
 )
 """Keys of a certificate whose values are text, wherever they occur."""
 
-BY_NAME = frozenset({"changed", "context", "contexts", "parameters", "provenance", "worst_context"})
+BY_NAME = frozenset(
+    {"changed", "context", "contexts", "held", "parameters", "provenance", "worst_context"}
+)
 """Keys of values by names of the study, which may be those of `TEXTS`."""
 
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)

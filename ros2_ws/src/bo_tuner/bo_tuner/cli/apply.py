@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner.backends.ros.isolation import named_namespace
-from bo_tuner.backends.ros.parameters.previous import said_of_killed
+from bo_tuner.backends.ros.parameters.note import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
@@ -184,6 +184,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 now = read_values(nodes, live)
                 rows = differences(record.study, now, live)
                 _show(rows, f"{record.study.name}: {title}")
+                _remark(nodes)
                 if all(row.equal for row in rows):
                     # What an earlier one did not finish is so now.
                     (record.path / DEPLOY / UNFINISHED).unlink(missing_ok=True)
@@ -265,6 +266,7 @@ def _set(
         return _refuse(f"{error}{saved}", EXIT_FAULT)
     unfinished.unlink()
     _forget_killed(nodes, new)
+    _remark(nodes)
     say(f"set and read back on {', '.join(new)}")
     if trial is not None:
         command = shlex.join(["apply", str(folder), "--rollback", *ros_arguments])
@@ -275,6 +277,11 @@ def _set(
                 "next start of the nodes, save what they have now with: ros2 param dump"
             )
     return EXIT_OK
+
+
+def _remark(nodes: LiveParameters) -> None:
+    for remark in nodes.take_remarks():
+        _warn(remark)
 
 
 def _forget_killed(nodes: LiveParameters, values: NodeValues) -> None:
@@ -304,7 +311,7 @@ def _own(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValue
         still = {
             name: before[node][name]
             for name, value in parked.get(node, {}).items()
-            if checks.same_value(values[name], value)
+            if checks.holds(values[name], value)
         }
         own[node] = {**values, **still, **left}
     return own

@@ -36,7 +36,7 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
-from bo_tuner.study.checks import same_value
+from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.run import SIM
@@ -138,7 +138,7 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
     absent = 0
     for key, spec in study.nodes.items():
         try:
-            known = describe_node(tuner, spec.node)
+            known = describe_node(tuner, spec.node, study.own_parameters[key])
         except BackendError as error:
             problems.append(f"nodes.{key}: {error}")
             absent += 1
@@ -154,7 +154,7 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
             if ("parameters", name) in refused:
                 continue
             described = known.get(item.parameter)
-            if described is None or same_value(described.value, defaults[name]):
+            if described is None or holds(described.value, defaults[name]):
                 continue
             notes.append(
                 f"parameters.{name}: the node has {described.value} now, the study's "

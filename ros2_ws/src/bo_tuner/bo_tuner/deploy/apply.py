@@ -141,11 +141,11 @@ def _read_back(nodes: Nodes, node: str, values: Mapping[str, object]) -> None:
     """Raise `NodeError` if a node does not have the values that it was told."""
     found = nodes.get(node, list(values))
     for name, value in values.items():
-        if not checks.same_value(found[name], value):
+        if not checks.holds(found[name], value):
             shown = brief(str(found[name]))
             raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
 
 
 def _changes(before: Mapping[str, object], new: Mapping[str, object]) -> dict[str, object]:
     """Return the values that differ; a node may refuse to be told others, as read-only ones."""
-    return {name: v for name, v in new.items() if not checks.same_value(before[name], v)}
+    return {name: v for name, v in new.items() if not checks.holds(before[name], v)}

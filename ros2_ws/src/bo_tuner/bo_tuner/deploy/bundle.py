@@ -51,8 +51,8 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the values are equal, see `checks.same_value`."""
-        return checks.same_value(self.now, self.new)
+        """Whether the node has the new value, see `checks.holds`."""
+        return checks.holds(self.now, self.new)
 
 
 def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Difference]:

@@ -13,8 +13,9 @@ from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameters.events import ParameterWatch
-from bo_tuner.backends.ros.parameters.previous import ParameterNote
-from bo_tuner.backends.ros.parameters.services import ParameterClient, UnknownType
+from bo_tuner.backends.ros.parameters.messages import UnknownType
+from bo_tuner.backends.ros.parameters.note import ParameterNote
+from bo_tuner.backends.ros.parameters.services import ParameterClient
 from bo_tuner.backends.ros.tuner_node import (
     CALL_TIMEOUT,
     END_OTHERS,
@@ -106,6 +107,10 @@ class LiveParameters:
         if not result.successful:
             reason = brief(str(result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
+
+    def take_remarks(self) -> list[str]:
+        """Tell in lines, each of them once, what nodes do not offer and is done instead."""
+        return [text for client in self._clients.values() for text in client.take_remarks()]
 
     def watch(self, values: NodeValues) -> None:
         """Look on for `SETTLED` seconds whether nodes keep values, as `Nodes.watch`."""

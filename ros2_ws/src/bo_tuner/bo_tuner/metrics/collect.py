@@ -5,7 +5,7 @@ from math import isfinite
 
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
 from bo_tuner.study import maxima, named_code
-from bo_tuner.study.checks import same_value
+from bo_tuner.study.checks import holds
 from bo_tuner.study.metrics import CombinedMetric, RelativeMetric, ReportedMetric
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
@@ -154,10 +154,10 @@ def _agrees(value: object, reported: object) -> bool:
     if not isinstance(value, bool | int | float | str):
         return True  # There is no one way to write a list.
     if not isinstance(reported, str) or isinstance(value, str):
-        return same_value(value, reported)
+        return holds(reported, value)
     try:
         if isinstance(value, bool):
             return reported.lower() == str(value).lower()
-        return same_value(value, int(reported) if reported.isdigit() else float(reported))
+        return holds(int(reported) if reported.isdigit() else float(reported), value)
     except ValueError:
         return False

@@ -40,12 +40,14 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
 def to_yaml(values: NodeValues, notes: Iterable[str] = ()) -> str:
     """Return the text of a parameter file, with notes in comments ahead of it, a line each.
 
-    A node is addressed by its name in any namespace. Doubles keep their decimal point, since a
-    node refuses an integer for one. Texts are quoted: ROS takes a plain ``y`` for true, and ``1e5``
-    or ``nan`` for a number.
+    A node is addressed by its name in any namespace, or in full if the study has that. Doubles keep
+    their decimal point, since a node refuses an integer for one. Texts are quoted: ROS takes a
+    plain ``y`` for true, and ``1e5`` or ``nan`` for a number.
     """
     nodes = {
-        f"{ANY_NAMESPACE}{node}": {SECTION: {k: _quoted(v) for k, v in of_node.items()}}
+        node if node.startswith("/") else f"{ANY_NAMESPACE}{node}": {
+            SECTION: {k: _quoted(v) for k, v in of_node.items()}
+        }
         for node, of_node in values.items()
     }
     comments = "".join(f"# {one_line(note)}\n" for note in notes)
@@ -64,7 +66,7 @@ def from_yaml(text: str) -> dict[str, dict[str, object]]:
     try:
         for section in read_sections(text):
             node = section.name.removeprefix(ANY_NAMESPACE)
-            if node == section.name:
+            if not section.name.startswith("/"):
                 raise StudyError(
                     f"expected a section {ANY_NAMESPACE}<node>, found {checks.quoted(section.name)}"
                 )

@@ -7,6 +7,7 @@ value, relative to the object that is checked.
 import difflib
 import math
 import re
+import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from bo_tuner.errors import StudyError
@@ -17,13 +18,15 @@ ParameterValue = bool | int | float | str | tuple[bool | int | float | str, ...]
 
 # ROS 2 stores an integer parameter in 64 bits.
 INTEGER_LIMIT = 2**63
+LONGEST_NAME = 255
 
 SIMPLE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 PARAMETER_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
-PARAMETER_OR_ITEM = re.compile(
-    rf"(?P<array>{PARAMETER_NAME.pattern})(\[(?P<item>0|[1-9][0-9]{{0,5}})\])?"
-)
-NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+ITEM = r"(\[(?P<item>0|[1-9][0-9]{0,5})\])?"
+PARAMETER_OR_ITEM = re.compile(rf"(?P<array>{PARAMETER_NAME.pattern}){ITEM}")
+IN_NODE = re.compile(rf"(?P<array>.+?){ITEM}")
+"""A parameter as its node names it, such as `gains.ur5e/wrist-1.p`, or an item of an array."""
+NODE_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")
 EXECUTABLE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -40,6 +43,26 @@ def same_value(one: object, other: object) -> bool:
     if isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
         return len(one) == len(other) and all(map(same_value, one, other))
     return one == other or repr(one) == repr(other)
+
+
+def holds(found: object, told: object) -> bool:
+    """Return whether a node has a value that it was told: the same, or that rounded to 32 bits.
+
+    Devices behind a parameter keep many a double as a float.
+    """
+    if same_value(found, told):
+        return True
+    if isinstance(found, (list, tuple)) and isinstance(told, (list, tuple)):
+        return len(found) == len(told) and all(map(holds, found, told))
+    if not isinstance(found, float) or not isinstance(told, float):
+        return False
+    try:
+        rounded: float
+        (rounded,) = struct.unpack("f", struct.pack("f", told))
+    except OverflowError:
+        return False
+    # What becomes 0 is lost, and not rounded.
+    return found == rounded != 0.0
 
 
 def show(value: object) -> str:
@@ -178,19 +201,35 @@ def matching(value: object, pattern: re.Pattern[str], expected: str, *path: str 
 
 
 def node_name(value: object, *path: str | int) -> str:
-    """Return `value` if it is the name of a node, relative to the tuner's namespace."""
-    return matching(value, NODE_NAME, "a node name without leading slash such as axis", *path)
+    """Return `value` if it is the name of a node, relative to the tuner's namespace or in full."""
+    return matching(value, NODE_NAME, "a node name such as axis or /arm/axis", *path)
 
 
 def parameter_name(value: object, *path: str | int) -> str:
-    """Return `value` if it can name a ROS parameter; dots separate groups."""
-    return matching(value, PARAMETER_NAME, "a ROS parameter name such as gains.kp", *path)
+    """Return `value` if it can name a parameter of a study; dots separate groups."""
+    return matching(value, PARAMETER_NAME, "a parameter name such as gains.kp", *path)
 
 
 def parameter_or_item(value: object, *path: str | int) -> str:
-    """Return `value` if it can name a ROS parameter, or an item of one that is an array."""
-    expected = "a ROS parameter name such as gains.kp or covariance[7]"
+    """Return `value` if it can name a parameter of a study, or an item of one that is an array."""
+    expected = (
+        "a parameter name such as gains.kp or covariance[7], and any other name that the node has "
+        "for it under parameter"
+    )
     return matching(value, PARAMETER_OR_ITEM, expected, *path)
+
+
+def is_in_node(name: object) -> bool:
+    """Whether a parameter can be addressed by its name in a node, which ROS leaves much to."""
+    return isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable()
+
+
+def name_in_node(value: object, *path: str | int) -> str:
+    """Return `value` if it can be the name that a node has for a parameter, or an item of one."""
+    if not isinstance(value, str) or not is_in_node(value):
+        expected = f"the name of a ROS parameter, up to {LONGEST_NAME} printable characters"
+        raise StudyError(f"expected {expected}, found {show(value)}", path)
+    return value
 
 
 def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:
@@ -253,7 +292,7 @@ def parameter_values(values: object, *path: str | int) -> dict[str, ParameterVal
     at_most(values, maxima.CONSTANTS, *path)
     checked: dict[str, ParameterValue] = {}
     for name, value in values.items():
-        parameter_name(name, *path)
+        name_in_node(name, *path)
         here = (*path, name)
         if not isinstance(value, (list, tuple)):
             checked[name] = _scalar(value, *here)

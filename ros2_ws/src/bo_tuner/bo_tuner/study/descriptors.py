@@ -105,7 +105,7 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
         for name in names:
             item = _parameters(mapping)[name]
             path = ("parameters", name)
-            in_node = checks.parameter_or_item(item.get("parameter", name), *path)
+            in_node = checks.name_in_node(item.get("parameter", name), *path)
             array, index = array_and_item(in_node)
             wanted = array or in_node
             described = nodes[key].get(wanted)

@@ -14,7 +14,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.first_run import known, run_lines
 from bo_tuner.study.offers import CHECK, ParameterOffer, context_offers, is_seed, parameter_offers
-from bo_tuner.study.parameter import array_and_item
+from bo_tuner.study.parameter import array_and_item, study_name
 from bo_tuner.study.parameter_kinds import Kind
 from bo_tuner.study.seen import Seen, SeenNode, SeenTopic
 from bo_tuner.study.signal_offers import SignalOffer, partner, reference, signal_offers
@@ -66,7 +66,7 @@ def first_study(
         f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
         "",
         "nodes:",
-        *(f"  {keys[node.name]}: {dump_line(_node_fields(node, parameters))}" for node in tuned),
+        *(_node_line(keys[node.name], node, parameters) for node in tuned),
         *(
             f"  # {keys[node.name]}: {dump_line({'node': node.name})}"
             for node in seen.nodes
@@ -108,6 +108,11 @@ def _measured(
     return next(iter(of_others or possible))
 
 
+def _node_line(key: str, node: SeenNode, parameters: Iterable[ParameterOffer]) -> str:
+    line = f"  {key}: {dump_line(_node_fields(node, parameters))}"
+    return f"{line}  # {CHECK}: unwatched has changed by itself" if node.changing else line
+
+
 def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[str, Any]:
     """Return a node's entry; it has the arrays of whose items some are tuned."""
     arrays = {array_and_item(offer.name)[0] for offer in parameters if offer.node == node.name}
@@ -116,7 +121,12 @@ def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[s
         for name, seen in node.parameters.items()
         if name in arrays and isinstance(seen.value, (list, tuple))
     }
-    return {"node": node.name} | ({"parameters": values} if values else {})
+    fields: dict[str, Any] = {"node": node.name}
+    if values:
+        fields["parameters"] = values
+    if node.changing:
+        fields["unwatched"] = list(node.changing)
+    return fields
 
 
 def _node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
@@ -132,7 +142,7 @@ def _node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
 def _parameter_lines(
     nodes: Sequence[SeenNode], taken: Sequence[ParameterOffer], keys: Mapping[str, str]
 ) -> Iterator[str]:
-    names = [offer.name for offer in taken]
+    names = [study_name(offer.name) for offer in taken]
     for node in nodes:
         offers, others = parameter_offers(node)
         possible = [offer for offer in offers if offer in taken or offer.kind is not Kind.PLANT]
@@ -140,9 +150,10 @@ def _parameter_lines(
         for offer in sorted(possible, key=lambda o: 0 if o in taken else 2 - o.suggested):
             key = keys[node.name]
             fields: dict[str, Any] = {"node": key, **offer.fields}
-            name = offer.name
+            name = study_name(offer.name)
             if names.count(name) > (offer in taken):
                 name = f"{key}.{name}"
+            if name != offer.name:
                 fields["parameter"] = offer.name
             remark = f"  # {offer.remark}" if offer.remark else ""
             mark = "" if offer in taken else "# "
@@ -155,16 +166,17 @@ def _context_lines(
     nodes: Iterable[SeenNode], taken: Sequence[ParameterOffer], keys: Mapping[str, str]
 ) -> Iterator[str]:
     """Yield the properties of a plant as offers."""
-    names = [offer.name for offer in taken]
+    names = [study_name(offer.name) for offer in taken]
     lines = []
     for node in nodes:
         for offer in context_offers(node):
             if any((other.node, other.name) == (node.name, offer.name) for other in taken):
                 continue
-            fields, name = {"node": keys[node.name], **offer.fields}, offer.name
+            fields, name = {"node": keys[node.name], **offer.fields}, study_name(offer.name)
             if name in names:
-                fields["parameter"] = name
                 name = f"{keys[node.name]}.{name}"
+            if name != offer.name:
+                fields["parameter"] = offer.name
             names.append(name)
             lines.append(f"#   {dump_line(name)}: {dump_line(fields)}  # {offer.remark}")
     if lines:

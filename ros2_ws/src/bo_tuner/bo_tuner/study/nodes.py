@@ -4,9 +4,10 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 PARAMETER_FILE = "{parameter_file}"
@@ -24,7 +25,7 @@ class NodeSpec:
     name : str
         Name in the study.
     node : str
-        Name of the ROS node, relative to the namespace.
+        Name of the ROS node, relative to the namespace, or in full such as ``/arm/pid``.
     result : str, optional
         Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
         a node that is triggered or reports metrics.
@@ -53,6 +54,9 @@ class NodeSpec:
         Set once, before the first trial.
     inprocess_parameters : mapping from str to value
         Override `parameters` on the in-process backend.
+    unwatched : tuple of str
+        Parameters that the node changes by itself, such as a counter or a calibration: names, or
+        patterns such as ``STAT_*``. They are neither held nor compared.
     """
 
     name: str
@@ -69,6 +73,7 @@ class NodeSpec:
     object: str | None = None
     parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
     inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+    unwatched: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
@@ -91,6 +96,21 @@ class NodeSpec:
         self._check_at_start()
         for key in ("parameters", "inprocess_parameters"):
             object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
+
+        self._check_unwatched()
+
+    def unwatched_by(self, name: str) -> str:
+        """Return the pattern by which a parameter is unwatched; empty if it is not."""
+        return next((item for item in self.unwatched if fnmatchcase(name, item)), "")
+
+    def _check_unwatched(self) -> None:
+        expected = "a list of names or patterns such as STAT_*"
+        items = checks.sequence(self.unwatched, expected, "unwatched")
+        checks.at_most(items, maxima.CONSTANTS, "unwatched")
+        for index, item in enumerate(items):
+            if not checks.text(item, "unwatched", index):
+                raise StudyError(f"expected {expected}", ("unwatched", index))
+        object.__setattr__(self, "unwatched", items)
 
     @property
     def is_started(self) -> bool:

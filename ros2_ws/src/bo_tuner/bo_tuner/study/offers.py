@@ -11,7 +11,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.study.nodes import USE_SIM_TIME
-from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter import Parameter, study_name
 from bo_tuner.study.parameter_kinds import Kind, kinds
 from bo_tuner.study.seen import SeenNode
 from bo_tuner.study.units import unit_in
@@ -86,7 +86,9 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
     for name, described in node.parameters.items():
         if name in OF_EVERY_NODE or name.startswith("qos_overrides."):
             continue
-        if described.read_only:
+        if name in node.changing:
+            others[name] = "the node changes it by itself"
+        elif described.read_only:
             others[name] = "read-only"
         elif described.type in ("double", "integer", "boolean"):
             try:
@@ -112,7 +114,8 @@ def context_offers(node: SeenNode) -> list[ContextOffer]:
     found = _kinds(node)
     offers = []
     for name, described in node.parameters.items():
-        if found[name] is Kind.PLANT and described.type == "double" and not described.read_only:
+        is_free = not described.read_only and name not in node.changing
+        if found[name] is Kind.PLANT and described.type == "double" and is_free:
             with contextlib.suppress(StudyError):
                 offers.append(_context(name, described))
     return offers
@@ -210,7 +213,7 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
         remark = f"{CHECK}: a guess; the node gives {known}"
     fields |= _unit(described)
     # Whatever a study would refuse is no offer.
-    Parameter(name=name, node=node, **fields)
+    Parameter(name=study_name(name), parameter=name, node=node, **fields)
     suggested = described.type == "double" or has_range
     suggested &= kind in (Kind.TUNING, Kind.UNKNOWN)
     remark = _described(_by_name(kind, remark), described)
@@ -238,7 +241,7 @@ def _items(node: str, name: str, array: Described, kind: Kind) -> Iterator[Param
         item = f"{name}[{index}]"
         try:
             fields = {"type": "double", **_guessed(value), **_unit(array)}
-            Parameter(name=item, node=node, **fields)
+            Parameter(name=study_name(item), parameter=item, node=node, **fields)
         except StudyError:
             continue
         remark = _by_name(kind, f"{CHECK}: a guess; an array has no range")

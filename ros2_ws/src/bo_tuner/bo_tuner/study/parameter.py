@@ -1,6 +1,7 @@
 """A parameter of a study: tuned, tied to another one, or fixed."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from bo_tuner.errors import StudyError
@@ -52,8 +53,9 @@ class Parameter:
     minimum_correlation : float, optional
         Lower bound of the surrogates' correlation between neighbouring integers.
     parameter : str
-        Name of the parameter in the node; the name of this entry unless given. ``covariance[7]`` is
-        an item of the array `covariance`, counted from 0.
+        Name of the parameter in the node, whatever ROS takes, such as ``gains.ur5e/wrist-1.p``; the
+        name of this entry unless given. ``covariance[7]`` is an item of the array `covariance`,
+        counted from 0.
     """
 
     name: str
@@ -79,7 +81,7 @@ class Parameter:
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.parameter_or_item(self.parameter, "parameter")
+        checks.name_in_node(self.parameter, "parameter")
         if self.fixed is not None:
             self._check_fixed()
         elif self.tied_to is not None:
@@ -257,10 +259,21 @@ class Parameter:
 
 def array_and_item(name: str) -> tuple[str, int]:
     """Return the array and the position in it that ``covariance[7]`` names; ("", 0) if no item."""
-    named = checks.PARAMETER_OR_ITEM.fullmatch(name)
+    named = checks.IN_NODE.fullmatch(name)
     if named is None or named["item"] is None:
         return "", 0
     return named["array"], int(named["item"])
+
+
+def study_name(name: str) -> str:
+    """Return a name for a study of a parameter that has `name` in its node: itself if it can be."""
+    if checks.PARAMETER_OR_ITEM.fullmatch(name):
+        return name
+    array, item = array_and_item(name)
+    groups = [re.sub(r"\W+", "_", part, flags=re.ASCII) for part in (array or name).split(".")]
+    found = ".".join(group for group in groups if group) or "_"
+    found = found if re.match(r"[A-Za-z_]", found) else f"_{found}"
+    return f"{found}[{item}]" if array else found
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:

@@ -68,7 +68,7 @@ class ContextVariable:
             return
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.parameter_name(self.parameter, "parameter")
+        checks.name_in_node(self.parameter, "parameter")
 
     def _check_type(self) -> None:
         """Find the type, or refuse one that the distribution's values do not have."""
@@ -114,7 +114,7 @@ class SeedParameter:
 
     def __post_init__(self) -> None:
         checks.text(self.node, "node")
-        checks.parameter_name(self.parameter, "parameter")
+        checks.name_in_node(self.parameter, "parameter")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from bo_tuner.study.metrics import (
     StudyMetric,
 )
 from bo_tuner.study.nodes import NodeSpec
-from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter import Parameter, array_and_item
 from bo_tuner.study.parts import (
     LINEAR,
     LOG,
@@ -231,6 +231,7 @@ def check_targets(
             _check_item(name, item, nodes)
     for key, node in nodes.items():
         for name in (*node.parameters, *node.inprocess_parameters):
+            _refuse_unwatched(node, name)
             if (key, name) not in arrays:
                 sources[key, name] = f"nodes.{key}"
     targets: list[tuple[KeyPath, str, str]] = [
@@ -242,6 +243,7 @@ def check_targets(
     if seed is not None:
         targets.append((("seed_parameter",), seed.node, seed.parameter))
     for path, node_key, parameter in targets:
+        _refuse_unwatched(nodes[node_key], array_and_item(parameter)[0] or parameter)
         here = ".".join(map(str, path))
         other = sources.setdefault((node_key, parameter), here)
         if other != here:
@@ -269,6 +271,7 @@ def check_settings(
     for path, item in run.settings:
         with findings.under():
             checks.reference(item.node, "node", nodes, *path, "node")
+            _refuse_unwatched(nodes[item.node], item.parameter)
             if other := varied.get((item.node, item.parameter)):
                 raise StudyError(
                     f"'{item.parameter}' of node '{item.node}' is set by {other}; expected one "
@@ -276,6 +279,15 @@ def check_settings(
                     (*path, "parameter"),
                 )
     findings.check()
+
+
+def _refuse_unwatched(spec: NodeSpec, parameter: str) -> None:
+    """Refuse to set what is not watched: nobody would see that a node has another value."""
+    if pattern := spec.unwatched_by(parameter):
+        raise StudyError(
+            f"'{pattern}' is also '{parameter}', which the study sets; what is set is watched",
+            ("nodes", spec.name, "unwatched"),
+        )
 
 
 def _check_item(name: str, item: Parameter, nodes: Mapping[str, NodeSpec]) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from bo_tuner.study.checks import same_value
+from bo_tuner.study.checks import holds
 from bo_tuner.study.run import AFTER
 from bo_tuner.study.study import Study
 
@@ -67,7 +67,7 @@ def named_safe(
         else:
             of_node[item.array] = whole[item.node][item.array]
     return {
-        key: {n: v for n, v in values.items() if not same_value(v, previous[key].get(n))}
+        key: {n: v for n, v in values.items() if not holds(previous[key].get(n), v)}
         for key, values in found.items()
     }
 

@@ -13,10 +13,21 @@ JOINTS = ("joints", "joint_names", "dof_names")
 
 @dataclass(frozen=True)
 class SeenNode:
-    """A node, by its name relative to the namespace, and what it says of its parameters."""
+    """A node, as a study names it.
+
+    Attributes
+    ----------
+    name
+        Relative to the namespace.
+    parameters
+        What it says of its parameters.
+    changing
+        Names of those that it was seen to change by itself.
+    """
 
     name: str
     parameters: Mapping[str, Described]
+    changing: tuple[str, ...] = ()
 
     @property
     def uses_sim_time(self) -> bool:

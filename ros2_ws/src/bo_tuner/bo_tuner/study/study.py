@@ -298,6 +298,17 @@ class Study:
         space = self.search_space()
         return space.permitted(space.defaults | dict(self.park.parameters))
 
+    @property
+    def own_parameters(self) -> dict[str, set[str]]:
+        """Names of the ROS parameters that it sets, by node; of all others a node keeps its own."""
+        assigned = self.nominal_assignments(self.search_space().defaults)
+        names = {
+            key: {*spec.parameters, *assigned.get(key, {})} for key, spec in self.nodes.items()
+        }
+        for _, item in () if self.run is None else self.run.settings:
+            names[item.node].add(item.parameter)
+        return names
+
     def without_safe_parameters(self) -> "Study":
         """Return the study as it is if ``park`` names no parameters."""
         return dataclasses.replace(self, park=dataclasses.replace(self.park, parameters={}))
@@ -532,7 +543,7 @@ class Study:
         if self.run is None or not self.park.between_runs:
             return
         keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
-        tuned = [f"/{self.nodes[key].node}" for key in keys]
+        tuned = [f"/{self.nodes[key].node.lstrip('/')}" for key in keys]
         for step in self.run.before:
             change = step.lifecycle
             if change is None or change.transition != "configure":

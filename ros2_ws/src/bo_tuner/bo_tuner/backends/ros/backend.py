@@ -31,7 +31,7 @@ from bo_tuner.backends.ros.isolation import (
 )
 from bo_tuner.backends.ros.others import START
 from bo_tuner.backends.ros.parameters.at_rest import take_over
-from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState
@@ -53,6 +53,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
     DISTURBED,
+    HOLDS,
     NOTE,
     UNPREPARED,
     Evaluation,
@@ -198,6 +199,8 @@ class RosBackend(SequentialBackend):
                 self._run_log or self._log_directory,
                 is_repeat=self._run_log is not None,
             )
+            for remark in client.parameters.take_remarks():
+                tuner.warn(remark)
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
                 self._procedure = Procedure(
@@ -404,6 +407,7 @@ class RosBackend(SequentialBackend):
             "ignored_results": str(client.results.take_ignored()),
             **self._counts(),
             **self._rates.details(self.recording),
+            **{f"{HOLDS}{key}.{name}": str(value) for key, name, value in client.rounded},
         }
         if remarks := self._rates.remarks(self.recording):
             details[NOTE] = brief("; ".join(remarks))

@@ -5,7 +5,7 @@ import os
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
 from bo_tuner.backends.ros.parameters.at_rest import InitialParameters
-from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension

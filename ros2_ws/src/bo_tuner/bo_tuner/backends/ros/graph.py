@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,8 +15,9 @@ from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
-from bo_tuner.backends.ros.parameters.previous import ParameterNote, said_of_killed
-from bo_tuner.backends.ros.parameters.services import ParameterClient, to_value
+from bo_tuner.backends.ros.parameters.messages import to_value
+from bo_tuner.backends.ros.parameters.note import ParameterNote, said_of_killed
+from bo_tuner.backends.ros.parameters.services import ParameterClient
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import END_OTHERS, LOOK_AROUND, TunerNode
 from bo_tuner.errors import BackendError, StudyError
@@ -90,23 +91,18 @@ def any_runs(
     """
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
-        wanted = set(names)
-        return tuner.wait_until(lambda: not wanted.isdisjoint(others.nodes(tuner.node)), FIRST_LOOK)
+        return tuner.wait_until(lambda: bool(others.running(names, tuner.node)), FIRST_LOOK)
     finally:
         tuner.close()
 
 
-def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
+def describe(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
     """Return all parameters of a node, by name, for a tuner that has told it nothing yet.
 
-    Those that a tuner which was killed has left on it have the values from before.
-
-    Raises
-    ------
-    BackendError
-        As by `describe_now`.
+    Those that a tuner which was killed has left on it have the values from before. Arguments and
+    errors as of `describe_now`.
     """
-    found = describe_now(tuner, node)
+    found = describe_now(tuner, node, own)
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
     left = note.left_behind(node, {name: item.value for name, item in found.items()})
     for name, value in left.items():
@@ -116,13 +112,23 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     return found
 
 
-def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
+def describe_now(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
     """Return all parameters of a node, by name, as they are.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node.
+    node
+        Name of the other one.
+    own
+        The names to look for on a node that does not list its parameters.
 
     Raises
     ------
     BackendError
-        If it is not there, runs more than once, or does not answer.
+        If it is not there, runs more than once, does not answer, or lists no parameters and there
+        are no names to look for.
     """
     client = ParameterClient(tuner, node, ListParameters, DescribeParameters, GetParameters)
     try:
@@ -132,7 +138,12 @@ def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
         if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
             raise BackendError(f"{tuner.repeated(node)}; {END_OTHERS}")
         client.expect_answers(time.monotonic() + ANSWER)
+        lists = client.offers(ListParameters)
         (names,) = tuner.complete([client.names()])
+        if not lists:
+            names = list(own)
+            if not names:
+                raise BackendError(f"{node}: lists no parameters (no service list_parameters)")
         # A node with one that is not set may be asked for each of hundreds.
         asked = [client.descriptors(names), client.messages(names)]
         descriptors, values = tuner.complete(asked)
@@ -142,8 +153,28 @@ def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
         client.destroy()
     return {
         name: _described(descriptor, value)
-        for name, descriptor, value in zip(names, descriptors, values, strict=False)
+        for name, descriptor, value in zip(names, descriptors, values, strict=True)
+        if lists or value.type != ParameterType.PARAMETER_NOT_SET
     }
+
+
+def values_now(tuner: TunerNode, node: str, names: Sequence[str]) -> dict[str, object]:
+    """Read parameters of a node that was just described.
+
+    Raises
+    ------
+    BackendError
+        If it does not answer.
+    """
+    client = ParameterClient(tuner, node)
+    try:
+        tuner.wait_until(client.is_ready, ANSWER)
+        (found,) = tuner.complete([client.values(names)], ANSWER)
+        return dict(found)
+    except SilentError as error:
+        raise BackendError(str(error)) from error
+    finally:
+        client.destroy()
 
 
 def describe_nodes(

@@ -48,13 +48,19 @@ def nodes(node: Node) -> list[str]:
     )
 
 
+def running(names: Iterable[str], node: Node) -> list[str]:
+    """Return which of some nodes run, by their names as a study has them."""
+    there = {full_name(*reversed(found)) for found in node.get_node_names_and_namespaces()}
+    return [name for name in names if full_name(node.get_namespace(), name) in there]
+
+
 def absent(missing: Sequence[str], node: Node, start: str = f": {START}") -> str:
     """Tell in a line which nodes are not there, and which one was meant.
 
     Parameters
     ----------
     missing
-        Their names, relative to the namespace, at least one.
+        Their names, as a study has them, at least one.
     node
         A node of the tuner's.
     start
@@ -62,8 +68,11 @@ def absent(missing: Sequence[str], node: Node, start: str = f": {START}") -> str
     """
     namespace = node.get_namespace().rstrip("/")
     known = nodes(node)
-    gone = [name for name in missing if name not in known]
-    names = " and ".join(f"{namespace}/{name}" if namespace else name for name in gone or missing)
+    there = running(missing, node)
+    gone = [name for name in missing if name not in there]
+    names = " and ".join(
+        full_name(namespace, name) if namespace else name for name in gone or missing
+    )
     if not gone:
         return f"{names}: found, but not with all services and topics that are needed"
     what = "no such nodes" if gone[1:] else "no such node"

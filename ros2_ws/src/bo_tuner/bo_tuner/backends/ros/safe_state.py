@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from bo_tuner.backends.ros.errors import LostError
-from bo_tuner.backends.ros.parameters.nodes import Values
+from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension

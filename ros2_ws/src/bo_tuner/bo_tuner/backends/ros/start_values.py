@@ -9,8 +9,8 @@ from collections.abc import Callable, Collection, Mapping
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED, LifecycleNode
-from bo_tuner.backends.ros.parameters.events import Difference, differences
-from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.events import Difference, Values, differences
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError

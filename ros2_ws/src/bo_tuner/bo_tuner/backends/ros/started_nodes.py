@@ -116,7 +116,10 @@ class StartedNodes:
         spec = self._study.nodes[key]
         if spec.package and spec.executable:
             program = str(find_executable(spec.package, spec.executable))
-            command = [program, "--ros-args", "-r", f"__ns:={self._namespace}"]
+            namespace = self._namespace
+            if spec.node.startswith("/"):
+                namespace = spec.node.rpartition("/")[0] or "/"
+            command = [program, "--ros-args", "-r", f"__ns:={namespace}"]
         elif spec.launch:
             command = [*_ros2_launch(spec), *shlex.split(spec.launch)]
         elif spec.command:

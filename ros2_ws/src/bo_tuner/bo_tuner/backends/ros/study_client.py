@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
-from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.events import Values
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.start_values import StartValues
 from bo_tuner.backends.ros.started_nodes import StartedNodes
@@ -39,13 +40,22 @@ class StudyClient:
         What the graph says of them.
     results : RunResults
         What they say of the present evaluation.
+    rounded : list of tuple
+        Key, name and value of each parameter that a node had in the last evaluation in fewer
+        digits than it was told.
     """
 
     def __init__(self, study: Study, tuner: TunerNode, started: StartedNodes | None) -> None:
         self._study = study
         self._renewed: set[str] = set()
+        self.rounded: list[tuple[str, str, object]] = []
         nodes = {key: spec.node for key, spec in study.nodes.items()}
-        self.parameters = NodeParameters(tuner, nodes)
+        self.parameters = NodeParameters(
+            tuner,
+            nodes,
+            study.own_parameters,
+            lambda key, name: study.nodes[key].unwatched_by(name),
+        )
         self.start_values = StartValues(study, tuner, self.parameters, started)
         self._triggered = TriggeredRun(study, tuner, self.parameters)
         self.results = self._triggered.results
@@ -135,6 +145,7 @@ class StudyClient:
             # A node that was killed is looked for as long as its lease.
             self._refuse_other_nodes()
             found.check()
+            self.rounded = list(found.rounded())
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:

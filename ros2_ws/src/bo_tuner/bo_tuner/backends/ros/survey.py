@@ -12,7 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.fields import ItemMissingError, field_reader
-from bo_tuner.backends.ros.graph import DISCOVERY, describe
+from bo_tuner.backends.ros.graph import DISCOVERY, describe, values_now
 from bo_tuner.backends.ros.messages import (
     interface_class,
     is_bulky,
@@ -23,6 +23,7 @@ from bo_tuner.backends.ros.messages import (
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.study.checks import same_value
 from bo_tuner.study.fields import parsed_field
 from bo_tuner.study.seen import (
     JOINT_TRAJECTORY,
@@ -37,6 +38,8 @@ QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the items of arrays."""
+CHANGES = 2.0
+"""Time [s] in which parameters that a node changes by itself are seen to change."""
 GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
 """Ends of the name and the type of the service that takes the goals of an action."""
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
@@ -99,7 +102,13 @@ def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, l
             nodes.append(SeenNode(name, describe(tuner, name)))
         except BackendError as error:
             notes.append(f"left out: {error}")
+    values, looked = [_values(tuner, node) for node in nodes], time.monotonic()
     topics, unknown = _topics(tuner, named)
+    tuner.spin_for(CHANGES - (time.monotonic() - looked))
+    nodes = [
+        replace(node, changing=_changed(before, _values(tuner, node)))
+        for node, before in zip(nodes, values, strict=True)
+    ]
     topics = [with_joints(topic, nodes, topics) for topic in topics]
     unknown += [f"{topic.name}: its joints are unknown" for topic in topics if not topic.fields]
     topics = [topic for topic in topics if topic.fields]
@@ -107,6 +116,20 @@ def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, l
     found = sorted(tuner.node.get_service_names_and_types())
     services = [n for n, types in found if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
     return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(_actions(found))), notes
+
+
+def _values(tuner: TunerNode, node: SeenNode) -> Mapping[str, object]:
+    """Read the parameters of a node; none if it has ended, of which the next command tells."""
+    try:
+        return values_now(tuner, node.name, list(node.parameters))
+    except BackendError:
+        return {}
+
+
+def _changed(before: Mapping[str, object], now: Mapping[str, object]) -> tuple[str, ...]:
+    return tuple(
+        name for name, value in before.items() if name in now and not same_value(now[name], value)
+    )
 
 
 def _actions(services: Iterable[tuple[str, list[str]]]) -> Iterator[SeenAction]:
@@ -147,7 +170,7 @@ def _nodes(tuner: TunerNode) -> list[str]:
     found = {
         relative(tuner.node, name, namespace)
         for name, namespace in tuner.node.get_node_names_and_namespaces()
-        if f"{full_name(namespace, name)}/list_parameters" in services
+        if f"{full_name(namespace, name)}/get_parameters" in services
     }
     return sorted(name for name in found if name and not is_hidden(name))
 

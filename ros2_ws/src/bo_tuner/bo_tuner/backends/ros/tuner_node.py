@@ -67,8 +67,8 @@ def is_own(name: str) -> bool:
 
 
 def full_name(namespace: str, name: str) -> str:
-    """Return the name of a node with its namespace."""
-    return f"{namespace.rstrip('/')}/{name}"
+    """Return the name of a node with its namespace, unless it is in full already."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
 
 
 class TunerNode:

@@ -204,7 +204,7 @@ class Guard:
             self._refuse_others()
         self._state = replace(self._state, settled=True)
         self._tell()
-        self._parameters = NodeParameters(tuner, plan.nodes)
+        self._parameters = NodeParameters(tuner, plan.nodes, plan.safe)
         clients = self._parameters.clients
 
         def absent() -> list[str]:
@@ -215,6 +215,12 @@ class Guard:
             if not wait:
                 raise BackendError(problem)
             self._say(f"waiting: {problem}")
+        for key in plan.nodes:
+            # How a node is to be asked must be known when it is to be left safe.
+            with contextlib.suppress(LostError):
+                self._parameters.read_anew(key)
+        for remark in self._parameters.take_remarks():
+            self._say(remark)
         # In no executor, which would take its messages away.
         self._listener = listener = Node(
             f"{GUARD}_listener",

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.graph import describe_now
-from bo_tuner.backends.ros.parameters.events import differences
-from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Values
+from bo_tuner.backends.ros.parameters.events import Values, differences, offer_unwatched
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, KeyPath, OutputError, StudyError
@@ -91,7 +91,8 @@ class InitialParameters:
         """Return as `node_problems`; none of a node that does not describe its parameters."""
         try:
             # The tuner has told it something by now, and has noted that down.
-            known = describe_now(self._tuner, self._study.nodes[key].node)
+            own = self._study.own_parameters[key]
+            known = describe_now(self._tuner, self._study.nodes[key].node, own)
         except BackendError:
             return []
         return node_problems(self._study, key, known, declared=declared)
@@ -183,12 +184,10 @@ def _divide(
     study: Study, values: Values
 ) -> tuple[dict[str, dict[str, object]], dict[str, dict[str, object]]]:
     """Return the parameters, by node key, that a study sets, and the others."""
-    assigned = study.nominal_assignments(study.search_space().defaults)
-    steps = set_by_steps(study)
     own: dict[str, dict[str, object]] = {}
     others: dict[str, dict[str, object]] = {}
-    for key, found in values.items():
-        names = {*study.nodes[key].parameters, *assigned.get(key, {}), *steps.get(key, {})}
+    for key, names in study.own_parameters.items():
+        found = values[key]
         own[key] = {name: value for name, value in found.items() if name in names}
         others[key] = {name: value for name, value in found.items() if name not in names}
     return own, others
@@ -245,5 +244,8 @@ def _compare_with_earlier(folder: Path, values: Values, *, refuse: bool, note: b
     for key, now in values.items():
         common = {name: known[key][name] for name in now if name in known[key]}
         if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
-            raise BackendError(f"{changed[0]}, as when the run began; set it back")
+            raise BackendError(
+                f"{changed[0]}, as when the run began; set it back, or if the node changes it by "
+                f"itself: {offer_unwatched(changed[0])}"
+            )
     return False

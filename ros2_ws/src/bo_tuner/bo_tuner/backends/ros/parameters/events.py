@@ -1,7 +1,7 @@
-"""What nodes tell of their parameters by themselves: a value that they should not have."""
+"""Values that nodes have and should not: as they answer, and as they tell by themselves."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rcl_interfaces.msg import ParameterEvent
@@ -10,13 +10,18 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_parameter_events
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
-from bo_tuner.backends.ros.parameters.services import named_values
-from bo_tuner.study.checks import same_value
+from bo_tuner.backends.ros.errors import DisturbedError, RefusedError
+from bo_tuner.backends.ros.parameters.messages import named_values
+from bo_tuner.study.checks import holds, same_value
 from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
 MOST_TOLD = 100
 """Sets of values told to a node whose events are awaited: it need not publish any."""
+
+
+Values = Mapping[str, Mapping[str, object]]
+"""Parameters by node key, then by name."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,83 @@ def differences(
     return [
         Difference(node, name, found.get(name), value)
         for name, value in expected.items()
-        if not same_value(found.get(name), value)
+        if not holds(found.get(name), value)
     ]
+
+
+def offer_unwatched(difference: Difference) -> str:
+    """Return what leaves a parameter to its node, as it stands in a study."""
+    return f"unwatched: [{difference.name}] in nodes.{difference.node}"
+
+
+def not_taken(difference: Difference) -> RefusedError:
+    """Make the error that a node has another value right after it was told one."""
+    return RefusedError(f"{difference} (not taken by the node)")
+
+
+def disturbed(difference: Difference, own: Mapping[str, Collection[str]]) -> DisturbedError:
+    """Make the error that somebody changed a parameter; `own` are those that are set, by node."""
+    text = f"{difference} (changed by someone else)"
+    if difference.name not in own.get(difference.node, ()):
+        # Nobody sets it, so it may be the node itself.
+        text += f"; if the node does that by itself: {offer_unwatched(difference)}"
+    return DisturbedError(text)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What nodes were found to have.
+
+    Attributes
+    ----------
+    held, values : Values
+        What they are to have, and what they have.
+    seen : sequence of Difference
+        What else they were seen to have meanwhile.
+    problem : str
+        What cannot be read of that.
+    own : mapping
+        By node key the names of the parameters that are set.
+    """
+
+    held: Values
+    values: Values
+    seen: Sequence[Difference]
+    problem: str
+    own: Mapping[str, Collection[str]]
+
+    def check(self, told: Mapping[str, Collection[str]] | None = None) -> None:
+        """Compare what the nodes had with what they are held at.
+
+        Parameters
+        ----------
+        told
+            By node key the names of what it was told right before.
+
+        Raises
+        ------
+        RefusedError
+            If it is the node that has not taken what it was told.
+        DisturbedError
+            If somebody else changed one, or what was told of one cannot be read.
+        """
+        if self.problem:
+            raise DisturbedError(self.problem)
+        for key, values in self.held.items():
+            for difference in differences(key, self.values[key], values):
+                if difference.name in (told or {}).get(key, ()):
+                    raise not_taken(difference)
+                raise disturbed(difference, self.own)
+        if self.seen:
+            raise disturbed(self.seen[0], self.own)
+
+    def rounded(self) -> Iterator[tuple[str, str, object]]:
+        """Yield node key, name and value of what a node holds in fewer digits than it was told."""
+        for key, values in self.held.items():
+            for name, value in values.items():
+                found = self.values[key].get(name)
+                if holds(found, value) and not same_value(found, value):
+                    yield key, name, found
 
 
 class ParameterWatch:
@@ -94,11 +174,11 @@ class ParameterWatch:
         """
         self._told[key].append(values)
 
-    def take_back(self, key: str) -> None:
-        """Take back what was told last: the node has refused it, and publishes no event."""
+    def take_back(self, key: str, values: Mapping[str, object]) -> None:
+        """Take back what was told: the node has refused it, and publishes no event."""
         # Unless somebody else has set the same meanwhile.
-        if self._told[key]:
-            self._told[key].pop()
+        if values in self._told[key]:
+            self._told[key].remove(values)
 
     def forget(self, key: str) -> None:
         """Forget what was seen of a node: it was started anew, and has declared its parameters.

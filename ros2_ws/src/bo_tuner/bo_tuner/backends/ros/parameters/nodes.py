@@ -1,65 +1,26 @@
 """What the nodes of a study are set to, and held at."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.parameters.events import Difference, ParameterWatch, differences
+from bo_tuner.backends.ros.parameters.events import (
+    Found,
+    ParameterWatch,
+    Values,
+    differences,
+    disturbed,
+    not_taken,
+)
 from bo_tuner.backends.ros.parameters.services import ParameterClient
 from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
 from bo_tuner.study import checks
+from bo_tuner.text import brief
 
-Values = Mapping[str, Mapping[str, object]]
-"""Parameters by node key, then by name."""
 Unset = RefusedError | LostError
 """Why a node does not have its values."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """What nodes were found to have.
-
-    Attributes
-    ----------
-    held, values : Values
-        What they are to have, and what they have.
-    seen : sequence of Difference
-        What else they were seen to have meanwhile.
-    problem : str
-        What cannot be read of that.
-    """
-
-    held: Values
-    values: Values
-    seen: Sequence[Difference]
-    problem: str
-
-    def check(self, told: Mapping[str, Collection[str]] | None = None) -> None:
-        """Compare what the nodes had with what they are held at.
-
-        Parameters
-        ----------
-        told
-            By node key the names of what it was told right before.
-
-        Raises
-        ------
-        RefusedError
-            If it is the node that has not taken what it was told.
-        DisturbedError
-            If somebody else changed one, or what was told of one cannot be read.
-        """
-        if self.problem:
-            raise DisturbedError(self.problem)
-        for key, values in self.held.items():
-            for difference in differences(key, self.values[key], values):
-                if difference.name in (told or {}).get(key, ()):
-                    raise _not_taken(difference)
-                raise _disturbed(difference)
-        if self.seen:
-            raise _disturbed(self.seen[0])
 
 
 class NodeParameters:
@@ -71,6 +32,11 @@ class NodeParameters:
         The tuner's node.
     nodes
         Names of the nodes by their keys in the study.
+    own
+        By the same keys the names of the parameters that are set; nodes may not tell which they
+        have.
+    is_unwatched
+        Whether a parameter, by the key of its node and its name, is none of the tuner's business.
 
     Attributes
     ----------
@@ -78,24 +44,38 @@ class NodeParameters:
         By the same keys.
     """
 
-    def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        tuner: TunerNode,
+        nodes: Mapping[str, str],
+        own: Mapping[str, Collection[str]],
+        is_unwatched: Callable[[str, str], object] = lambda key, name: False,
+    ) -> None:
         self._tuner = tuner
+        self._is_unwatched = is_unwatched
+        self._own = own
         self._expected: Values = {}
         self._changed: dict[str, dict[str, object]] = {}
         self._before: dict[str, dict[str, object]] = {}
         self._known: dict[str, dict[str, object]] = {}
+        self._taken: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._watch = ParameterWatch(tuner.node, nodes)
         services = (SetParametersAtomically, GetParameters, ListParameters)
         self.clients = {key: ParameterClient(tuner, node, *services) for key, node in nodes.items()}
+        for key, client in self.clients.items():
+            client.on_telling = partial(self._watch.tell, key)
+            client.on_refusal = partial(self._watch.take_back, key)
 
     def forget(self, key: str) -> None:
         """Forget what a node has, so that it is asked, and told, again."""
         self._known.pop(key, None)
+        self._taken.pop(key, None)
 
     def forget_all(self) -> None:
         """Forget what all nodes have."""
         self._known.clear()
+        self._taken.clear()
 
     def read_anew(self, key: str) -> dict[str, object]:
         """Read what a node has that was started anew, and forget what it said of it meanwhile."""
@@ -166,6 +146,40 @@ class NodeParameters:
             If it does not answer.
         """
         self._tuner.complete([self._assigning_and_reading_back(key, values)])
+
+    def unset_side_by_side(
+        self, names: Mapping[str, Iterable[str]], timeout: float
+    ) -> dict[str, dict[str, str]]:
+        """Take parameters back that nodes had not declared, from all nodes at the same time.
+
+        A request to set nothing deletes a parameter, which no node's author expects of one that
+        was declared.
+
+        Parameters
+        ----------
+        names
+            By node key.
+        timeout
+            Time [s] that all of them have together.
+
+        Returns
+        -------
+        dict
+            By key, and name, of a parameter that is still there why.
+        """
+        kept: dict[str, dict[str, str]] = {key: {} for key in names}
+
+        def unsetting(key: str) -> Calls:
+            for name in names[key]:
+                try:
+                    why = yield from self._unsetting(key, name)
+                except LostError as error:
+                    why = str(error)
+                if why:
+                    kept[key][name] = why
+
+        self._tuner.complete([unsetting(key) for key in names], timeout)
+        return kept
 
     def park(
         self, values: Values, held: Values, timeout: float, later: Collection[str] = ()
@@ -255,12 +269,21 @@ class NodeParameters:
         """
         values = self._read(self._expected)
         self._known |= {key: dict(found) for key, found in values.items()}
-        return Found(self._expected, values, self._watch.take_seen(), self._watch.problem)
+        seen, problem = self._watch.take_seen(), self._watch.problem
+        return Found(self._expected, values, seen, problem, self._own)
 
     def disturbance(self) -> DisturbedError | None:
         """Return what somebody else changed, as far as the nodes told since this was last asked."""
         seen = self._watch.take_seen()
-        return _disturbed(seen[0]) if seen else None
+        return disturbed(seen[0], self._own) if seen else None
+
+    def take_remarks(self) -> list[str]:
+        """Tell in lines, each of them once, what nodes do not offer and is done instead."""
+        return [text for client in self.clients.values() for text in client.take_remarks()]
+
+    def undeclared(self, key: str) -> set[str]:
+        """Return the names of what is set on a node, and which it had not when it was read anew."""
+        return set(self._own[key]) - set(self._names[key])
 
     def expect_answer(self, key: str) -> None:
         """Ask a node for no parameter.
@@ -289,33 +312,42 @@ class NodeParameters:
         except RefusedError:
             # What was changed by somebody else may be what the values do not go with.
             self._known[key] = self._read([key])[key]
-            changed = differences(key, self._known[key], before) + self._watch.take_seen()
+            now = self._known[key]
+            # What it was told, and could not take back, is no change by others.
+            others = {n: v for n, v in before.items() if _differs(values, n, now.get(n))}
+            changed = differences(key, now, others) + self._watch.take_seen()
             # It may have been changed long ago, and the node not take it back.
             own = {name: value for name, value in values.items() if name in kept}
-            changed += differences(key, self._known[key], own)
+            changed += differences(key, now, own)
             if changed:
-                raise _disturbed(changed[0]) from None
+                raise disturbed(changed[0], self._own) from None
             raise
 
     def _assigning(self, key: str, values: Mapping[str, object]) -> Calls:
         if key not in self._known:
             self._known[key] = yield from self._reading_all(key)
         known = self._known[key]
-        changes = {name: v for name, v in values.items() if _differs(known, name, v)}
+        taken = self._taken.setdefault(key, {})
+        changes = {
+            name: value
+            for name, value in values.items()
+            # What a device has rounded, it need not be told again.
+            if _differs(known, name, value)
+            and (_differs(taken, name, value) or not checks.holds(known.get(name), value))
+        }
         if not changes:
             return []
         # Until it answers, the node may have the one or the other.
         for name in changes:
             known.pop(name, None)
-        self._watch.tell(key, changes)
         result = yield from self.clients[key].set(changes)
         if not result.successful:
-            self._watch.take_back(key)
             # The refusal of rclpy does not name what is not declared.
             missing = [name for name in changes if name not in self._names[key]]
             also = f" (it has not declared {', '.join(missing)})" if missing else ""
             raise RefusedError(f"{key} refused its parameters: {result.reason}{also}")
         known.update(changes)
+        taken.update(changes)
         # A node may take what it has not declared.
         self._names[key] += [name for name in changes if name not in self._names[key]]
         return list(changes)
@@ -328,12 +360,27 @@ class NodeParameters:
             wrong = differences(key, self._known[key], values)
             if not wrong:
                 return
-        raise _not_taken(wrong[0])
+        raise not_taken(wrong[0])
+
+    def _unsetting(self, key: str, name: str) -> Calls:
+        """Delete a parameter; returns why that is not possible."""
+        client = self.clients[key]
+        value = (yield from client.values([name]))[name]
+        if value is None:
+            return ""
+        result = yield from client.set({name: None})
+        self.forget(key)
+        if (yield from client.values([name]))[name] is None:
+            return ""
+        return brief(result.reason) or f"it has {brief(str(value))} still"
 
     def _reading_all(self, key: str) -> Calls:
         """Read all parameters of a node, whatever it has declared before."""
         listed = yield from self.clients[key].names()
-        self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
+        named = [
+            name for name in listed if checks.is_in_node(name) and not self._is_unwatched(key, name)
+        ]
+        self._names[key] = named or list(self._own.get(key, ()))
         return (yield from self._reading(key))
 
     def _reading(self, key: str) -> Calls:
@@ -349,11 +396,3 @@ class NodeParameters:
 
 def _differs(known: Mapping[str, object], name: str, value: object) -> bool:
     return name not in known or not checks.same_value(known[name], value)
-
-
-def _not_taken(difference: Difference) -> RefusedError:
-    return RefusedError(f"{difference} (not taken by the node)")
-
-
-def _disturbed(difference: Difference) -> DisturbedError:
-    return DisturbedError(f"{difference} (changed by someone else)")

@@ -1,28 +1,16 @@
-"""What attached nodes had before a tuner came: noted on disk, and given back in the end.
+"""What attached nodes had before a tuner came: noted on disk, and given back in the end."""
 
-A tuner that is killed leaves nodes with the parameters of its last evaluation, and one that ends
-may leave them with the study's safe ones. Whoever reads them next must not take these for the
-nodes' own.
-"""
-
-import contextlib
-import json
 import time
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import LostError, RefusedError
-from bo_tuner.backends.ros.isolation import place_name
-from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Unset, Values
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.parameters.events import Values
+from bo_tuner.backends.ros.parameters.nodes import NodeParameters, Unset
+from bo_tuner.backends.ros.parameters.note import ParameterNote
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import BackendError, OutputError
-from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.run_files import read_text
-from bo_tuner.storage.state import state_folder
-from bo_tuner.study.checks import same_value
-from bo_tuner.study.safe_values import named_safe, set_by_steps
+from bo_tuner.study.safe_values import named_safe, safe_values, set_by_steps
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
 
@@ -31,118 +19,6 @@ PATIENCE = 5.0
 still after a run that failed, or hang."""
 PAUSE = 0.25
 """Time [s] between two such attempts."""
-
-
-def said_of_killed(node: str, name: str, value: object) -> str:
-    """Tell that a parameter of a node has a value of a run that was killed."""
-    return f"{node}: {name} is {brief(str(value))}, which a run that was killed has left"
-
-
-class ParameterNote:
-    """The file of one domain and namespace, in which one tuner works at a time.
-
-    Parameters
-    ----------
-    domain
-        The ROS domain.
-    namespace
-        The namespace of the tuner.
-
-    Attributes
-    ----------
-    content : dict
-        By the nodes' names what they had when the last tuner came and must have again
-        (``previous``), by parameter the values that a tuner has told them last (``told``), and what
-        of that they had before the first of several tuners that left it parked (``original``).
-        Nodes of other studies stay in it.
-    """
-
-    def __init__(self, domain: int, namespace: str) -> None:
-        self._name = f"{place_name(domain, namespace)}.json"
-        self.content: dict[str, Any] = {}
-        # What cannot be read is of no use, and replaced.
-        with contextlib.suppress(
-            OutputError, OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
-        ):
-            self.content = {
-                node: {part: dict(item[part]) for part in ("previous", "told", "original")}
-                for node, item in json.loads(read_text(self._path())).items()
-            }
-
-    def left_behind(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before, of what it still has as a tuner has told it.
-
-        A parameter that has another value by now, since the node was started anew or somebody has
-        set it, is not among it.
-        """
-        return self._told(node, "previous", now)
-
-    def original(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before any tuner, of what it still has as one has left it parked.
-
-        As in `left_behind`, what has been set since then is not among it.
-        """
-        return self._told(node, "original", now)
-
-    def _told(self, node: str, part: str, now: Mapping[str, object]) -> dict[str, object]:
-        noted = self.content.get(node, {})
-        found = {}
-        for name, value in noted.get(part, {}).items():
-            told = [*noted["told"].get(name, []), noted["previous"].get(name)]
-            is_told = name in now and any(same_value(now[name], item) for item in told)
-            if is_told and not same_value(now[name], value):
-                found[name] = value
-        return found
-
-    def settle(self, node: str) -> None:
-        """Take note that a node has again what it had; if that was parked, it still is."""
-        noted = self.content.get(node, {})
-        original = noted.get("original", {})
-        self.leave(node, {name: noted["previous"].get(name) for name in original}, original)
-
-    def leave(
-        self, node: str, parked: Mapping[str, object], original: Mapping[str, object]
-    ) -> None:
-        """Take note that a node has what it had, but for what it is left parked with.
-
-        Parameters
-        ----------
-        node
-            Its name.
-        parked, original
-            What it is left with, and what it had before any tuner, by parameter.
-        """
-        self.content.pop(node, None)
-        if parked:
-            self.content[node] = {
-                "previous": {},
-                "told": {name: [value] for name, value in parked.items()},
-                "original": {name: original[name] for name in parked if name in original},
-            }
-
-    def forget(self, node: str, names: Iterable[str]) -> None:
-        """Forget parameters of a node, which somebody has set on purpose."""
-        noted = self.content.get(node, {})
-        for name in names:
-            for part in ("previous", "original"):
-                noted.get(part, {}).pop(name, None)
-        if not (noted.get("previous") or noted.get("original")):
-            self.content.pop(node, None)
-
-    def write(self) -> None:
-        """Write the content down, or no file of none; raises `OutputError`."""
-        path = self._path()
-        try:
-            if not self.content:
-                path.unlink(missing_ok=True)
-                return
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        write_atomically(path, json.dumps(self.content, default=str))
-
-    def _path(self) -> Path:
-        return state_folder() / "attached" / self._name
 
 
 class PreviousParameters:
@@ -165,6 +41,8 @@ class PreviousParameters:
         self._note = ParameterNote(tuner.domain, tuner.node.get_namespace())
         self._previous: dict[str, dict[str, object]] = {}
         self._original: dict[str, dict[str, object]] = {}
+        self._unset: dict[str, set[str]] = {}
+        self._undeclared: dict[str, set[str]] = {}
         self._safe: Values = {}
 
     def undo_killed(self, found: dict[str, dict[str, object]]) -> None:
@@ -188,17 +66,21 @@ class PreviousParameters:
         for key in found:
             spec = self._study.nodes[key]
             left = self._note.left_behind(spec.node, found[key])
-            if not left:
+            unset = self._note.left_set(spec.node, found[key])
+            if not left and not unset:
                 continue
             changes = ", ".join(
                 f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
-                for name, value in left.items()
+                for name, value in (left | dict.fromkeys(unset, "not set")).items()
             )
             self._tuner.warn(f"{spec.node} is restored after a killed run: {changes}")
             try:
                 self._parameters.assign_and_read_back(key, left)
             except RefusedError as refusal:
                 raise BackendError(f"{spec.node} could not be restored: {refusal}") from refusal
+            undeclared = self._note.undeclared(spec.node)
+            safe = safe_values(self._study).get(key, {})
+            self._unset_again({key: unset}, {key: undeclared}, {key: safe}, CALL_TIMEOUT)
             found[key] = self._parameters.read_anew(key)
             self._note.settle(spec.node)
             self._write()
@@ -210,6 +92,10 @@ class PreviousParameters:
             key: self._note.original(self._study.nodes[key].node, values)
             for key, values in previous.items()
         }
+        self._unset = {
+            key: names - previous[key].keys() for key, names in self._study.own_parameters.items()
+        }
+        self._undeclared = {key: self._parameters.undeclared(key) for key in previous}
         self._safe = safe
         # The constants are set next.
         self.tell({key: spec.parameters for key, spec in self._study.nodes.items()})
@@ -227,22 +113,23 @@ class PreviousParameters:
         steps = set_by_steps(self._study)
         for key, values in self._previous.items():
             node, known = self._study.nodes[key].node, self._parameters.known(key)
-            earlier = self._note.content.get(node, {}).get("told", {})
+            earlier = self._note.told(node)
             by_name = {}
-            for name in values:
+            had = values | dict.fromkeys(self._unset[key])
+            for name in had:
                 sets = (self._safe.get(key, {}), known, told.get(key, {}))
                 by_name[name] = [s[name] for s in sets if name in s]
                 # A step may set it at any time.
                 by_name[name] += steps.get(key, {}).get(name, [])
                 if name not in known:
                     by_name[name] += earlier.get(name, [])
-            original = self._original[key]
-            entry = {"previous": values, "told": by_name, "original": original}
-            self._note.content[node] = entry
+            self._note.note(node, had, by_name, self._original[key], self._undeclared[key])
         self._write()
 
     def restore(self, timeout: float) -> list[str]:
         """Give the nodes back what they had, but for safe parameters that the study names.
+
+        What had no value has none again, as far as a node allows that; a line tells of the rest.
 
         A node may refuse these beside the others. It gets back all that it had then.
 
@@ -271,7 +158,17 @@ class PreviousParameters:
         again = {key: previous[key] for key in refused}
         failed |= self._parameters.assign_side_by_side(again, timeout)
         failed = self._restore_late(failed, final | again, timeout)
-        for key in previous.keys() - failed.keys():
+        given_back = previous.keys() - failed.keys()
+        self._unset_again(
+            {
+                key: self._unset[key] - (set() if key in refused else safe.get(key, {}).keys())
+                for key in given_back
+            },
+            self._undeclared,
+            self._safe,
+            timeout,
+        )
+        for key in given_back:
             # What an earlier tuner has left parked, and this one has given back like that.
             parked = {name: previous[key][name] for name in self._original[key]}
             if key not in refused:
@@ -288,6 +185,49 @@ class PreviousParameters:
         return [
             f"{study.nodes[key].node} could not be restored: {why}" for key, why in failed.items()
         ]
+
+    def _unset_again(
+        self,
+        names: Mapping[str, set[str]],
+        undeclared: Mapping[str, set[str]],
+        safe: Values,
+        timeout: float,
+    ) -> None:
+        """Take back what had no value, by node key, and tell where that is not possible.
+
+        Parameters
+        ----------
+        names
+            Of those parameters.
+        undeclared
+            Names of what was not even declared. What was, its author expects to be there.
+        safe
+            What those have that keep a value, in place of that of the last trial.
+        timeout
+            Time [s] that all nodes have.
+        """
+        kept = {
+            key: {
+                name: "it is declared, and would be no longer"
+                for name in sorted(unset - undeclared[key])
+                if name in self._parameters.known(key)
+            }
+            for key, unset in names.items()
+        }
+        deleted = {key: unset & undeclared[key] for key, unset in names.items()}
+        for key, left in self._parameters.unset_side_by_side(deleted, timeout).items():
+            kept[key] |= left
+        for key, left in kept.items():
+            for name, why in left.items():
+                node = self._study.nodes[key].node
+                self._tuner.warn(f"{node}: {name} was not set before, and cannot be again: {why}")
+        self._parameters.assign_side_by_side(
+            {
+                key: {name: v for name, v in safe.get(key, {}).items() if name in left}
+                for key, left in kept.items()
+            },
+            timeout,
+        )
 
     def _restore_late(
         self, failed: dict[str, Unset], final: Values, timeout: float
@@ -314,15 +254,14 @@ def undo_killed(study: Study, tuner: TunerNode) -> None:
     One that does not take it is told, and stays for the next tuner.
     """
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
-    running = set(others.nodes(tuner.node))
     nodes = {
         key: spec.node
         for key, spec in study.nodes.items()
-        if spec.node in note.content and spec.node in running
+        if note.knows(spec.node) and others.running([spec.node], tuner.node)
     }
     if not nodes:
         return
-    parameters = NodeParameters(tuner, nodes)
+    parameters = NodeParameters(tuner, nodes, study.own_parameters)
     previous = PreviousParameters(study, tuner, parameters)
     for key in nodes:
         try:

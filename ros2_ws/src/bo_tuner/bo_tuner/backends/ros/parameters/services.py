@@ -1,107 +1,102 @@
 """The parameters of one node, through its standard services."""
 
+import re
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.msg import (
+    ParameterDescriptor,
+    ParameterType,
+    ParameterValue,
+    SetParametersResult,
+)
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     ListParameters,
+    SetParameters,
     SetParametersAtomically,
 )
-from rclpy.parameter import Parameter, parameter_value_to_python
 
 from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.parameters.messages import named_values, to_messages, to_value
 from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
+from bo_tuner.text import brief
 
+Values = Mapping[str, object]
 NAMES = {
     SetParametersAtomically: "set_parameters_atomically",
+    SetParameters: "set_parameters",
     GetParameters: "get_parameters",
     ListParameters: "list_parameters",
     DescribeParameters: "describe_parameters",
 }
-ARRAYS = (
-    ParameterType.PARAMETER_BYTE_ARRAY,
-    ParameterType.PARAMETER_BOOL_ARRAY,
-    ParameterType.PARAMETER_INTEGER_ARRAY,
-    ParameterType.PARAMETER_DOUBLE_ARRAY,
-    ParameterType.PARAMETER_STRING_ARRAY,
+SETTING = (SetParametersAtomically, SetParameters)
+FIELDS = {
+    SetParameters: ("parameters", "results"),
+    GetParameters: ("names", "values"),
+    DescribeParameters: ("names", "descriptors"),
+}
+"""What is asked of several parameters, and answered."""
+NOT_ATOMIC = (
+    "sets no parameters together; they are set one after the other, and set back if it refuses one"
 )
+WITHOUT = {
+    SetParametersAtomically: f"no service set_parameters_atomically: it {NOT_ATOMIC}",
+    ListParameters: "no service list_parameters: only what the study sets is read and held",
+    DescribeParameters: "no service describe_parameters: its ranges are not known",
+}
+"""What is done without a service."""
+NOT_OFFERED = re.compile(r"atomic|support|implement|^\s*$", re.IGNORECASE)
+"""Words of a node that sets no parameters together, if there is no better sign of that."""
+INCOMPLETE = 2.0
+"""Time [s] without a further service after which those that are missing are done without."""
 ATTEMPT = 1.0
 """Time [s] after which a request that changes nothing is repeated: a node that was killed looks
 discovered until its lease ends, and one may receive a request before it has discovered who asks."""
 
 
-@dataclass(frozen=True)
-class UnknownType:
-    """A parameter value of a type that ROS does not define; equal to none that can be set."""
-
-    code: int
-
-    def __str__(self) -> str:
-        return f"of unknown type {self.code}"
-
-
-def to_value(message: ParameterValue) -> object:
-    """Read a parameter value; None if it is not set."""
-    try:
-        return parameter_value_to_python(message)
-    except RuntimeError:
-        return UnknownType(int(message.type))
-
-
-def named_values(parameters: Iterable[ParameterMessage]) -> dict[str, object]:
-    """Read messages of parameters, by name; None for those that are not set."""
-    return {item.name: to_value(item.value) for item in parameters}
-
-
-def to_messages(
-    values: Mapping[str, object], types: Mapping[str, int] | None = None
-) -> list[ParameterMessage]:
-    """Make the messages that set parameters.
-
-    Parameters
-    ----------
-    values
-        Values by name.
-    types
-        What `ParameterType` the node's own have, by name: an empty array tells of none.
-    """
-    messages = []
-    for name, value in values.items():
-        kind = Parameter.Type.from_parameter_value(value)
-        known = (types or {}).get(name)
-        if value == [] and known in ARRAYS:
-            kind = Parameter.Type(known)
-        messages.append(Parameter(name, kind, value).to_parameter_msg())
-    return messages
-
-
 class ParameterClient:
     """Calls the parameter services of a node.
 
-    What gives `Calls` is for `TunerNode.complete`.
+    What gives `Calls` is for `TunerNode.complete`. Nodes that are no full ROS nodes, such as those
+    on a microcontroller, lack some of the services or take one parameter at a time.
 
     Parameters
     ----------
     tuner
         The tuner's node.
     node
-        Name of the other one, relative to the namespace.
+        Name of the other one, as in a study.
     services
-        Those that are used; that which sets parameters first, and one that reads after it.
+        Those that are used beside that which reads; of the two that set parameters the atomic one
+        stands for both.
+
+    Attributes
+    ----------
+    on_telling, on_refusal : callable
+        Called with the values of each request to set some, ahead of it, and if it is refused.
     """
 
     def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
         self.node = node
+        self.on_telling: Callable[[Values], None] = lambda values: None
+        self.on_refusal: Callable[[Values], None] = lambda values: None
         self._tuner = tuner
         self._types: dict[str, int] = {}
+        self._is_atomic: bool | None = None
+        self._one_by_one: bool | None = None
+        self._ready: set[Any] = set()
+        self._remarked: list[str] = []
+        self._since = 0.0
+        # A node that answers a later client knows the earlier ones (see `meet`).
+        setting = SETTING if SetParametersAtomically in services else ()
+        kinds = (*setting, GetParameters, *(kind for kind in services if kind not in SETTING))
         self._clients = {
-            kind: tuner.node.create_client(kind, f"{node}/{NAMES[kind]}") for kind in services
+            kind: tuner.node.create_client(kind, f"{node}/{NAMES[kind]}")
+            for kind in dict.fromkeys(kinds)
         }
 
     def destroy(self) -> None:
@@ -110,23 +105,43 @@ class ParameterClient:
             self._tuner.node.destroy_client(client)
 
     def is_ready(self) -> bool:
-        """Whether all services are discovered."""
-        return all(client.service_is_ready() for client in self._clients.values())
+        """Whether all services are discovered, or those that are needed, and no more come."""
+        ready = {kind for kind in self._clients if self.offers(kind)}
+        if ready != self._ready:
+            self._ready, self._since = ready, time.monotonic()
+        if ready >= self._clients.keys():
+            return True
+        setting = {*SETTING} & self._clients.keys()
+        if GetParameters not in ready or (setting and not setting & ready):
+            return False
+        return time.monotonic() - self._since > INCOMPLETE
+
+    def offers(self, kind: Any) -> bool:
+        """Whether a service is discovered."""
+        return kind in self._clients and self._clients[kind].service_is_ready()
 
     def servers(self) -> int:
         """Count the nodes that answer under this name."""
-        client = next(iter(self._clients.values()))
-        return self._tuner.node.count_services(client.srv_name)
+        return self._tuner.node.count_services(self._clients[GetParameters].srv_name)
+
+    def take_remarks(self) -> list[str]:
+        """Tell in lines, each of them once, what the node does not offer and is done instead."""
+        missing = self._clients.keys() - self._ready
+        found = [text for kind, text in WITHOUT.items() if kind in missing]
+        if self._is_atomic is False and SetParametersAtomically not in missing:
+            found.append(NOT_ATOMIC)
+        new = [text for text in found if text not in self._remarked]
+        self._remarked += new
+        return [f"{self.node}: {text}" for text in new]
 
     def expect_answers(self, deadline: float) -> None:
         """Have the services that read answer, until a time of `monotonic`.
 
-        One that answers a later client knows the earlier ones (see `meet`), and that which sets
-        parameters is the first: to set none of them would call functions of the node's author
-        with a list that is empty, which they need not expect.
+        To set no parameter would call functions of the node's author with a list that is empty,
+        which they need not expect.
         """
         for kind in self._clients:
-            if kind is SetParametersAtomically:
+            if kind in SETTING or (kind is not GetParameters and not self.offers(kind)):
                 continue
             while True:
                 try:
@@ -137,28 +152,24 @@ class ParameterClient:
                         raise
 
     def names(self) -> Calls:
-        """List the parameters."""
+        """List the parameters; none if the node does not tell them."""
+        if not self.offers(ListParameters):
+            return []
         request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
         return list((yield from self._calling(ListParameters, request)).result.names)
 
     def descriptors(self, names: Sequence[str]) -> Calls:
-        """Describe parameters."""
-        request = DescribeParameters.Request(names=names)
-        return list((yield from self._calling(DescribeParameters, request)).descriptors)
+        """Describe parameters; without a word where the node does not."""
+        if not self.offers(DescribeParameters):
+            return [ParameterDescriptor(name=name) for name in names]
+        found = yield from self._asking(DescribeParameters, names)
+        return [item or ParameterDescriptor(name=n) for n, item in zip(names, found, strict=True)]
 
     def messages(self, names: Sequence[str]) -> Calls:
         """Read parameters as messages, not set where the node does not have one."""
-        request = GetParameters.Request(names=names)
-        found = list((yield from self._calling(GetParameters, request)).values)
-        if len(found) == len(names):
-            self._types |= {name: item.type for name, item in zip(names, found, strict=True)}
-            return found
-        if len(names) == 1:
-            return [ParameterValue()]
-        # A node may leave out all if it lacks one.
-        found = []
-        for name in names:
-            found += yield from self.messages([name])
+        found = yield from self._asking(GetParameters, names)
+        found = [item or ParameterValue() for item in found]
+        self._types |= {name: item.type for name, item in zip(names, found, strict=True)}
         return found
 
     def values(self, names: Sequence[str]) -> Calls:
@@ -166,13 +177,133 @@ class ParameterClient:
         found = yield from self.messages(names)
         return dict(zip(names, map(to_value, found), strict=True))
 
-    def set(self, values: Mapping[str, object]) -> Calls:
-        """Set parameters, all of them or none; returns the result."""
+    def set(self, values: Values) -> Calls:
+        """Set parameters, all of them or none; returns the result.
+
+        A node that does not set several at once is given one after the other, and those before if
+        it refuses one.
+        """
         messages = to_messages(values, self._types)
         # A node may take them and not answer.
         self._types |= {item.name: item.value.type for item in messages}
+        if not self.offers(SetParameters):
+            return (yield from self._set_atomically(messages))
+        refusal = None
+        # Where there is no room for several, such a request may not even be read.
+        tries = self._is_atomic is not False and not self._one_by_one
+        if tries and self.offers(SetParametersAtomically):
+            refusal = yield from self._set_atomically(messages)
+            if refusal.successful or (yield from self._takes_its_own(refusal, list(values))):
+                self._is_atomic = True
+                return refusal
+        result, reasons = yield from self._set_each(messages)
+        if refusal is not None and reasons == {refusal.reason}:
+            # It takes nothing at all now, in whatever way.
+            return refusal
+        self._is_atomic = False
+        return result
+
+    def _set_atomically(self, messages: Sequence[ParameterMessage]) -> Calls:
+        values = named_values(messages)
+        self.on_telling(values)
         request = SetParametersAtomically.Request(parameters=messages)
-        return (yield from self._calling(SetParametersAtomically, request)).result
+        result = (yield from self._calling(SetParametersAtomically, request)).result
+        if not result.successful:
+            self.on_refusal(values)
+        return result
+
+    def _takes_its_own(self, refusal: SetParametersResult, names: Sequence[str]) -> Calls:
+        """Whether it is these values that a node has refused.
+
+        One that takes none in this way refuses what it has, too.
+        """
+        if self._is_atomic:
+            return True
+        present = zip(names, (yield from self.messages(names)), strict=True)
+        own = [
+            ParameterMessage(name=name, value=value)
+            for name, value in present
+            if value.type != ParameterType.PARAMETER_NOT_SET
+        ]
+        for message in own:
+            # Of several one may be read-only.
+            if (yield from self._set_atomically([message])).successful:
+                return True
+        return not own and not NOT_OFFERED.search(refusal.reason)
+
+    def _set_each(self, messages: Sequence[ParameterMessage]) -> Calls:
+        """Set parameters one by one, all or none; returns the result, and the reasons if none."""
+        names = [item.name for item in messages]
+        before = dict(zip(names, (yield from self.messages(names)), strict=True))
+        refused = yield from self._set_in_any_order(messages)
+        if not refused:
+            return SetParametersResult(successful=True), set()
+        done = [name for name in reversed(names) if name not in refused]
+        back = [ParameterMessage(name=name, value=before[name]) for name in done]
+        stuck = yield from self._set_in_any_order(back)
+        found = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
+        found += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
+        result = SetParametersResult(successful=False, reason="; ".join(found))
+        return result, set() if done else set(refused.values())
+
+    def _set_in_any_order(self, messages: Sequence[ParameterMessage]) -> Calls:
+        """Set parameters, those again that are refused after which others were set.
+
+        A node may refuse a lower limit above an upper one that is still to come. Returns by name
+        why the rest is refused.
+        """
+        refused: dict[str, str] = {}
+        left = list(messages)
+        while left:
+            results = yield from self._set_several(left)
+            refused = {
+                item.name: str(result.reason)
+                for item, result in zip(left, results, strict=True)
+                if not result.successful
+            }
+            if len(refused) == len(left):
+                return refused
+            left = [item for item in left if item.name in refused]
+        return {}
+
+    def _set_several(self, messages: Sequence[ParameterMessage]) -> Calls:
+        """Set parameters one after the other; returns a result for each."""
+        for item in messages:
+            self.on_telling(named_values([item]))
+        results = yield from self._asking(SetParameters, messages)
+        results = [result or SetParametersResult() for result in results]
+        for item, result in zip(messages, results, strict=True):
+            if not result.successful:
+                self.on_refusal(named_values([item]))
+        return results
+
+    def _asking(self, kind: Any, items: Sequence[Any]) -> Calls:
+        """Ask for something of each item; returns the answers, None where there is none.
+
+        A node may answer nothing at all if it lacks one of them, or has no room for so many.
+        """
+        asked, answered = FIELDS[kind]
+        many = len(items) > 1
+        if not many or not self._one_by_one:
+            try:
+                answer = yield from self._calling(kind, kind.Request(**{asked: items}))
+                found = list(getattr(answer, answered))
+                if len(found) == len(items):
+                    self._one_by_one = False if many else self._one_by_one
+                    return found
+            except SilentError:
+                if not many or self._one_by_one is False:
+                    raise
+                # Either it is gone, or it answers this.
+                first = yield from self._asking(kind, items[:1])
+                self._one_by_one = True
+                return first + (yield from self._asking(kind, items[1:]))
+        if not many:
+            return [None for _ in items]
+        found = []
+        for item in items:
+            found += yield from self._asking(kind, [item])
+        return found
 
     def _calling(self, kind: Any, request: Any) -> Calls:
         return self._tuner.calling(self._clients[kind], request, self.node)
