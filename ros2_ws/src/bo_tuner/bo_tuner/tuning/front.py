@@ -14,9 +14,9 @@ from scipy.special import stdtrit
 
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import pooled
-from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 CONFIDENCE = 0.95
 """Of the interval of a mean."""
