@@ -97,7 +97,7 @@ class Analysis:
 
     @cached_property
     def models(self) -> Surrogates:
-        """Surrogates of all trials, the same as in `rank`."""
+        """Surrogates of all trials, those of the ranking."""
         return self._ranking.models(self.study, self._checked)
 
     @cached_property

@@ -74,7 +74,7 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     study
         The study.
     ranked
-        As from `rank`, with the evaluations of checks.
+        As from `Ranking.rank`, with the evaluations of checks.
     """
     # In a space smaller than the budget several trials are of one set.
     firsts: dict[object, Candidate] = {}

@@ -2,8 +2,8 @@
 
 Candidates are selected by noisy evaluations, so the estimates from these are too optimistic. They
 are therefore evaluated again, in fresh contexts from the distribution and, with fresh noise, in
-their estimated worst context. These evaluations are added to the trial, and `rank` decides among
-the candidates that passed the check.
+their estimated worst context. These evaluations are added to the trial, and the ranking decides
+among the candidates that passed the check.
 """
 
 from collections.abc import Iterable, Sequence
