@@ -282,6 +282,19 @@ class Halves(Method):
 
 
 class TestMethod:
+    def test_what_it_must_say_is_asked_for_when_it_is_made(self):
+        class Silent(Method):
+            title = "silent"
+
+        with pytest.raises(TypeError, match=r"abstract.*answer_search.*optimizer.*ranking"):
+            Silent()
+
+    def test_an_earlier_run_over_other_contexts_is_no_data_unless_it_says_so(self, make_study):
+        study = make_study()
+        assert Halves().unusable(study, study, [], []) == ""
+        assert Halves().unusable(study, study, ["load"], ["peak"]).startswith("contexts.load")
+        assert "constraints.peak" in Halves().unusable(study, study, [], ["peak"])
+
     def test_it_is_run_from_the_first_trial_to_the_report(self, tmp_path, monkeypatch, capsys):
         """By the commands, once it is registered."""
         monkeypatch.setitem(METHODS, "halves", Halves())

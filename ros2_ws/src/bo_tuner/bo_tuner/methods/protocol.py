@@ -4,11 +4,13 @@ Whatever depends on the method is asked of it here, by the loop, the driver of t
 verdict, the report, the time left and ``--check``. None of them knows which method it is.
 """
 
+from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
+from bo_tuner.errors import StudyError
 from bo_tuner.methods.outlook import Outlook
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.searches import SearchRule
@@ -65,6 +67,7 @@ class Method(Protocol):
     title: str
 
     @property
+    @abstractmethod
     def ranking(self) -> Ranking[Surrogates]: ...  # noqa: D102
 
     # Trials.
@@ -73,14 +76,17 @@ class Method(Protocol):
         """Return in a few words why it cannot run a study; empty if it can."""
         return ""
 
+    @abstractmethod
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
 
+    @abstractmethod
     def first_contexts(
         self, study: Study, number: int, proposal: Proposal
     ) -> list[tuple[Stage, dict[str, float]]]:
         """Return the contexts that a trial begins in, by its number, each with its stage."""
 
+    @abstractmethod
     def worst_case_searches(
         self, study: Study, proposal: Proposal, trials: Sequence[Trial]
     ) -> WorstCaseSearches:
@@ -97,7 +103,14 @@ class Method(Protocol):
         """
 
     def with_search(self, search: SearchRule) -> "Method":
-        """Return the method with another search for the worst context."""
+        """Return the method with another search for the worst context.
+
+        Raises
+        ------
+        StudyError
+            If its search is no part that can be replaced.
+        """
+        raise StudyError(f"{self.title}: its search for the worst context cannot be replaced")
 
     def incumbent(self, study: Study, trials: Sequence[Trial]) -> Candidate | None:
         """Return the first in rank; None if no trial is complete."""
@@ -115,6 +128,7 @@ class Method(Protocol):
 
     # The answer.
 
+    @abstractmethod
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None
     ) -> AnswerSearch:
@@ -129,6 +143,7 @@ class Method(Protocol):
             as are due to the trials.
         """
 
+    @abstractmethod
     def doubt(self, feasibility: float) -> str:
         """Return why an answer that is not `Recommendation.feasible` is doubtful.
 
@@ -154,6 +169,7 @@ class Method(Protocol):
         """
         return list(trials)
 
+    @abstractmethod
     def checked(
         self, study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
     ) -> list[Trial]:
@@ -189,6 +205,11 @@ class Method(Protocol):
         unsearched
             Worst-case constraints that the earlier run has not searched for.
         """
+        if moved:
+            return f"contexts.{moved[0]} has another distribution"
+        if unsearched:
+            return f"the worst case of constraints.{unsearched[0]} was not searched for in this run"
+        return ""
 
     def takes_parts(self) -> bool:
         """Whether some of a trial's evaluations are data without the others."""
@@ -202,9 +223,11 @@ class Method(Protocol):
 
     # What is to come.
 
+    @abstractmethod
     def most_evaluations(self, study: Study) -> int:
         """Return the largest number of evaluations of a run, without the validation."""
 
+    @abstractmethod
     def time_to_answer(self, study: Study, times: Times) -> float:
         """Return the time [s] that it will take until the answer is there, by what was measured."""
 
