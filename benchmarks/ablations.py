@@ -13,29 +13,28 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
-from dataclasses import dataclass, field
-from types import ModuleType
+from dataclasses import dataclass, field, replace
 from typing import Any
-from unittest.mock import patch
 
 # Before the libraries that read it.
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 from common import provenance, read_result, result_parser, table, write_result
 
-from bo_tuner.models import fitting, pooled_process
+from bo_tuner.methods.boundary.method import Boundary
+from bo_tuner.methods.boundary.repetition import OwnRuns
+from bo_tuner.methods.boundary.settling import Repetitions
+from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance, Schedule
 from bo_tuner.models.compression import Compression
-from bo_tuner.optimizers import boundary, repetition
-from bo_tuner.optimizers.boundary import BoundaryOptimization
+from bo_tuner.models.pooled_models import PooledModels
+from bo_tuner.models.pooled_process import PooledProcesses
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.trials import TrialState
-from bo_tuner.tuning import settling
 from tuning_benchmark.campaign import runs
 from tuning_benchmark.experiments.experiment_file import load_experiment
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, truth_of
 from tuning_benchmark.pages.statistics import difference, mcnemar, mean
 
-Change = tuple[ModuleType | type, str, Any]
 ROW = "boundary"
 EXPERIMENTS = {
     "mean": "boundary",
@@ -49,39 +48,47 @@ EXPERIMENTS = {
 SHIPPED = "as shipped"
 
 
+BOUNDARY = Boundary(ROW)
+
+
 @dataclass(frozen=True)
 class Variant:
-    """The algorithm with other values of names in modules or classes, or keys of the budget."""
+    """The method with other parts, or other keys of the budget."""
 
     title: str
-    changes: Sequence[Change] = ()
+    method: Boundary = BOUNDARY
     budget: Mapping[str, Any] = field(default_factory=dict)
     cases: Sequence[str] = ("mean",)
 
 
-def _all(_: object, evaluations: int) -> int:
-    return evaluations
-
-
-def _as_it_is(_: object, limit: float, sign: float = 1.0) -> Compression:
+def _as_it_is(_: Array, limit: float, sign: float) -> Compression:
     return Compression(limit, sign)
 
 
 VARIANTS = (
     Variant(SHIPPED, cases=tuple(EXPERIMENTS)),
-    Variant("no repetitions: all evaluations for trials", ((runs, "before_repetitions", _all),)),
-    Variant("search to the end of the trials", ((boundary, "SEARCHING", 1.0),)),
-    Variant("no search: boundary from the initial design on", ((boundary, "SEARCHING", 0.0),)),
-    Variant("points to be shown feasible by 2 runs, not 8", ((boundary, "AHEAD", 2),)),
+    Variant(
+        "no repetitions: all evaluations for trials",
+        replace(BOUNDARY, repetitions=Repetitions(share=0.0)),
+    ),
+    Variant("search to the end of the trials", replace(BOUNDARY, schedule=Schedule(1.0))),
+    Variant(
+        "no search: boundary from the initial design on",
+        replace(BOUNDARY, schedule=Schedule(0.0)),
+    ),
+    Variant("points to be shown feasible by 2 runs, not 8", replace(BOUNDARY, ahead=2)),
     Variant(
         "equal noise everywhere",
-        ((pooled_process, "WIDTH", 1e3),),
+        replace(BOUNDARY, models=PooledModels(PooledProcesses(width=1e3))),
         cases=("mean", "single-run"),
     ),
-    Variant("fits continue only, never start anew", ((pooled_process, "RESTARTED", 0),)),
+    Variant(
+        "fits continue only, never start anew",
+        replace(BOUNDARY, models=PooledModels(PooledProcesses(restarted=0))),
+    ),
     Variant(
         "worst contexts at the corners and the hypercube only",
-        ((fitting, "searched_contexts", lambda _: ()),),
+        replace(BOUNDARY, models=PooledModels(looked=lambda _: ())),
     ),
     Variant(
         "5 drawn contexts and 10 searched, as in the paper, for each trial of the search",
@@ -89,32 +96,32 @@ VARIANTS = (
     ),
     Variant(
         "up to a third as many repetitions as evaluations of the trials, not a sixth",
-        ((settling, "SHARE", 1.0 / 3.0),),
+        replace(BOUNDARY, repetitions=Repetitions(share=1.0 / 3.0)),
         cases=("mean", "closed-4-2"),
     ),
     Variant(
         "answer without runs of its own",
-        ((repetition, "OWN_RUNS", 0), (repetition, "CORNERS", 0)),
+        replace(BOUNDARY, own_runs=OwnRuns(doubtful=0, corners=0)),
         cases=("mean", "closed-4-2"),
     ),
     Variant(
         "answer not run in the corners of the contexts",
-        ((repetition, "CORNERS", 0),),
+        replace(BOUNDARY, own_runs=OwnRuns(corners=0)),
         cases=("closed-4-2", "closed-4-2-steep"),
     ),
     Variant(
         "limited metrics modelled as they are, however far beyond the limit",
-        ((Compression, "of", _as_it_is),),
+        replace(BOUNDARY, models=PooledModels(scale=_as_it_is)),
         cases=("closed-4-2-steep",),
     ),
     Variant(
         "probability of a crash at most a tenth, not adapted",
-        ((boundary, "ADAPTATION", 0.0),),
+        replace(BOUNDARY, avoidance=AdaptedAvoidance(adaptation=0.0)),
         cases=("closed-4-3-crash",),
     ),
     Variant(
         "any probability of a crash",
-        ((BoundaryOptimization, "avoid", 1.0),),
+        replace(BOUNDARY, avoidance=lambda *_: 1.0),
         cases=("closed-4-3-crash",),
     ),
 )
@@ -127,13 +134,10 @@ def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
     study = case.study.replace(**variant.budget)
     size = runs.RunSize(case.evaluations, 0, study.budget.initial_trials)
     begin = time.process_time()
-    with ExitStack() as stack:
-        for module, name, value in variant.changes:
-            stack.enter_context(patch.object(module, name, value))
-        tuning = runs.Run(study, case.rows[ROW], seed, size)
-        for _ in tuning:
-            pass
-        answer = tuning.answer()
+    tuning = runs.Run(study, case.rows[ROW], seed, size, variant.method)
+    for _ in tuning:
+        pass
+    answer = tuning.answer()
     found: dict[str, Any] = {
         "seed": seed,
         "trials": len(tuning.trials),

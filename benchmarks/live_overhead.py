@@ -20,13 +20,13 @@ from pathlib import Path
 from common import check_end, provenance, result_parser, table, write_result
 from sections.cost import LIVE_PARTS
 
-import bo_tuner.cli.session
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.interruption import Interruption
+from bo_tuner.methods.boundary.method import Boundary
+from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.monitoring.node import HEADLINES, LiveNode
 from bo_tuner.monitoring.progress import RunProgress
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.stopping import StopAdvisor
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
 
@@ -88,7 +88,7 @@ def install(meter: Meter) -> list[subprocess.Popen]:
         for name in steps.intersection(vars(observer)):
             setattr(observer, name, meter.timed("calls", getattr(observer, name)))
     StopAdvisor.consider = meter.timed("advice", StopAdvisor.consider)
-    bo_tuner.cli.session.incumbent = meter.timed("incumbent", bo_tuner.cli.session.incumbent)
+    Boundary.incumbent = meter.timed("incumbent", Boundary.incumbent)
     enter, leave, draw_no_more = LiveNode.__init__, LiveNode.close, RunProgress.__exit__
 
     def start(self: LiveNode, *arguments: object) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from common import BENCHMARKS, check_end, events, start_tuning
 from web_overhead import ADDRESS, Follower
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.run_folder import RunFolder
@@ -75,7 +75,7 @@ def make_run(folder: Path, name: str, trials: int, more: int) -> Path:
         provenance = session_provenance(study, "inprocess", ALGORITHM)
         with Journal(run.journal, provenance) as journal:
             tuning = Tuning(
-                study, Formula(study), ALGORITHMS[ALGORITHM], observer=JournalObserver(journal)
+                study, Formula(study), METHODS[ALGORITHM], observer=JournalObserver(journal)
             )
             for trial in tuning:
                 journal.record_trial(trial)

@@ -18,8 +18,9 @@ from common import opened, provenance, result_parser, table, write_result
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
-from bo_tuner.optimizers.stopping import StopAdvisor
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.loop import Tuning
@@ -30,10 +31,10 @@ PROBLEM = ClosedForm(parameters=2, contexts=1, noise=CONSTANT)
 TRIALS = 40
 
 
-def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str, Any] | None:
+def answer(study: Study, method: Method, trials: list[Trial]) -> dict[str, Any] | None:
     """Settle the answer from trials, and return its true cost and worst mean; None without one."""
     with opened(InProcessBackend(study)) as backend:
-        found = choose_answer(study, backend, algorithm, trials)
+        found = choose_answer(study, backend, method, trials)
     if found is None:
         return None
     point = PROBLEM.point(found.candidate.trial.parameters)
@@ -48,17 +49,17 @@ def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str,
 
 def run(name: str, seed: int) -> dict[str, Any]:
     """Optimize once, and compare the answers with and without the advice."""
-    study, algorithm = PROBLEM.study(), ALGORITHMS[name]
+    study, method = PROBLEM.study(), METHODS[name]
     study = replace(study, seed=seed, budget=replace(study.budget, trials=TRIALS))
-    advisor = StopAdvisor(study, algorithm)
+    advisor = StopAdvisor(study, method)
     with opened(InProcessBackend(study)) as backend:
-        tuning = Tuning(study, backend, algorithm)
+        tuning = Tuning(study, backend, method)
         for _ in tuning:
             advisor.consider(tuning.trials)
-    whole = answer(study, algorithm, tuning.trials)
+    whole = answer(study, method, tuning.trials)
     result: dict[str, Any] = {"seed": seed, "algorithm": name, "whole": whole, "advice": None}
     if advisor.advice is not None:
-        stopped = answer(study, algorithm, tuning.trials[: advisor.advice.trials])
+        stopped = answer(study, method, tuning.trials[: advisor.advice.trials])
         result |= {"advice": asdict(advisor.advice), "stopped": stopped}
         result["gain"] = None if None in (whole, stopped) else stopped["cost"] - whole["cost"]
     return result
@@ -91,7 +92,7 @@ def main() -> None:
     parser = result_parser(__doc__, "stop_advice.json")
     parser.add_argument("--seeds", type=int, default=20, help="(default: %(default)s)")
     parser.add_argument("--first", type=int, default=1, help="first seed (default: %(default)s)")
-    parser.add_argument("--algorithms", nargs="+", default=["boundary"], choices=list(ALGORITHMS))
+    parser.add_argument("--algorithms", nargs="+", default=["boundary"], choices=list(METHODS))
     arguments = parser.parse_args()
     seeds = list(range(arguments.first, arguments.first + arguments.seeds))
     about = provenance() | {"seeds": seeds}

@@ -57,8 +57,8 @@ from common import OTHER_PACKAGES, opened, provenance, result_parser, table, wri
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.models import fitting, surrogates
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
@@ -155,7 +155,7 @@ class Problem:
     def ours(self, contender: str) -> Callable[[], object]:
         """Make ready our stage one; with a warm start it has proposed one trial before."""
         name, _, cold = contender.partition(" ")
-        stage_one = ALGORITHMS[name].optimizer(self._study)
+        stage_one = METHODS[name].optimizer(self._study)
         trials = self._trials
         if name == "boundary":
             trials = self._of_boundary()

@@ -1,15 +1,29 @@
-"""Parts from outside the package: an acquisition, a surrogate and a metric source of one's own."""
+"""From outside the package: an acquisition, surrogates, a search, a method, a metric source."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import yaml
+from report_runs import axis_study, run_study
 
+from bo_tuner.cli.report import run
+from bo_tuner.interruption import Interruption
+from bo_tuner.methods.paper.searches import Joint
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.searches import SearchRule, searches_of
 from bo_tuner.metrics.source import MissingMetricError
-from bo_tuner.models.fitting import ModelOptions
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.base import ACQUISITION
+from bo_tuner.models.pooled_models import PooledModels
+from bo_tuner.models.trial_models import TrialModels, over_contexts
+from bo_tuner.optimizers.base import ACQUISITION, DesignedOptimizer, Proposal
+from bo_tuner.optimizers.ranking import Ranking
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.storage.record import read_run
+from bo_tuner.trials import Stage
 from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.worst_case.reinterpolation_search import ReinterpolationSearch
 
 
@@ -21,16 +35,17 @@ def tune(study, backend, algorithm):
     return list(Tuning(study, backend, algorithm))
 
 
+def towards(surrogates, incumbent, *, avoid, reinterpolate):
+    """Towards one point, whatever the models say: no improvement is expected anywhere."""
+    return lambda x: -np.abs(x[:, 0] - 0.8125)
+
+
 class TestAcquisition:
-    """Towards one point, whatever the models say."""
-
-    def test_it_decides_where_to_go(self, make_study, function_backend):
-        def towards(surrogates, incumbent, *, avoid, reinterpolate):
-            return lambda x: -np.abs(x[:, 0] - 0.8125)
-
-        algorithm = replace(ALGORITHMS["IV"], acquisition=towards)
+    @pytest.mark.parametrize("name", ["IV", "boundary"])
+    def test_it_decides_where_to_go(self, make_study, function_backend, name):
+        method = replace(METHODS[name], acquisition=towards)
         study = make_study().replace(trials=4)
-        trials = tune(study, function_backend(study, valley), algorithm)
+        trials = tune(study, function_backend(study, valley), method)
         assert trials[3].origin == ACQUISITION
         assert trials[3].parameters["gain"] == pytest.approx(0.8125, abs=1e-3)
 
@@ -74,17 +89,86 @@ class NearestMean:
 
 
 class TestSurrogate:
-    @pytest.mark.parametrize("joint", [False, True])
-    def test_it_stands_for_every_response(self, make_study, function_backend, joint):
+    @pytest.mark.parametrize("part", [{}, {"worst_case": over_contexts}], ids=["trials", "joint"])
+    def test_it_stands_for_every_response(self, make_study, function_backend, part):
         # The joint search of Algorithm V fits a Gaussian process of its own.
-        models = ModelOptions(reject_outliers=False, joint=joint, fit=NearestMean.fit)
-        algorithm = replace(ALGORITHMS["IV"], models=models)
+        models = TrialModels(NearestMean.fit, reject_outliers=False, **part)
+        algorithm = replace(METHODS["IV"], models=models)
         NearestMean.fitted = 0
         study = make_study().replace(trials=6)
         trials = tune(study, function_backend(study, valley), algorithm)
         assert NearestMean.fitted >= 2 * 3
         assert [t.origin for t in trials[3:]] == [ACQUISITION] * 3
         assert not any(t.warnings for t in trials)
+
+
+class Averages:
+    """A process over parameter set and context: the mean of the runs nearby, with equal noise."""
+
+    warm_start, warnings, scale, noise_variance = (), (), 1.0, 1e-4
+
+    def __init__(self, x, c, y):
+        self.x, self.c, self.y = x, c, y
+        self.points, self.counts = np.unique(x, axis=0, return_counts=True)
+        self.range = float(y.min()), float(y.max())
+        self.length_scales = np.full(x.shape[1] + c.shape[1], 0.5)
+
+    def means(self, x, contexts):
+        apart = np.abs(x[:, None] - self.x).sum(axis=2)[:, None]
+        apart = apart + np.abs(contexts[:, None] - self.c).sum(axis=2)
+        weights = np.exp(-apart / 0.05)
+        return (weights @ self.y) / weights.sum(axis=2)
+
+    def variances(self, x, contexts, which):
+        return np.abs(x[:, None] - self.points).sum(axis=2).min(axis=1) ** 2 + 1e-6
+
+    def variance_of_mean(self, x, contexts):
+        return self.variances(x, contexts, None)
+
+    def variance_of_weighted(self, x, contexts, weights):
+        return self.variances(x, contexts, None)
+
+    def noise(self, x, contexts, which):
+        return np.full(len(x), self.noise_variance), np.full(len(x), 10.0)
+
+    def noise_everywhere(self, x, contexts):
+        shape = len(x), len(contexts)
+        return np.full(shape, self.noise_variance), np.full(shape, 10.0)
+
+
+class AveragesKind:
+    """Makes them, and counts how many."""
+
+    made = 0
+
+    def fit(self, x, c, y, **_):
+        self.made += 1
+        return Averages(x, c, y)
+
+    def condition(self, hyperparameters, x, c, y, *, coding):
+        return self.fit(x, c, y)
+
+
+class TestSurrogateOfBoundary:
+    def test_it_stands_for_objective_and_limits_in_both_stages(self, make_study, function_backend):
+        """Peak 0.5 + gain * load / 2 of a load up to 2 exceeds the limit 1 for a gain above 0.5."""
+
+        def slope(gain, load, seed):
+            return {"error": 2.0 - gain, "peak": 0.5 + 0.5 * gain * load}
+
+        kind = AveragesKind()
+        method = replace(METHODS["boundary"], models=PooledModels(kind))
+        study = make_study().replace(trials=14, initial_trials=8)
+        backend = function_backend(study, slope)
+        trials = tune(study, backend, method)
+        assert not any(t.warnings for t in trials)
+        assert {t.origin for t in trials[8:]} == {ACQUISITION}
+        # In each proposal, and in each search for the worst context.
+        assert kind.made > 2 * 6 + 14
+        answer = choose_answer(study, backend, method, trials).candidate.trial
+        # The cost falls up to a gain of 1. Averages over 0.05 know the limit as well as that.
+        assert answer.parameters["gain"] == pytest.approx(0.5, abs=0.1)
+        assert answer.worst_cases["peak"].context["load"] == pytest.approx(2.0, abs=0.3)
 
 
 class Difference:
@@ -102,7 +186,7 @@ class TestMetricSource:
     def test_it_takes_the_place_of_a_figure(self, make_study, function_backend):
         study = make_study()
         backend = function_backend(study, valley, {"peak": Difference()})
-        (trial, *_) = tune(study, backend, ALGORITHMS["I"])
+        (trial, *_) = tune(study, backend, METHODS["I"])
         gain = trial.parameters["gain"]
         (evaluation,) = trial.evaluations
         assert evaluation.outcome.metrics["peak"] == pytest.approx(-0.5 - (gain - 0.3) ** 2)
@@ -110,27 +194,119 @@ class TestMetricSource:
     def test_what_it_lacks_fails_the_evaluation(self, make_study, function_backend):
         study = make_study()
         backend = function_backend(study, lambda **_: {"peak": 1.0}, {"error": Difference()})
-        (trial, *_) = tune(study, backend, ALGORITHMS["I"])
+        (trial, *_) = tune(study, backend, METHODS["I"])
         assert trial.reason == "axis: no 'error'"
 
 
+class Corners(SearchRule):
+    """Looks at the largest load alone."""
+
+    def __call__(self, study, constraint, proposal, trials, evaluations):
+        class Search(ReinterpolationSearch):
+            def ask(self, rng):
+                self._asked += 1
+                return {"load": 2.0}
+
+        return Search(study.context_space(), constraint.upper, 2)
+
+
 class TestWorstCaseSearch:
-    def test_an_algorithm_brings_its_own(self, make_study, function_backend):
-        asked = []
-
-        @dataclass(frozen=True)
-        class Corners(type(ALGORITHMS["IV"])):
-            def worst_case_search(self, study, constraint, proposal, trials):
-                class Search(ReinterpolationSearch):
-                    def ask(self, rng):
-                        self._asked += 1
-                        asked.append(self._asked)
-                        return {"load": 2.0}
-
-                return Search(study.context_space(), constraint.upper, 2)
-
+    @pytest.mark.parametrize("name", ["IV", "boundary"])
+    def test_a_method_takes_another_one(self, make_study, function_backend, name):
         study = make_study().replace(trials=2)
-        trials = tune(study, function_backend(study, valley), Corners("corners only"))
+        method = replace(METHODS[name], search=Corners())
+        trials = tune(study, function_backend(study, valley), method)
         searched = [e.context for t in trials for e in t.evaluations if e.stage == "search"]
         assert searched == [{"load": 2.0}] * 4
-        assert asked == [1, 2, 1, 2]
+
+    def test_one_that_knows_the_joint_model_is_no_search_of_each_trial(self):
+        assert "searches for it in each trial" in Corners().unusable(["peak"])
+        assert Joint().unusable(["peak"]) == ""
+
+
+class Nothing:
+    """Asks for no more runs."""
+
+    steps, what = 0, "runs"
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def ask(self):
+        return None
+
+    def tell(self, evaluation):
+        raise AssertionError(evaluation)
+
+
+class Halving(DesignedOptimizer):
+    """Halves the gain from trial to trial."""
+
+    def ask(self):
+        gain = self.trials[-1].parameters["gain"] / 2.0 if self.trials else 1.0
+        return Proposal({"gain": gain}, "halved")
+
+
+class Halves(Method):
+    """A method of one's own, which answers with its last parameter set."""
+
+    title = "halves"
+    ranking = Ranking(TrialModels(reject_outliers=False))
+
+    def optimizer(self, study):
+        return Halving(study)
+
+    def first_contexts(self, study, number, proposal):
+        return [(Stage.DRAWN, {"load": 1.5})]
+
+    def worst_case_searches(self, study, proposal, trials):
+        return searches_of(Corners(), study, proposal, trials, 1)
+
+    def answer_search(self, study, trials, most=None):
+        ranked = self.ranking.rank(study, trials)
+        last = max(ranked, key=lambda candidate: candidate.trial.number)
+        return Nothing(Recommendation(last, True, (), tuple(ranked)))
+
+    def checked(self, study, trials, evaluations):
+        return list(trials)
+
+    def most_evaluations(self, study):
+        return 2 * study.budget.trials
+
+    def time_to_answer(self, study, times):
+        left = study.budget.remaining(times.counted, times.evaluations)
+        return left * times.evaluations_of_trial() * times.recent_evaluation()
+
+    def doubt(self, feasibility):
+        return "It is doubtful"
+
+
+class TestMethod:
+    def test_what_it_must_say_is_asked_for_when_it_is_made(self):
+        class Silent(Method):
+            title = "silent"
+
+        with pytest.raises(TypeError, match=r"abstract.*answer_search.*optimizer.*ranking"):
+            Silent()
+
+    def test_an_earlier_run_over_other_contexts_is_no_data_unless_it_says_so(self, make_study):
+        study = make_study()
+        assert Halves().unusable(study, study, [], []) == ""
+        assert Halves().unusable(study, study, ["load"], ["peak"]).startswith("contexts.load")
+        assert "constraints.peak" in Halves().unusable(study, study, [], ["peak"])
+
+    def test_it_is_run_from_the_first_trial_to_the_report(self, tmp_path, monkeypatch, capsys):
+        """By the commands, once it is registered."""
+        monkeypatch.setitem(METHODS, "halves", Halves())
+        budget = {"trials": 4, "initial_trials": 1, "validation_draws": 4}
+        text = yaml.safe_dump(axis_study(budget=budget))
+        record = read_run(run_study(tmp_path, text, "--algorithm", "halves"))
+        assert [t.parameters["gain"] for t in record.trials] == [1.0, 0.5, 0.25, 0.125]
+        # The peak is twice the gain times the load; a search ends when it exceeds 1.
+        assert [len(t.evaluations) for t in record.trials] == [1, 1, 2, 2]
+        assert record.result.number == 3
+        page = Analysis(record)
+        assert page.answer == record.result
+        assert [t.number for t in page.comparable] == [0, 1, 2, 3]
+        assert run([str(record.path)], Interruption()) == 0
+        assert (record.path / "report.html").exists()

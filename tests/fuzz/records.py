@@ -24,8 +24,7 @@ from bo_tuner.certificate.store import CERTIFICATES, certificate_problem
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.deploy.bundle import DEPLOY, ROLLBACK, read_rollback, result_of, write_bundle
 from bo_tuner.errors import BoTunerError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.replay.replay import BEST as THE_BEST
 from bo_tuner.replay.replay import WORST, find_evaluation, find_trial, replay
 from bo_tuner.report.analysis import Analysis
@@ -40,7 +39,7 @@ from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import conclude, summarize, with_summary
 
-ALGORITHM = ALGORITHMS["IV"]
+ALGORITHM = METHODS["IV"]
 FILES = (SUMMARY, f"{CERTIFICATES}/0001.json", BEST, f"{DEPLOY}/{ROLLBACK}")
 VALUES = (
     None, True, False, 0, -1, 1, 3, 2**63, -(2**70), 10**400, 0.5, -0.0, 1e-320, 1e99, 1e101, 1e308,
@@ -209,7 +208,7 @@ def _resume(folder):
     backend = RecordedEvaluations(backend_of(study), study, content.evaluations)
     tuning = Tuning(study, backend, ALGORITHM, trials=content.trials)
     list(tuning)
-    rank(study, tuning.trials, ALGORITHM.models)
+    ALGORITHM.ranking.rank(study, tuning.trials)
     export_csv(folder / JOURNAL, folder)
 
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 
 from bo_tuner.certificate.store import FORMAT, evaluations_path, next_path, parameters_sha256
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
@@ -36,9 +36,7 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess", a
         if attached:
             who |= {ATTACHED: "yes"}
         with Journal(folder / "journal.sqlite", who) as journal:
-            for trial in Tuning(
-                study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)
-            ):
+            for trial in Tuning(study, backend, METHODS["IV"], observer=JournalObserver(journal)):
                 journal.record_trial(trial)
     finally:
         backend.close()

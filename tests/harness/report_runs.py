@@ -106,8 +106,8 @@ def run_axis(folder: Path, **sections) -> Path:
     return run_study(folder, yaml.safe_dump(axis_study(**sections)))
 
 
-def run_study(folder: Path, text: str) -> Path:
-    """Run a study in this process and return its run folder."""
+def run_study(folder: Path, text: str, *options: str) -> Path:
+    """Run a study in this process, with further options, and return its run folder."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "report_objects.py").write_text(OBJECTS, encoding="utf-8")
     (folder / "study.yaml").write_text(text, encoding="utf-8")
@@ -115,7 +115,7 @@ def run_study(folder: Path, text: str) -> Path:
     # Every folder holds the same objects, so it does not matter which one is found first.
     sys.path.append(str(folder))
     try:
-        tune.run([*map(str, arguments), "--backend", "inprocess"], Interruption())
+        tune.run([*map(str, arguments), "--backend", "inprocess", *options], Interruption())
     finally:
         sys.path.remove(str(folder))
     return (folder / "runs" / "latest").resolve()

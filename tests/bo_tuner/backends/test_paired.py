@@ -7,8 +7,8 @@ from functions import FunctionBackend, failed
 
 from bo_tuner.certificate.judgement import judge
 from bo_tuner.errors import RunError
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.collect import LARGEST_METRIC
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import (
     DISTURBED,
     UNPREPARED,
@@ -177,7 +177,7 @@ def test_a_default_that_always_fails_ends_the_run_by_name(study):
     backend = FunctionBackend(
         study, lambda gain, **draw: failed("diverged") if gain == DEFAULT else machine(gain, **draw)
     )
-    tuning = Tuning(study, backend, ALGORITHMS["IV"])
+    tuning = Tuning(study, backend, METHODS["IV"])
     with pytest.raises(RunError, match="3 trials in a row could not be prepared: the default, "):
         list(tuning)
     assert all(trial.spoilt for trial in tuning.trials)
@@ -186,7 +186,7 @@ def test_a_default_that_always_fails_ends_the_run_by_name(study):
 def test_the_limit_divides_the_trials_where_it_should(study):
     """At 1.1 times the default's gain, exactly, in every context and with every seed."""
     study = study.replace(trials=12, initial_trials=6)
-    for trial in Tuning(study, FunctionBackend(study, machine), ALGORITHMS["boundary"]):
+    for trial in Tuning(study, FunctionBackend(study, machine), METHODS["boundary"]):
         assert trial.state is TrialState.COMPLETE
         above = np.array([e.outcome.metrics["peak_minus_1.1_default"] for e in trial.evaluations])
         violated = study.constraints["calm"].violations(above)

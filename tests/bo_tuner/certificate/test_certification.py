@@ -15,7 +15,7 @@ from bo_tuner.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.certificate.judgement import LEAST_RUNS, judge
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import validate
@@ -37,7 +37,7 @@ class TestEvaluations:
         assert seen[0] == seen[1]
         assert len(set(seen[0])) == LEAST_DRAWS == 30
         before = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
-        list(Tuning(study, before, ALGORITHMS["IV"]))
+        list(Tuning(study, before, METHODS["IV"]))
         validate(study, before, [{"gain": 0.25}])
         for key in ("load", "seed"):
             drawn = {c.context[key] if key == "load" else c.seed for c in tuned.drawn}

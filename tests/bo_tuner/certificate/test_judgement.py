@@ -15,7 +15,7 @@ from bo_tuner.certificate.judgement import LEAST_RUNS, judge, most_draws_needed
 from bo_tuner.certificate.sequential import draws_needed
 from bo_tuner.certificate.winners_curse import training_gaps
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 DRAWS_NEEDED = draws_needed_without_event(0.04, 0.05)
@@ -311,7 +311,9 @@ class TestWinnersCurse:
         ]
         winner = min(trials, key=lambda t: np.mean(t.observations("error")))
         found = judge(study, evidence([0.5] * 300, [[0.7, 0.7] * 10]), 0.95)
-        objective, worst = training_gaps(study, winner, rank(study, trials), found)
+        objective, worst = training_gaps(
+            study, winner, METHODS["IV"].ranking.rank(study, trials), found
+        )
         shown = np.mean(winner.observations("error"))
         assert objective.observed == pytest.approx(shown)
         assert objective.validated == 1.0

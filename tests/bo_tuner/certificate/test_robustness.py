@@ -10,9 +10,9 @@ from scipy import stats
 
 from bo_tuner.certificate.context_tolerance import CREDIBLE, MOST_CONTEXTS, context_tolerances
 from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import TOLERABLE, ranked_by, ranking_models
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.models.trial_models import TrialModels
+from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
     Evaluation,
@@ -250,7 +250,7 @@ class TestNeighbourhood:
             trial(k, point, *figures[:2])
             for k, (point, figures) in enumerate(zip(points, TABLE.values(), strict=True))
         ]
-        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         narrow = parameter_sensitivity(study, points[0], models)
         assert narrow.score > 0.0
         changed = [set(n.changed.items()) for n in narrow.narrow]
@@ -269,7 +269,7 @@ class TestNeighbourhood:
             make_trial(k, {"gain": g}, [1.0 + (g - 0.5) ** 2], worst=0.5 + 0.2 * g)
             for k, g in enumerate(np.linspace(0.0, 1.0, 12).tolist())
         ]
-        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
         assert (around.score, around.narrow, around.warning) == (0.0, (), "")
         assert [n.changed["gain"] for n in around.neighbours] == pytest.approx([0.45, 0.55])
@@ -286,7 +286,7 @@ class TestNeighbourhood:
             make_trial(k, {"gain": g}, [math.exp(slope * g)])
             for k, g in enumerate(np.linspace(0.0, 1.0, 15).tolist())
         ]
-        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
         down, up = around.neighbours
         loss = math.expm1(0.05 * slope)
@@ -305,7 +305,7 @@ class TestNeighbourhood:
             make_trial(k, {"gain": g}, [10.0 + 4.0 * g])
             for k, g in enumerate(np.linspace(0.0, 1.0, 15).tolist())
         ]
-        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
         losses = [neighbour.loss for neighbour in around.neighbours]
         assert losses == pytest.approx([-sign * 0.2 / 12.0, sign * 0.2 / 12.0], rel=0.05)
@@ -321,10 +321,10 @@ class TestNeighbourhood:
             return {"error": 1.0 + (gain - 1.0) ** 2, "peak": 0.5}
 
         study = make_study().replace(trials=12)
-        algorithm = ALGORITHMS["boundary"]
-        trials = list(Tuning(study, function_backend(study, axis), algorithm))
-        models = ranking_models(study, trials, algorithm.models)
-        ranked = ranked_by(models, study, trials, algorithm.models)
+        method = METHODS["boundary"]
+        trials = list(Tuning(study, function_backend(study, axis), method))
+        models = method.ranking.models(study, trials)
+        ranked = method.ranking.ranked_by(models, study, trials)
         assert min(found.feasibility for found in ranked) < 0.9
         for found in ranked:
             around = parameter_sensitivity(study, found.trial.parameters, models)
@@ -332,5 +332,5 @@ class TestNeighbourhood:
 
     def test_no_model(self, make_study, make_trial):
         study = make_study()
-        models = Surrogates.fit(study, [make_trial(0, {"gain": 0.5})], rng=np.random.default_rng(0))
+        models = TrialModels()(study, [make_trial(0, {"gain": 0.5})], rng=np.random.default_rng(0))
         assert parameter_sensitivity(study, {"gain": 0.5}, models) is None

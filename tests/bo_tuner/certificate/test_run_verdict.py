@@ -12,8 +12,8 @@ from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import certified, run_verdict
 from bo_tuner.errors import RunRecordError
+from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.trials import Stage, WorstCase
-from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.validated import fresh_draws, is_default

@@ -5,6 +5,7 @@ from pooled_data import CORNERS, PLAIN, scattered
 
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models.pooled_process import PooledProcess
 
 
 class TestCrashModel:
@@ -13,8 +14,8 @@ class TestCrashModel:
         labels = crashed(x[:, 0], c[:, 0])
         neighbours = NeighbourClassifier(x, labels, np.array([0.25]))
         return CrashModel.fit(
-            x, c, labels, coding=PLAIN, contexts=CORNERS, neighbours=neighbours,
-            rng=np.random.default_rng(0),
+            x, c, labels, processes=PooledProcess, coding=PLAIN, contexts=CORNERS,
+            neighbours=neighbours, rng=np.random.default_rng(0),
         )  # fmt: skip
 
     def test_learns_where_runs_fail(self):

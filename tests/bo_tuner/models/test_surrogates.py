@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.models.fitting import ModelOptions, fitted_after
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.fitting import fitted_after
+from bo_tuner.models.pooled_models import PooledModels
+from bo_tuner.models.trial_models import TrialModels, over_contexts
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome, Stage, TrialState
 
 COMPLETE = TrialState.COMPLETE
@@ -27,10 +28,11 @@ def study(make_study):
     )
 
 
-def fit(study, trials, **options):
-    return Surrogates.fit(
-        study, trials, rng=np.random.default_rng(0), options=ModelOptions(**options)
-    )
+OF_TRIALS = TrialModels()
+
+
+def fit(study, trials, models=OF_TRIALS):
+    return models(study, trials, rng=np.random.default_rng(0))
 
 
 def sloped(make_trial, noise=0.0):
@@ -84,7 +86,7 @@ def test_an_outlier_leaves_all_models(study, make_trial):
     assert models.constraints["peak"].predict(x)[0] == pytest.approx([1.1], abs=0.05)
     p_out = models.outlying.probability(np.array([[0.56], [0.05]]))
     assert p_out[0] > 0.5 > p_out[1]
-    assert fit(study, trials, reject_outliers=False).objective.predict(x)[0][0] > 5.0
+    assert fit(study, trials, TrialModels(reject_outliers=False)).objective.predict(x)[0][0] > 5.0
 
 
 def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
@@ -96,17 +98,17 @@ def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
 
 
 @pytest.mark.parametrize(
-    ("options", "outcome", "learnt"),
+    ("models", "outcome", "learnt"),
     [
-        ({}, {"state": EvaluationState.LOST}, True),
-        ({}, {"details": {DISTURBED: "somebody"}}, False),
-        ({"pooled": True}, {"state": EvaluationState.LOST}, False),
-        ({"pooled": True}, {"details": {DISTURBED: "somebody"}}, False),
+        (OF_TRIALS, {"state": EvaluationState.LOST}, True),
+        (OF_TRIALS, {"details": {DISTURBED: "somebody"}}, False),
+        (PooledModels(), {"state": EvaluationState.LOST}, False),
+        (PooledModels(), {"details": {DISTURBED: "somebody"}}, False),
     ],
-    ids=str,
+    ids=["trials, lost", "trials, disturbed", "pooled, lost", "pooled, disturbed"],
 )
 def test_what_is_no_failure_of_its_parameters_is_not_learnt_as_one(
-    study, make_trial, options, outcome, learnt
+    study, make_trial, models, outcome, learnt
 ):
     spoilt = make_trial(9, {"x": 0.97})
     (evaluation,) = spoilt.evaluations
@@ -115,8 +117,8 @@ def test_what_is_no_failure_of_its_parameters_is_not_learnt_as_one(
     # A crash elsewhere, without which nothing is learnt of crashes at all.
     trials = [*sloped(make_trial), make_trial(8, {"x": 0.0})]
     x = np.array([[0.965]])
-    (before,) = fit(study, trials, **options).failures.probability(x)
-    (after,) = fit(study, [*trials, spoilt], **options).failures.probability(x)
+    (before,) = fit(study, trials, models).failures.probability(x)
+    (after,) = fit(study, [*trials, spoilt], models).failures.probability(x)
     assert (after > before + 0.3) if learnt else (after == before)
 
 
@@ -146,22 +148,26 @@ def test_the_joint_model_uses_every_evaluation(study, make_trial):
             for evaluation in trial.evaluations
         )
         trials.append(replace(trial, evaluations=drawn + evaluations))
-    constraint = fit(study, trials, joint=True).constraints["peak"]
+    constraint = fit(study, trials, TrialModels(worst_case=over_contexts)).constraints["peak"]
     mean, _ = constraint.predict(np.array([[0.25], [0.75]]))
     assert mean == pytest.approx([0.5, 1.5], abs=0.05)
 
 
-@pytest.mark.parametrize("options", [{}, {"joint": True}, {"pooled": True}], ids=str)
+@pytest.mark.parametrize(
+    "models",
+    [OF_TRIALS, TrialModels(worst_case=over_contexts), PooledModels()],
+    ids=["trials", "joint", "pooled"],
+)
 @pytest.mark.parametrize("sign", ["upper", "lower"])
 def test_the_mean_of_a_limited_response_alone_is_the_predicted_one(
-    make_study, make_trial, options, sign
+    make_study, make_trial, models, sign
 ):
     limits = {
         "mean": {"kind": "chance", "metric": "error", sign: 1.5, "probability": 0.9},
         "peak": {"kind": "worst_case", "metric": "peak", sign: 1.0, "probability": 0.9},
     }
     study = make_study(parameters={"x": DOUBLE}, constraints=limits)
-    found = fit(study, sloped(make_trial, noise=0.1), **options)
+    found = fit(study, sloped(make_trial, noise=0.1), models)
     x = np.linspace(0.0, 1.0, 7)[:, None]
     assert len(found.constraints) == 2
     for constraint in found.constraints.values():
@@ -174,7 +180,7 @@ def test_the_mean_of_a_limited_response_alone_is_the_predicted_one(
 def test_warm_start_gives_the_same_models(study, make_trial):
     trials = sloped(make_trial)
     first = fit(study, trials)
-    again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.warm_starts)
+    again = TrialModels()(study, trials, rng=np.random.default_rng(1), start=first.warm_starts)
     x = np.array([[0.33]])
     assert again.objective.predict(x)[0] == pytest.approx(first.objective.predict(x)[0], abs=1e-3)
 
@@ -197,15 +203,11 @@ class TestManyTrials:
             make_trial(k, {"x": v}, [1.0 + v**2, 1.01 + v**2] if v < 0.7 else [], worst=2.0 * v)
             for k, v in enumerate(x.tolist())
         ]
-        options = ModelOptions(pooled=pooled)
-        earlier = Surrogates.fit(
-            study, trials[:100], rng=np.random.default_rng(0), options=options
-        ).warm_starts
+        models = PooledModels() if pooled else TrialModels()
+        earlier = fit(study, trials[:100], models).warm_starts
         assert ("failures" in earlier) is pooled
         first, last = (
-            Surrogates.fit(
-                study, trials[:n], rng=np.random.default_rng(0), start=earlier, options=options
-            )
+            models(study, trials[:n], rng=np.random.default_rng(0), start=earlier)
             for n in (due - 1, due)
         )
         assert all(first.warm_starts[name] == pytest.approx(earlier[name]) for name in earlier)

@@ -13,10 +13,10 @@ from strict_json import strict
 from waiting import DEADLINE
 
 from bo_tuner.cli.tune import make_parser
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.json_lines import JsonLines
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.trials import WorstCase
 from bo_tuner.tuning.observer import Phase
@@ -136,7 +136,7 @@ def test_not_together_with_quiet(capsys):
 
 def test_what_is_not_a_number_becomes_null(make_study, make_trial):
     study, out = make_study(), io.StringIO()
-    status = RunStatus(study, ALGORITHMS["IV"])
+    status = RunStatus(study, METHODS["IV"])
     lines = JsonLines(study, status, out)
     trial = make_trial(0, {"gain": float("inf")}, [1.0])
     trial = dataclasses.replace(

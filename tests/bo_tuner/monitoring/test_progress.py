@@ -7,6 +7,8 @@ import re
 import pytest
 from terminals import console
 
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.progress import (
     RunProgress,
     advice_in_words,
@@ -15,14 +17,12 @@ from bo_tuner.monitoring.progress import (
     units_in_words,
 )
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.report.analysis import TrialOutcome
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
 from bo_tuner.trials import DISTURBED, NOTE, EvaluationState, Outcome
-from bo_tuner.tuning.limits import outcome_in_words
 from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
@@ -39,7 +39,7 @@ def candidate(trial, feasibility=0.9):
 
 
 def follow(console, study, trials, best):
-    status = RunStatus(study, ALGORITHMS["IV"])
+    status = RunStatus(study, METHODS["IV"])
     with RunProgress(console, study, status) as progress:
         for observer in (status, progress):
             observer.begin(Phase.TUNING, 5)

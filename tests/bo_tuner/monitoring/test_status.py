@@ -4,12 +4,12 @@ import dataclasses
 
 import pytest
 
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.diagnostics import Level, progress, safety, surrogate, trial_result
 from bo_tuner.monitoring.status import RunStatus, Snapshot
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.observer import Phase
 
@@ -32,7 +32,7 @@ def candidate(trial, feasibility=0.9):
 @pytest.fixture
 def status(make_study):
     """Of a study with 5 trials."""
-    return RunStatus(make_study(), ALGORITHMS["IV"])
+    return RunStatus(make_study(), METHODS["IV"])
 
 
 class TestTimes:
@@ -50,7 +50,7 @@ class TestTimes:
 
     def test_time_left_in_each_phase(self, make_study, make_trial):
         now = 0.0
-        status = RunStatus(make_study(), ALGORITHMS["IV"], lambda: now)
+        status = RunStatus(make_study(), METHODS["IV"], lambda: now)
         status.begin(Phase.TUNING, 5)
         trial = timed(make_trial(0, {"gain": 0.5}, [1.0, 1.0]), 0.0, evaluation=1.0)
         for evaluation in trial.evaluations:
@@ -75,7 +75,7 @@ class TestTimes:
         trials = [
             timed(make_trial(k, {"gain": 0.5}, [1.0, 1.0]), 3.0, evaluation=1.0) for k in range(3)
         ]
-        one, other = (RunStatus(make_study(), ALGORITHMS["IV"], lambda: 0.0) for _ in range(2))
+        one, other = (RunStatus(make_study(), METHODS["IV"], lambda: 0.0) for _ in range(2))
         for status in (one, other):
             status.begin(Phase.TUNING, 5)
         for trial in trials:
@@ -87,7 +87,7 @@ class TestTimes:
 def test_a_budget_of_evaluations_suffices_for_fewer_trials(make_study, make_trial):
     """12 evaluations for trials of 3 each, as many as there are of the latest ones."""
     study = make_study().replace(evaluations=12)
-    status = RunStatus(study, ALGORITHMS["IV"])
+    status = RunStatus(study, METHODS["IV"])
     status.begin(Phase.TUNING, study.budget.trials)
     trials = [make_trial(k, {"gain": 0.5}, [1.0] * 3) for k in range(2)]
     status.recall(trials[:1], None)
@@ -180,7 +180,7 @@ class TestDiagnostics:
     def test_what_others_make_of_trials_on_record_is_no_time_of_the_next(self, make_study):
         """As the advice to stop, which is computed anew for them."""
         now = [0.0]
-        status = RunStatus(make_study(), ALGORITHMS["IV"], lambda: now[0])
+        status = RunStatus(make_study(), METHODS["IV"], lambda: now[0])
         status.begin(Phase.TUNING, 5)
         status.recall([], None)
         now[0] = 1000.0

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.time_left import TimeLeft
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import Stage
 from bo_tuner.tuning.observer import Phase
 
@@ -18,7 +18,7 @@ class Machine:
     def __init__(self, study, algorithm, make_trial):
         self.now = 0.0
         self.slowdown = 1.0
-        self.left = TimeLeft(study, ALGORITHMS[algorithm], lambda: self.now)
+        self.left = TimeLeft(study, METHODS[algorithm], lambda: self.now)
         self._make_trial = make_trial
         self._number = 0
         self.known = 0

@@ -4,22 +4,17 @@ import numpy as np
 import pytest
 
 from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.models.fitting import FITTED_EACH, ModelOptions
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.optimizers import ranking
-from bo_tuner.optimizers.ranking import (
-    LARGEST_PENALTY,
-    TOLERABLE,
-    first_by,
-    lowest_cost,
-    rank,
-    ranked_by,
-    ranking_models,
-)
+from bo_tuner.optimizers.ranking import LARGEST_PENALTY, TOLERABLE
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
 INTEGER = NODE | {"type": "integer", "bounds": [0, 20], "default": 10}
 NOISE = 0.05
+OF_TRIALS = METHODS["IV"].ranking
+rank = OF_TRIALS.rank
 
 
 @pytest.fixture
@@ -118,7 +113,7 @@ class TestObjective:
         assert first.penalty == pytest.approx(loss - TOLERABLE, rel=0.02)
         penalized = 1.0 + first.penalty if direction == "minimize" else 1.0 - first.penalty
         assert study.objective.from_cost(first.score) == pytest.approx(first.objective * penalized)
-        around = parameter_sensitivity(study, {"x": 20}, ranking_models(study, trials))
+        around = parameter_sensitivity(study, {"x": 20}, OF_TRIALS.models(study, trials))
         assert around.score == pytest.approx(first.penalty)
 
     def test_a_far_better_optimum_wins_however_far_the_limit_is_exceeded_beside_it(
@@ -256,16 +251,16 @@ class TestFirst:
         monkeypatch.setattr(ranking, "BLOCK", 3)
         points = np.random.default_rng(1).random(25)
         trials = [*along(make_trial, points, bowl, worst), make_trial(25, {"x": 0.4})]
-        options = ModelOptions(pooled=pooled)
-        models = ranking_models(study, trials, options)
-        self.compare(models, study, trials, options)
-        ranked = ranked_by(models, study, trials, options)
+        method = METHODS["boundary" if pooled else "IV"].ranking
+        models = method.models(study, trials)
+        self.compare(models, study, trials, method)
+        ranked = method.ranked_by(models, study, trials)
         feasible = [c.objective for c in ranked if c.believed_feasible]
-        lowest = lowest_cost(models, study, trials, options)
+        lowest = method.lowest_cost(models, study, trials)
         assert lowest == (pytest.approx(min(feasible)) if feasible else None)
 
-    def compare(self, models, study, trials, options):
-        found, (first, *_) = (f(models, study, trials, options) for f in (first_by, ranked_by))
+    def compare(self, models, study, trials, method=OF_TRIALS):
+        found, (first, *_) = (f(models, study, trials) for f in (method.first_by, method.ranked_by))
         assert found.trial is first.trial
         # Other blocks round otherwise.
         for name in ("objective", "feasibility", "violation", "penalty", "score", "required"):
@@ -276,26 +271,26 @@ class TestFirst:
         monkeypatch.setattr(ranking, "BLOCK", 1)
         study = make_study(parameters={"x": INTEGER})
         trials = along(make_trial, range(21), gorge, kind=int)
-        models = ranking_models(study, trials)
-        self.compare(models, study, trials, ModelOptions())
+        models = OF_TRIALS.models(study, trials)
+        self.compare(models, study, trials)
 
     def test_of_nothing(self, study, make_trial):
         trials = [make_trial(0, {"x": 0.4})]
-        models = ranking_models(study, trials)
-        assert first_by(models, study, trials, ModelOptions()) is None
-        assert lowest_cost(models, study, trials, ModelOptions()) is None
+        models = OF_TRIALS.models(study, trials)
+        assert OF_TRIALS.first_by(models, study, trials) is None
+        assert OF_TRIALS.lowest_cost(models, study, trials) is None
 
     @pytest.mark.parametrize("few", [1, ranking.FEW])
     def test_the_lowest_cost_has_no_penalty(self, make_study, make_trial, monkeypatch, few):
         monkeypatch.setattr(ranking, "FEW", few)
-        study, options = make_study(parameters={"x": INTEGER}), ModelOptions()
+        study = make_study(parameters={"x": INTEGER})
         # Without the limit 1, x = 0 would be feasible, too.
         trials = along(make_trial, range(21), gorge, lambda x: 2.0 - x, kind=int)
-        models = ranking_models(study, trials)
+        models = OF_TRIALS.models(study, trials)
         feasible = [c for c in rank(study, trials) if c.believed_feasible]
         costs = {c.trial.parameters["x"]: c.objective for c in feasible}
         assert min(costs, key=costs.get) == 4 != feasible[0].trial.parameters["x"]
-        assert lowest_cost(models, study, trials, options) == pytest.approx(costs[4])
+        assert OF_TRIALS.lowest_cost(models, study, trials) == pytest.approx(costs[4])
 
 
 class TestManyTrials:
@@ -308,8 +303,8 @@ class TestManyTrials:
         return along(make_trial, points, bowl, lambda x: 1.4 - x)
 
     def test_without_hyperparameters_on_record(self, study, trials):
-        models = ranking_models(study, trials)
-        assert models.warm_starts == ranking_models(study, trials).warm_starts
+        models = OF_TRIALS.models(study, trials)
+        assert models.warm_starts == OF_TRIALS.models(study, trials).warm_starts
         x = np.linspace(0.05, 0.95, 19)
         # A few standard errors of the mean of a hundred trials.
         np.testing.assert_allclose(models.objective.predict_mean(x[:, None]), bowl(x), atol=NOISE)
@@ -317,7 +312,7 @@ class TestManyTrials:
         np.testing.assert_allclose(limit.predict_mean(x[:, None]), 1.4 - x, atol=NOISE)
 
     def test_those_of_another_fit_are_kept(self, study, trials):
-        start = ranking_models(study, trials[:50]).warm_starts
-        found = ranking_models(study, trials, start=start).warm_starts
+        start = OF_TRIALS.models(study, trials[:50]).warm_starts
+        found = OF_TRIALS.models(study, trials, start=start).warm_starts
         for name, values in start.items():
             np.testing.assert_allclose(found[name], values)

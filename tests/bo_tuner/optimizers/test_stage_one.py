@@ -6,8 +6,10 @@ import itertools
 import numpy as np
 import pytest
 
+from bo_tuner.methods.paper.random_search import RandomSearch
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.bayesian import BayesianOptimization
-from bo_tuner.optimizers.random_search import RandomSearch
 from bo_tuner.trials import (
     DISTURBED,
     Evaluation,
@@ -53,7 +55,7 @@ def optimize(make_trial):
     """Function that runs ask and tell; `response(number, parameters)` gives errors and peak."""
 
     def run(study, response, stage_one=None):
-        stage_one = stage_one or BayesianOptimization(study)
+        stage_one = stage_one or BayesianOptimization(study, TrialModels())
         proposals = []
         for number in range(study.budget.trials):
             proposal = stage_one.ask()
@@ -185,7 +187,7 @@ class TestRepetition:
     def test_what_somebody_disturbed_is_proposed_again(self, study_of, make_trial):
         """Else it would be the best of an acquisition that may not be tried, trial by trial."""
         study = study_of({"n": integer(0, 9)}, initial=3)
-        stage_one = BayesianOptimization(study)
+        stage_one = BayesianOptimization(study, TrialModels())
 
         def tell(number, proposal, **outcome):
             trial = make_trial(
@@ -217,7 +219,7 @@ class TestRepetition:
         proposals = optimize(study, noisy_bowl)
         assert {p.parameters["m"] for p in proposals} == {1, 2, 3}
 
-    @pytest.mark.parametrize("method", [BayesianOptimization, RandomSearch])
+    @pytest.mark.parametrize("method", [METHODS["IV"].optimizer, RandomSearch])
     def test_one_seed_one_sequence(self, study_of, optimize, method):
         parameters = {"m": integer(1, 9), "x": double()}
         runs = {}

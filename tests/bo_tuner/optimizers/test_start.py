@@ -3,7 +3,7 @@
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 NODE = {"node": "axis"}
@@ -16,7 +16,7 @@ DEFAULT = {"gain": 0.5, "twin": 0.5, "steps": 2}
 
 
 def proposals(study, make_trial, count, algorithm="IV"):
-    optimizer = ALGORITHMS[algorithm].optimizer(study)
+    optimizer = METHODS[algorithm].optimizer(study)
     found = []
     for number in range(count):
         found.append(optimizer.ask())
@@ -24,7 +24,7 @@ def proposals(study, make_trial, count, algorithm="IV"):
     return found
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", METHODS)
 def test_the_default_comes_first(make_study, make_trial, algorithm):
     """Unless the study says otherwise, whatever the algorithm."""
     study = make_study(parameters=PARAMETERS, start=None)
@@ -48,7 +48,7 @@ def test_known_sets_follow_each_once(make_study, make_trial):
 @pytest.mark.parametrize("name", ["benchmark", "full"])
 def test_the_studies_of_the_paper_begin_with_its_design(name):
     study = load_study(name)
-    first = ALGORITHMS["IV"].optimizer(study).ask()
+    first = METHODS["IV"].optimizer(study).ask()
     assert first.origin == "initial"
     assert first.parameters != study.search_space().defaults
 

@@ -29,13 +29,13 @@ from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import MADE, Policy, RecordOptions, custom_data
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.trials import (
     EvaluationState,
     Outcome,
     Stage,
     TrialState,
 )
-from bo_tuner.tuning.limits import outcome_in_words
 
 
 class TestTime:

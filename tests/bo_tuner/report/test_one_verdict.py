@@ -21,11 +21,11 @@ from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
 from bo_tuner.monitoring.display import Result
 from bo_tuner.monitoring.json_lines import JsonLines
 from bo_tuner.monitoring.status import RunStatus, Snapshot
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.page import answer_html, render, section_html
@@ -200,7 +200,7 @@ def json_result(run, verdict):
     out = io.StringIO()
     summary = dict(run.summary) | {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
     tuned = run.trials[run.summary["trial"]].parameters
-    status = RunStatus(run.study, ALGORITHMS[run.algorithm])
+    status = RunStatus(run.study, METHODS[run.algorithm])
     JsonLines(run.study, status, out).result(
         Result(run.study, verdict, tuned, run.path / "best.yaml", summary)
     )

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
 from bo_tuner.report import content
 from bo_tuner.report.analysis import Analysis, Preliminary, TrialOutcome
 from bo_tuner.report.grid import parameter_grid, permitted
@@ -23,9 +21,9 @@ from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import CHECKS, Stage
-from bo_tuner.tuning.limits import outcome_in_words
 
 
 def named(panel, name, kind):
@@ -40,7 +38,7 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
     trials = analysis.record.trials
     expected = {}
     for n in range(1, len(trials) + 1):
-        ranked = rank(analysis.study, trials[:n], ALGORITHMS[analysis.record.algorithm].models)
+        ranked = analysis.record.method.ranking.rank(analysis.study, trials[:n])
         if ranked:
             first = ranked[0]
             expected[n - 1.0] = first.objective if first.believed_feasible else math.nan

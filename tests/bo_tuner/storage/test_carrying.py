@@ -8,8 +8,8 @@ from functions import NODE
 from signal_runs import outcome_of, record_run, signal_study
 
 from bo_tuner.errors import RunRecordError
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.recording import RecordedSignal, Recording
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import carry_over, check_comparable, is_carried, remeasured
 from bo_tuner.storage.record import RunRecord, read_run
@@ -43,7 +43,7 @@ def machine(gain, load, **_):
 def record(tmp_path, study, backend, algorithm=BOUNDARY, trials=None):
     """A run of a study, as it is read."""
     if trials is None:
-        trials = list(Tuning(study, backend(study, machine), ALGORITHMS[algorithm]))
+        trials = list(Tuning(study, backend(study, machine), METHODS[algorithm]))
     evaluations = tuple(e for trial in trials for e in trial.evaluations)
     return RunRecord(
         path=tmp_path / "earlier",
@@ -65,7 +65,7 @@ def record(tmp_path, study, backend, algorithm=BOUNDARY, trials=None):
 
 def carry(earlier, study):
     """What a run of the study takes; what it does is a record that can be read again."""
-    algorithm = ALGORITHMS[earlier.algorithm]
+    algorithm = METHODS[earlier.algorithm]
     check_comparable(earlier, study, algorithm)
     measure = measure_again(earlier, study) if remeasured(earlier.study, study) else None
     carried = carry_over(earlier, study, algorithm, measure)
@@ -83,11 +83,11 @@ def runs(make_study, function_backend, tmp_path_factory):
     """Records of a run by each algorithm."""
     path = tmp_path_factory.mktemp("runs")
     study = make_study().replace(trials=6, initial_trials=4)
-    return {name: record(path, study, function_backend, name) for name in ALGORITHMS}
+    return {name: record(path, study, function_backend, name) for name in METHODS}
 
 
 class TestParameters:
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_wider_bounds_keep_all(self, runs, make_study, function_backend, algorithm):
         """And the run goes on from there: the best gain lay outside of the old bounds."""
         earlier = runs[algorithm]
@@ -109,12 +109,12 @@ class TestParameters:
             Tuning(
                 study,
                 function_backend(study, machine),
-                ALGORITHMS[algorithm],
+                METHODS[algorithm],
                 trials=carried.trials,
             )
         )
         assert len(found) == 6
-        if not ALGORITHMS[algorithm].random:
+        if algorithm != "II":
             assert max(trial.parameters["gain"] for trial in found) > 1.0
 
     def test_of_the_same_study_nothing_is_lost(self, runs, make_study):
@@ -123,7 +123,7 @@ class TestParameters:
         hyperparameters = [trial.hyperparameters for trial in earlier.trials]
         assert [trial.hyperparameters for trial in carried.trials] == hyperparameters
 
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_narrower_bounds_leave_out_what_is_outside(
         self, runs, make_study, function_backend, algorithm
     ):
@@ -139,7 +139,7 @@ class TestParameters:
         plural = "s" if outside > 1 else ""
         assert f"left out: {outside} trial{plural} outside the bounds of gain" in carried.text
         backend = function_backend(study, machine)
-        found = list(Tuning(study, backend, ALGORITHMS[algorithm], trials=carried.trials))
+        found = list(Tuning(study, backend, METHODS[algorithm], trials=carried.trials))
         assert len(found) == 9 - len(inside)
         assert all(0.4 <= trial.parameters["gain"] <= 0.9 for trial in found)
 
@@ -209,7 +209,7 @@ class TestParameters:
 
 
 class TestLimits:
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_another_limit_on_the_same_metric(self, runs, make_study, function_backend, algorithm):
         earlier = runs[algorithm]
         study = make_study(constraints={"top": PEAK | {"upper": 0.4}}).replace(trials=7)
@@ -217,7 +217,7 @@ class TestLimits:
         expected = [trial.worst_cases["peak"] for trial in earlier.trials]
         assert [trial.worst_cases["top"] for trial in carried.trials] == expected
         backend = function_backend(study, machine)
-        (trial,) = Tuning(study, backend, ALGORITHMS[algorithm], trials=carried.trials)
+        (trial,) = Tuning(study, backend, METHODS[algorithm], trials=carried.trials)
         assert trial.worst_cases.keys() == {"top"}
 
     @pytest.mark.parametrize("algorithm", ["I", "V", BOUNDARY])
@@ -237,7 +237,7 @@ class TestLimits:
         with pytest.raises(RunRecordError, match=r"constraints.off was not searched for"):
             carry(runs[algorithm], study)
 
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_another_objective_and_a_share_of_runs(
         self, runs, make_study, function_backend, algorithm
     ):
@@ -249,7 +249,7 @@ class TestLimits:
         carried = carry(runs[algorithm], study)
         assert len(carried.trials) == 6
         backend = function_backend(study, machine)
-        (trial,) = Tuning(study, backend, ALGORITHMS[algorithm], trials=carried.trials)
+        (trial,) = Tuning(study, backend, METHODS[algorithm], trials=carried.trials)
         assert trial.state is TrialState.COMPLETE
 
     def test_a_logarithm_that_an_evaluation_does_not_have(self, tmp_path, make_study, make_trial):
@@ -278,7 +278,7 @@ class TestContexts:
         assert f"{len(inside)} of {len(earlier.evaluations)} evaluations; left out:" in carried.text
         assert "outside the distribution of load" in carried.text
         backend = function_backend(study, machine)
-        found = list(Tuning(study, backend, ALGORITHMS[BOUNDARY], trials=carried.trials))
+        found = list(Tuning(study, backend, METHODS[BOUNDARY], trials=carried.trials))
         assert count_trials([*carried.trials, *found]) == 8
 
     def test_values_that_are_none(self, runs, make_study):

@@ -9,10 +9,10 @@ from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.check import evaluations_at_most
 from bo_tuner.cli.test_runs import plot
 from bo_tuner.errors import StudyError
+from bo_tuner.methods.repetitions import most_check_evaluations
 from bo_tuner.study.descriptors import Described, complete, incomplete, node_problems, problem
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study_file import parse_study
-from bo_tuner.tuning.recommendation import most_check_evaluations
 
 TEXT = """
 name: open

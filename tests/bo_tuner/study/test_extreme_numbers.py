@@ -8,7 +8,7 @@ from drive_text import mapping, places
 from functions import FunctionBackend, make_study
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study import maxima
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.tuning.loop import Tuning
@@ -92,7 +92,7 @@ def test_a_run_with_a_limit_that_is_extreme(kind, limit, side):
     backend = FunctionBackend(
         study, lambda gain, load, seed: {"error": (gain - 0.3) ** 2 + load, "peak": gain + 0.1}
     )
-    algorithm = ALGORITHMS["boundary"]
+    algorithm = METHODS["boundary"]
     tuning = Tuning(study, backend, algorithm)
     trials = list(tuning)
     assert len(trials) == study.budget.trials

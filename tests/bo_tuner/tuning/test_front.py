@@ -14,15 +14,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
+from answering import recommend
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.optimizers.base import ACQUISITION
-from bo_tuner.optimizers.ranking import rank
-from bo_tuner.optimizers.stopping import StopAdvisor
 from bo_tuner.trials import ESTIMATING
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import recommend
 from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.limit_verdict import by_certificate
 from bo_tuner.verdict.observed import Observed
@@ -70,8 +69,8 @@ def study(make_study):
 @pytest.fixture(scope="module")
 def run(study, function_backend):
     backend = function_backend(study, figures)
-    trials = list(Tuning(study, backend, ALGORITHMS["IV"]))
-    return trials, recommend(study, backend, trials, ALGORITHMS["IV"].models)
+    trials = list(Tuning(study, backend, METHODS["IV"]))
+    return trials, recommend(study, backend, trials)
 
 
 def volume_of(trials, numbers):
@@ -118,7 +117,7 @@ def test_a_resumed_run_repeats_the_rest(study, function_backend, run):
     trials, _ = run
     for count in (4, 11):
         backend = function_backend(study, figures)
-        resumed = Tuning(study, backend, ALGORITHMS["IV"], trials=trials[:count])
+        resumed = Tuning(study, backend, METHODS["IV"], trials=trials[:count])
         for trial in trials[count : count + 2]:
             assert next(iter(resumed)).parameters == trial.parameters
 
@@ -133,10 +132,10 @@ def test_directions_and_the_order_of_objectives(make_study, function_backend, ru
         found = figures(**values)
         return found | {"far": -found["far"]}
 
-    trials = list(Tuning(study, function_backend(study, mirrored), ALGORITHMS["IV"]))
+    trials = list(Tuning(study, function_backend(study, mirrored), METHODS["IV"]))
     for here, there in zip(trials, run[0], strict=False):
         assert here.parameters == pytest.approx(there.parameters)
-    points = pareto_front(study, rank(study, trials))
+    points = pareto_front(study, METHODS["IV"].ranking.rank(study, trials))
     fars = [p.means["far"].value for p in points]
     assert fars == sorted(fars)
 
@@ -145,25 +144,25 @@ def test_directions_and_the_order_of_objectives(make_study, function_backend, ru
 def test_other_algorithms_can(study, function_backend, algorithm):
     small = study.replace(trials=11)
     backend = function_backend(small, figures)
-    trials = list(Tuning(small, backend, ALGORITHMS[algorithm]))
+    trials = list(Tuning(small, backend, METHODS[algorithm]))
     origins = {trial.origin for trial in trials[8:]}
     assert origins == ({"random"} if algorithm == "II" else {ACQUISITION})
-    found = recommend(small, backend, trials, ALGORITHMS[algorithm].models, most_checked=0)
+    found = recommend(small, backend, trials, algorithm, most_checked=0)
     assert pareto_front(small, found.ranked)
 
 
 def test_three_objectives(make_study, function_backend):
     sections = SECTIONS | {"further_objectives": [{"metric": "far"}, {"metric": "peak"}]}
     study = make_study(**sections).replace(**BUDGET | {"trials": 12})
-    trials = list(Tuning(study, function_backend(study, figures), ALGORITHMS["IV"]))
-    points = pareto_front(study, rank(study, trials))
+    trials = list(Tuning(study, function_backend(study, figures), METHODS["IV"]))
+    points = pareto_front(study, METHODS["IV"].ranking.rank(study, trials))
     assert points
     assert set(points[0].means) == {"near", "far", "peak"}
     assert not [warning for trial in trials for warning in trial.warnings]
 
 
 def test_there_is_no_advice_to_stop(study, run):
-    advisor = StopAdvisor(study, ALGORITHMS["IV"])
+    advisor = StopAdvisor(study, METHODS["IV"])
     for count in range(1, len(run[0])):
         assert advisor.consider(run[0][:count]) is None
 
@@ -188,7 +187,7 @@ def test_the_verdict_knows_the_direction_of_each(study):
 def test_trials_of_one_parameter_set_are_one_point(study, run):
     """In a space smaller than the budget; alone, the luckiest of them would be on the front."""
     trials, _ = run
-    ranked = rank(study, trials, ALGORITHMS["IV"].models)
+    ranked = METHODS["IV"].ranking.rank(study, trials)
     on_front = {point.trial: point for point in pareto_front(study, ranked)}
     found = next(c for c in ranked if c.trial.number in on_front)
     twin = replace(found, trial=replace(found.trial, number=99))

@@ -8,7 +8,7 @@ from functions import NODE, Watcher
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
@@ -25,7 +25,7 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
-IV = ALGORITHMS["IV"]
+IV = METHODS["IV"]
 
 
 def smooth(gain, load, seed, **_):
@@ -111,7 +111,7 @@ class TestEvaluations:
 
     def test_the_nominal_method_takes_one_evaluation(self, make_study, function_backend):
         study = make_study()
-        for trial in run(study, function_backend(study, smooth), ALGORITHMS["I"]):
+        for trial in run(study, function_backend(study, smooth), METHODS["I"]):
             (evaluation,) = trial.evaluations
             assert evaluation.stage is Stage.NOMINAL
             assert evaluation.context == {"load": 1.5}
@@ -247,11 +247,11 @@ class TestFailures:
             "lost", "lost", "failed", "lost", "lost", "", "lost", "lost", "failed",
         ]  # fmt: skip
 
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     @pytest.mark.parametrize("at", [0, 1, 9])
     def test_a_loss_changes_nothing(self, make_study, function_backend, failed, algorithm, at):
         """The evaluation is run again in its place, and none is missing in the end."""
-        study, algorithm = make_study().replace(trials=4), ALGORITHMS[algorithm]
+        study, algorithm = make_study().replace(trials=4), METHODS[algorithm]
         expected = run(study, function_backend(study, smooth), algorithm)
         at = min(at, sum(len(trial.evaluations) for trial in expected) - 1)
         count = itertools.count()
@@ -289,11 +289,11 @@ def iter_into(tuning, seen):
 
 
 class TestRepetition:
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_one_seed_one_run(self, make_study, function_backend, algorithm):
         study = make_study().replace(trials=4)
         first, second = (
-            run(study, function_backend(study, smooth), ALGORITHMS[algorithm]) for _ in range(2)
+            run(study, function_backend(study, smooth), METHODS[algorithm]) for _ in range(2)
         )
         assert first == second
 
@@ -306,7 +306,7 @@ class TestRepetition:
                 moved = (gain - 0.3) ** 2 + 0.01 * load
                 return found | {"error": moved, "peak": gain, "effort": 7.0 * gain + load}
 
-            made = list(Tuning(study, function_backend(study, run), ALGORITHMS["IV"]))
+            made = list(Tuning(study, function_backend(study, run), METHODS["IV"]))
             return [(t.parameters, [(e.context, e.seed) for e in t.evaluations]) for t in made]
 
         assert trials(effort=NODE) == trials()

@@ -8,17 +8,17 @@ import pytest
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.context_tolerance import context_tolerances
 from bo_tuner.certificate.judgement import judge
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.trials import EvaluationState, Outcome
-from bo_tuner.tuning.limits import (
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.study.limits import (
     judge_sample,
     refuted,
     tightest,
     violated,
     worst_case_holds,
 )
+from bo_tuner.trials import EvaluationState, Outcome
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import recommend
+from bo_tuner.tuning.summary import choose_answer
 
 NODE = {"node": "axis"}
 WORST = {"kind": "worst_case"}
@@ -50,8 +50,8 @@ def gripper(target):
 
 
 def tune(study, backend, algorithm):
-    trials = list(Tuning(study, backend, ALGORITHMS[algorithm]))
-    return trials, recommend(study, backend, trials, ALGORITHMS[algorithm].models)
+    trials = list(Tuning(study, backend, METHODS[algorithm]))
+    return trials, choose_answer(study, backend, METHODS[algorithm], trials)
 
 
 @pytest.mark.parametrize("algorithm", ["IV", "V"])

@@ -9,7 +9,7 @@ from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState, Stage
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import validate
@@ -59,7 +59,7 @@ class TestDraws:
         """No context and no noise of the training comes again."""
         study = make_study()
         training = function_backend(study, figures())
-        list(Tuning(study, training, ALGORITHMS["IV"]))
+        list(Tuning(study, training, METHODS["IV"]))
         backend = function_backend(study, figures())
         validate(study, backend, [{"gain": 0.25}])
         for key in ("load", "seed"):

@@ -5,8 +5,8 @@ import math
 import pytest
 from scipy.stats import binomtest
 
+from bo_tuner.study.limits import Standing, judge_samples
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
-from bo_tuner.tuning.limits import Standing, judge_samples
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.limit_verdict import by_test_runs
 from bo_tuner.verdict.validated import validated

@@ -6,8 +6,8 @@ from functools import partial
 
 import pytest
 
+from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
-from bo_tuner.tuning.limits import Sample, Standing
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.limit_verdict import by_certificate

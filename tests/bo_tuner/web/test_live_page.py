@@ -15,9 +15,9 @@ from live_run import page_processes
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.interruption import Pause
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.observer import Phase
 from bo_tuner.web.address import listen
@@ -116,7 +116,7 @@ class TestEnd:
 
 def test_a_page_that_hangs_does_not_hold_the_run(tmp_path, make_study):
     study = make_study()
-    status = RunStatus(study, ALGORITHMS["IV"])
+    status = RunStatus(study, METHODS["IV"])
     warnings = []
     with LivePage(study, tmp_path, status, listen(0), warnings.append) as page:
         wait_until(lambda: page_processes(tmp_path), "the process of the page")
@@ -133,7 +133,7 @@ def test_a_page_that_hangs_does_not_hold_the_run(tmp_path, make_study):
 def test_before_there_is_a_record_the_page_loads_itself_again(tmp_path, make_study):
     """The address is told before the nodes are up; a run that does not start leaves no log."""
     study = make_study()
-    status = RunStatus(study, ALGORITHMS["IV"])
+    status = RunStatus(study, METHODS["IV"])
     address = listen(0)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "study.yaml").write_text(study_to_yaml(study))
@@ -169,7 +169,7 @@ class TestWhatWasAsked:
         }
 
         def told(step, *requests):
-            status = RunStatus(study, ALGORITHMS["IV"])
+            status = RunStatus(study, METHODS["IV"])
             address = listen(0)
             # No process serves it.
             address.socket.close()

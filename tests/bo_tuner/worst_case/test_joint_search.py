@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.constraints import JointConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.context_space import CANDIDATES, MOST_CORNER_DIMENSIONS, ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
@@ -119,9 +119,7 @@ def test_an_outlier_is_no_data_of_the_search(make_study, make_trial):
     proposal = Proposal({"gain": 0.45}, "acquisition", outliers=frozenset({8}))
     found = []
     for known in (trials, [*trials, wild]):
-        search = ALGORITHMS["V"].worst_case_search(
-            study, study.constraints["peak"], proposal, known
-        )
+        search = METHODS["V"].search(study, study.constraints["peak"], proposal, known, 10)
         search.tell({"load": 1.5}, 0.53)
         found.append(search.worst_case(np.random.default_rng(0)))
     assert found[0] == found[1]

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.worst_case.pooled_search import PooledSearch
@@ -31,7 +32,7 @@ def searched(line, evaluations, *, exploded=0.0, until_clear=True):
     y = response(x[:, 0], c[:, 0]) * (1.0 + NOISE * rng.standard_normal(12))
     search = PooledSearch(
         line, LIMIT, 0.0, evaluations, np.array([0.5]), x, c, y, Coding((0,)),
-        until_clear=until_clear,
+        models=PooledModels(), until_clear=until_clear,
     )  # fmt: skip
     asked = []
     while not search.done(rng):
@@ -73,7 +74,7 @@ def test_the_worst_case_of_runs_is_where_their_quantile_is(line):
     for deviations in (0.0, float(norm.ppf(0.95))):
         search = PooledSearch(
             line, LIMIT, deviations, 1, np.array([0.5]), np.full((200, 1), 0.5), c[:, None], y,
-            Coding((0,)), until_clear=False,
+            Coding((0,)), models=PooledModels(), until_clear=False,
         )  # fmt: skip
         search.tell({"c": 0.0}, 0.2)
         contexts.append(search.worst_case(np.random.default_rng(0)).context["c"])
@@ -86,7 +87,7 @@ def test_a_worst_case_that_explodes_is_in_the_unit_of_the_metric(line):
     x, c = rng.uniform(0.0, 0.75, (12, 1)), rng.random((12, 1))
     search = PooledSearch(
         line, LIMIT, 0.0, 3, np.array([1.0]), x, c, response(x[:, 0], c[:, 0]), Coding((0,)),
-        until_clear=False,
+        models=PooledModels(), until_clear=False,
     )  # fmt: skip
     truth = response(1.0, 1.0)
     for value in (0.98 * truth, truth, 1.02 * truth):

@@ -17,7 +17,7 @@ from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
@@ -46,7 +46,7 @@ def uninterrupted(trials=7):
     study = study_from_mapping(study_of(trials))
     backend = InProcessBackend(study)
     backend.open()
-    return tuple(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
+    return tuple(Tuning(study, backend, METHODS[DEFAULT_METHOD]))
 
 
 def figures(trials):

@@ -10,7 +10,7 @@ from short_cuts import SHORT, small_study
 from tuner import environment_of_nodes
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import TrialState
 from bo_tuner.tuning.loop import Tuning
@@ -67,7 +67,7 @@ class TestRun:
         study = study_from_mapping(small_study(3))
         backend = InProcessBackend(study)
         backend.open()
-        expected = list(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
+        expected = list(Tuning(study, backend, METHODS[DEFAULT_METHOD]))
         for there, here in zip(command.trials(), expected, strict=True):
             assert there.parameters == here.parameters
             assert there.worst_cases == here.worst_cases

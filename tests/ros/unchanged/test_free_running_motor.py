@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 from bo_tuner.tuning.loop import Tuning
@@ -143,7 +143,7 @@ def test_a_machine_that_does_not_settle_is_no_disturbance(tuned, motor):
     del sections["run"]["recover"]
     motor.set_parameters([Parameter("ki", value=0.0)])
     made = study(**sections)
-    tuning = Tuning(made, tuned(made), ALGORITHMS["boundary"])
+    tuning = Tuning(made, tuned(made), METHODS["boundary"])
     with pytest.raises(RunError) as caught:
         list(tuning)
     assert [trial.ending for trial in tuning.trials] == ["unprepared"] * 3

@@ -1,12 +1,10 @@
 import pytest
 from valley import true_worst
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.boundary import new_point
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.methods.boundary.stage_one import new_point
+from bo_tuner.methods.paper import check
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import Stage, count_checks
-from bo_tuner.tuning import recommendation
-from bo_tuner.tuning.settling import before_repetitions
 from tuning_benchmark.campaign.runs import Run, RunSize, run_and_judge
 from tuning_benchmark.experiments.experiment import Row
 
@@ -42,7 +40,7 @@ def test_an_answer_settled_early_leaves_evaluations_for_more_trials(study):
         if not settled or run.budget != settled[-1][0]:
             settled.append((run.budget, trial.number, count_checks(run.trials)))
     (first, _, none), *later = settled
-    assert (first, none) == (before_repetitions(study, 80), 0)
+    assert (first, none) == (METHODS["boundary"].repetitions.before(study, 80), 0)
     assert later
     # The trials after it knew the repetitions, whose number only grows.
     assert 0 < later[0][2] <= count_checks(run.trials)
@@ -67,7 +65,7 @@ def test_an_algorithm_can_have_its_own_numbers_of_evaluations(study, small):
 
 def test_checks_keep_to_the_evaluations_left_for_them(study, monkeypatch):
     """Whatever a check says, there are no more than the reserved evaluations allow."""
-    monkeypatch.setattr(recommendation, "_check", refuted(recommendation._check))
+    monkeypatch.setattr(check, "with_check", refuted(check.with_check))
     results = [run_and_judge(study, IV, 1, RunSize(120, n, 3), JUDGE) for n in (0, 19, 20, 45)]
     assert [result["check_cuts"] for result in results] == [0, 0, 20, 40]
 
@@ -135,7 +133,7 @@ def test_the_search_is_judged_apart_from_the_choice(study, small, row):
     """What Algorithm IV would answer of another optimizer's trials."""
     found = run_and_judge(study, row, 1, small, JUDGE)
     trials, _ = trials_of(study, row, small)
-    first = rank(study.replace(seed=1), trials, ALGORITHMS["IV"].models)[0].trial
+    first = METHODS["IV"].ranking.rank(study.replace(seed=1), trials)[0].trial
     assert found["ranked"]["trial"] == first.number
     means = [first.parameters[name] for name in ("g0", "g1")]
     assert found["ranked"]["truth"]["worst"] == pytest.approx(true_worst(means))

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
+from bo_tuner.methods.registry import BOUNDARY, METHODS
 from bo_tuner.study.study_file import load_study
 from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
 
@@ -19,7 +19,7 @@ def test_shipped_experiments_can_be_read(name):
 @pytest.mark.parametrize(("name", "without"), [("paper", {BOUNDARY}), ("small", set())])
 def test_experiments_have_all_algorithms(name, without):
     experiment = load_experiment(name)
-    assert set(experiment.cases["benchmark"].rows) == set(ALGORITHMS) - without
+    assert set(experiment.cases["benchmark"].rows) == set(METHODS) - without
 
 
 def test_the_paper_has_its_tables():

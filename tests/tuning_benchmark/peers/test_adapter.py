@@ -4,8 +4,8 @@ from scipy.special import ndtri
 from valley import Draws
 
 from bo_tuner.errors import ParameterError
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.observations import single_evaluation_worst_cases
-from bo_tuner.optimizers.bayesian import BayesianOptimization
 from tuning_benchmark.peers.adapter import PeerOptimizer, observation
 from tuning_benchmark.peers.optimizer import Observation, best_observed
 
@@ -57,7 +57,7 @@ def test_an_optimizer_sees_what_our_surrogates_see(trial_study, make_trial):
 def test_the_initial_design_is_the_tuners(trial_study, make_trial):
     optimizer = Draws(trial_study, 5)
     trials = []
-    asked, ours = PeerOptimizer(trial_study, optimizer), BayesianOptimization(trial_study)
+    asked, ours = PeerOptimizer(trial_study, optimizer), METHODS["IV"].optimizer(trial_study)
     for number in range(trial_study.budget.initial_trials):
         proposal = asked.ask()
         assert proposal.parameters == ours.ask().parameters

@@ -6,7 +6,7 @@ from scipy.optimize import NonlinearConstraint, differential_evolution, minimize
 from scipy.stats import norm, truncnorm
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import TrialState
 from tuning_benchmark.campaign.runs import TimedBackend
 from tuning_benchmark.judging.evaluator import Evaluator
@@ -243,7 +243,7 @@ def test_a_crash_is_a_failed_trial_of_the_product():
     backend = TimedBackend(study)
     backend.open()
     space = study.search_space()
-    for trial in Tuning(study, backend, ALGORITHMS["IV"]):
+    for trial in Tuning(study, backend, METHODS["IV"]):
         crashed = problem.crashes(space.to_cube(trial.parameters))
         assert (trial.state is TrialState.FAILED) == crashed
 

@@ -20,15 +20,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, count_evaluations
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.campaign import provenance
 from tuning_benchmark.pages.statistics import Mean, difference, mean
-from tuning_benchmark.peers.adapter import PeerAlgorithm
+from tuning_benchmark.peers.adapter import peer_method
 from tuning_benchmark.peers.optuna_fronts import POPULATION, OptunaFront, nsga2, tpe
 from tuning_benchmark.problems.two_objectives import TwoObjectives
 
@@ -81,12 +80,12 @@ def run(problem: TwoObjectives, name: str, seed: int) -> Run:
         if name in PEERS:
             peer = PEERS[name](study, seed)
             # The second stage is the same for all.
-            algorithm = PeerAlgorithm(TITLES[name], peer=peer)  # type: ignore[arg-type]
-            trials = list(Tuning(study, backend, algorithm))
+            method = peer_method(TITLES[name], peer)
+            trials = list(Tuning(study, backend, method))
             front = peer.recommend()
         else:
-            trials = list(Tuning(study, backend, ALGORITHMS[name]))
-            ranked = rank(study, trials, ALGORITHMS[name].models)
+            trials = list(Tuning(study, backend, METHODS[name]))
+            ranked = METHODS[name].ranking.rank(study, trials)
             front = [point.trial for point in pareto_front(study, ranked)]
     return _judged(problem, seed, trials, front)
 

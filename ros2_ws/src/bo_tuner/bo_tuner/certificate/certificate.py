@@ -25,8 +25,6 @@ from bo_tuner.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import ranked_by, ranking_models
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.json_numbers import without_nan
@@ -36,7 +34,6 @@ from bo_tuner.study.checks import same_value
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
-from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.verdict import FAIL, PASS
 
 
@@ -211,12 +208,12 @@ def make_certificate(
     best_sha256
         As in `Certificate`.
     """
-    study, models = record.study, ALGORITHMS[record.algorithm].models
+    study, ranking = record.study, record.method.ranking
     tuned = evidence[TUNED]
     level = spent(confidence, attempt, len(evidence))
     findings = judge(study, tuned, level)
-    trials = with_checks(study, record.trials, record.evaluations, models)
-    surrogates = ranking_models(study, trials, models)
+    trials = record.method.checked(study, record.trials, record.evaluations)
+    surrogates = ranking.models(study, trials)
     in_training = evaluations_of(record.evaluations, trial.parameters)
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [
@@ -235,7 +232,7 @@ def make_certificate(
         held=_held(study, tuned),
         earlier=tuned.earlier,
         widths=_widths(study, tuned),
-        gaps=training_gaps(study, trial, ranked_by(surrogates, study, trials, models), findings),
+        gaps=training_gaps(study, trial, ranking.ranked_by(surrogates, study, trials), findings),
         tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
         provenance=provenance(study, backend, record.algorithm),

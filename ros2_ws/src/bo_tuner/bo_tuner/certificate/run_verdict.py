@@ -20,12 +20,12 @@ from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import limits
 from bo_tuner.study.constraint import SINGLE_RUN, UPPER
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
-from bo_tuner.tuning import limits
 from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.at_bounds import at_bounds
@@ -35,7 +35,6 @@ from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.passed_over import passed_over_in_words
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.validated import (
-    doubt,
     fresh_draws,
     is_default,
     open_verdict,
@@ -83,7 +82,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
     try:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
-        passed_check = bool(summary["passed_check"])
+        feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
         verdict = validated(
             record.study,
             trial.number,
@@ -91,11 +90,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             tuned,
             record.trials,
             record.evaluations,
-            doubt=doubt(
-                record.algorithm,
-                float(str(summary.get("predicted_feasibility") or 0.0)),
-                passed=passed_check,
-            ),
+            doubt="" if bool(summary["passed_check"]) else record.method.doubt(feasibility),
             measured=record.backend == ROS,
             outliers=_outliers(record, summary.get("ranked_trials")),
         )

@@ -1,7 +1,6 @@
 """``tune --check``: hold a study against its nodes, try two runs, and what each parameter does."""
 
 import contextlib
-import dataclasses
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,12 +29,11 @@ from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.interruption import Interruption
+from bo_tuner.methods.registry import METHODS, default_method
 from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
-from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
 from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.nodes import USE_SIM_TIME
@@ -44,8 +42,6 @@ from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
-from bo_tuner.tuning.recommendation import most_check_evaluations
-from bo_tuner.tuning.settling import most_repetitions
 
 RUNS = 2
 
@@ -352,20 +348,7 @@ def _tell_of_motion(study: Study, recordings: Sequence[Recording], heard: Sequen
 
 def evaluations_at_most(study: Study) -> tuple[int, int]:
     """Return the largest numbers of evaluations of a study and of the certificate of its result."""
-    budget, algorithm = study.budget, ALGORITHMS[default_algorithm(study)]
-    drawn, searched = algorithm.evaluations(study)
-    each = drawn + searched if study.worst_case_constraints else drawn
-    tuning = budget.trials * each
-    if algorithm.models.pooled:
-        by_trials = dataclasses.replace(budget, evaluations=None)
-        ahead = evaluations_ahead(dataclasses.replace(study, budget=by_trials), 0, 0.0, each)
-        tuning, each = round(sum(ahead)), max(each, sum(new_point(study)))
-    if budget.evaluations is not None:
-        tuning = min(tuning, budget.evaluations + each - 1)
-    if algorithm.models.pooled:
-        checks = most_repetitions(study, tuning)
-    else:
-        checks = algorithm.most_checked * most_check_evaluations(study)
+    tuning = METHODS[default_method(study)].most_evaluations(study)
     # A trial has a suspected context for each worst-case limit.
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
@@ -373,7 +356,7 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     subject = Subject(TUNED, study.search_space().defaults, suspected)
     draws = required_draws(study, study.certificate.confidence)
     certificate = most_evaluations(study, [subject], draws).total
-    return tuning + checks + 2 * budget.validation_draws, certificate
+    return tuning + 2 * study.budget.validation_draws, certificate
 
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:

@@ -16,13 +16,13 @@ from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.display import Output, Result
 from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
-from bo_tuner.optimizers.ranking import Candidate, incumbent
+from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
@@ -70,7 +70,7 @@ class RunOptions:
     Attributes
     ----------
     algorithm
-        Key of `ALGORITHMS`.
+        Key of `METHODS`.
     backend
         One of `BACKENDS`.
     attach
@@ -91,7 +91,7 @@ class RunOptions:
         Whether the page may pause and end the run.
     """
 
-    algorithm: str = DEFAULT_ALGORITHM
+    algorithm: str = DEFAULT_METHOD
     backend: str = ROS
     attach: bool = False
     ros_arguments: Sequence[str] = ()
@@ -124,13 +124,13 @@ class Session:
         self._study = study
         self._folder = folder
         self._options = options
-        self._algorithm = ALGORITHMS[options.algorithm]
+        self._method = METHODS[options.algorithm]
         self._interruption = interruption
-        self._status = RunStatus(study, self._algorithm)
+        self._status = RunStatus(study, self._method)
         self._observers = Observers()
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
-        self._advisor = Advisor(study, self._algorithm, self._observers)
+        self._advisor = Advisor(study, self._method, self._observers)
         self._gate = Gate(interruption, self._observers)
         self._control = RunControl(self._gate.requests, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
@@ -294,12 +294,12 @@ class Session:
         study, observers = self._study, self._observers
         known = continued(
             study,
-            self._algorithm,
+            self._method,
             earlier.trials,
             earlier.evaluations,
             stop_early=options.stop_early,
         )
-        tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=known)
+        tuning = Tuning(study, backend, self._method, observer=observers, trials=known)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
@@ -311,7 +311,7 @@ class Session:
                 self._incumbents[len(tuning.trials)] = best
                 observers.trial(trial, best)
             observers.end(Phase.TUNING)
-            found = conclude(study, backend, self._algorithm, tuning.trials, observers)
+            found = conclude(study, backend, self._method, tuning.trials, observers)
             summary = None if found is None else self._summary(found, len(tuning.trials), journal)
             verdict = self._verdict(summary)
             self._status.conclude(verdict)
@@ -364,7 +364,7 @@ class Session:
             yield trial
 
     def _best(self, tuning: Tuning) -> Candidate | None:
-        return incumbent(self._study, tuning.trials, self._algorithm.models)
+        return self._method.incumbent(self._study, tuning.trials)
 
     def _summary(self, found: Conclusion, trials: int, journal: Journal) -> dict[str, object]:
         return summarize(

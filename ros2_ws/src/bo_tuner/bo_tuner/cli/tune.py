@@ -25,11 +25,7 @@ from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.optimizers.algorithms import (
-    ALGORITHMS,
-    default_algorithm,
-    several_objectives_problem,
-)
+from bo_tuner.methods.registry import default_method, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -223,12 +219,11 @@ def _after_earlier(
         if is_trusted(record.study):
             # With other bounds it names the same programs.
             _trust(study)
-    if problem := several_objectives_problem(record.algorithm, study):
+    if problem := problem_of(record.algorithm, study):
         parser.error(f"--from: {problem}")
-    algorithm = ALGORITHMS[record.algorithm]
-    check_comparable(record, study, algorithm)
+    check_comparable(record, study, record.method)
     measure = measure_again(record, study) if remeasured(record.study, study) else None
-    carried = carry_over(record, study, algorithm, measure)
+    carried = carry_over(record, study, record.method, measure)
     if all(given is None for given in (arguments.study, arguments.trials, arguments.evaluations)):
         study = _as_much_again(record, study, carried)
     _check_budget(study, carried, parser)
@@ -260,8 +255,8 @@ def _new(
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
     study = _given(named, attach, arguments, ros_arguments, interruption)
-    algorithm = arguments.algorithm or default_algorithm(study)
-    if problem := several_objectives_problem(algorithm, study):
+    algorithm = arguments.algorithm or default_method(study)
+    if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 

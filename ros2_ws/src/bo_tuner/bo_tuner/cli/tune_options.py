@@ -5,8 +5,8 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Parser, whole_number
 from bo_tuner.cli.init import FIRST_STUDY
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SEVERAL_OBJECTIVES
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, SEVERAL_OBJECTIVES
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
 from bo_tuner.study.parameter import Number
@@ -68,9 +68,9 @@ def make_parser() -> Parser:
     _add_record(parser)
     parser.add_argument(
         "--algorithm",
-        choices=tuple(ALGORITHMS),
-        help="; ".join(f"{name}: {method.title}" for name, method in ALGORITHMS.items())
-        + f" (default: {DEFAULT_ALGORITHM}, or {SEVERAL_OBJECTIVES} with several objectives)",
+        choices=tuple(METHODS),
+        help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
+        + f" (default: {DEFAULT_METHOD}, or {SEVERAL_OBJECTIVES} with several objectives)",
     )
     _add_known(parser)
     _add_running_nodes(parser)

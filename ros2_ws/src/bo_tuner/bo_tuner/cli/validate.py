@@ -42,8 +42,6 @@ from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
@@ -52,7 +50,6 @@ from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.effects import file_notes
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
@@ -275,10 +272,9 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     known = {trial.number} | {
         other.number for other in record.trials if latest_certificate(record, other) is not None
     }
-    options = ALGORITHMS[record.algorithm].models
     # What failed its check, or when it was run again, is no candidate.
-    trials = with_checks(record.study, record.trials, record.evaluations, options)
-    ranked = rank(record.study, trials, options)
+    trials = record.method.checked(record.study, record.trials, record.evaluations)
+    ranked = record.method.ranking.rank(record.study, trials)
     # Trials of one parameter set are one candidate.
     refused = {other.parameter_set for other in record.trials if other.number in known}
     refused |= {c.trial.parameter_set for c in ranked if c.trial.failed_again}

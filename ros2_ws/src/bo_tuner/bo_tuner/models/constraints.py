@@ -58,6 +58,14 @@ class LimitedResponse(ABC):
         """Return the least `log_probability` (m,) of all contexts that the response knows."""
         return self.log_probability(x)
 
+    def estimate(self, x: Array) -> tuple[Array, float, float] | None:
+        """Return the worst context (e,) of x (1, d), in the unit cube, and the metric there.
+
+        That is its mean and its noise's standard deviation, in the metric's unit. None if the
+        response does not know the contexts, or the limit is not one in each of them.
+        """
+        return None
+
 
 def log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
     """Return the log probability (m,) that all constraints hold at x (m, d)."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.context_process import ContextProcesses
 from bo_tuner.models.hyperpriors import Hyperpriors, LogNormal
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
-from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 
@@ -54,6 +54,7 @@ class CrashModel:
         c: Array,
         labels: NDArray[np.bool_],
         *,
+        processes: ContextProcesses,
         coding: Coding,
         contexts: Array,
         neighbours: NeighbourClassifier,
@@ -68,6 +69,8 @@ class CrashModel:
             In their unit cubes.
         labels
             Which runs failed, (N,).
+        processes
+            Makes the process.
         coding
             Of the parameters' columns.
         contexts : ndarray, shape (k, e)
@@ -83,7 +86,7 @@ class CrashModel:
         if not labels.any():
             return cls(labels, None, neighbours)
         indicator = np.where(labels, 1.0, -1.0)
-        process = PooledProcess.fit(
+        process = processes.fit(
             x, c, indicator, coding=coding, rng=rng, priors=PRIORS, start=start, keep=True
         )
         return cls(labels, EveryContext(process, 0.0, contexts), neighbours)

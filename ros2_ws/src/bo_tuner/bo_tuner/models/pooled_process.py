@@ -124,6 +124,8 @@ class PooledProcess:
         freedom.
     posterior : Posterior
         Of the standardized response, with the local noise.
+    width : float
+        Of the kernel around a place whose noise is estimated, see `PooledProcesses`.
     warnings : tuple of str
         Numerical problems, one line each.
     """
@@ -136,6 +138,7 @@ class PooledProcess:
     squares: Array
     degrees: Array
     posterior: Posterior
+    width: float
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -151,6 +154,8 @@ class PooledProcess:
         minimum_length_scales: Array | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        width: float = WIDTH,
+        restarted: int = RESTARTED,
     ) -> Self:
         """Fit the hyperparameters by maximum a posteriori and condition on the data.
 
@@ -168,9 +173,11 @@ class PooledProcess:
             As `GaussianProcess.fit`.
         minimum_length_scales : ndarray, shape (d,), optional
             Lower bounds of the parameters' length scales.
+        width, restarted
+            As in `PooledProcesses`.
         """
         if keep and start is not None:
-            return cls.condition(start, x, c, y, coding=coding)
+            return cls.condition(start, x, c, y, coding=coding, width=width)
         minimum = None
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
@@ -183,15 +190,29 @@ class PooledProcess:
             priors=priors,
             minimum_length_scales=minimum,
             start=start,
-            restart=len(y) <= RESTARTED,
+            restart=len(y) <= restarted,
         )
         return cls._conditioned(
-            process.hyperparameters, process.standardization, z, y, coding, c, process.warnings
+            process.hyperparameters,
+            process.standardization,
+            z,
+            y,
+            coding,
+            c,
+            width,
+            process.warnings,
         )
 
     @classmethod
     def condition(
-        cls, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
+        cls,
+        hyperparameters: Sequence[float],
+        x: Array,
+        c: Array,
+        y: Array,
+        *,
+        coding: Coding,
+        width: float = WIDTH,
     ) -> Self:
         """Condition on data with given hyperparameters, a `warm_start` of an earlier fit."""
         return cls._conditioned(
@@ -201,6 +222,7 @@ class PooledProcess:
             y,
             coding,
             c,
+            width,
         )
 
     @classmethod
@@ -212,6 +234,7 @@ class PooledProcess:
         y: Array,
         coding: Coding,
         c: Array,
+        width: float,
         warnings: tuple[str, ...] = (),
     ) -> Self:
         standardized = standardization.apply(y)
@@ -227,7 +250,7 @@ class PooledProcess:
         # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
-        local = _local_ratio(data.x, data.x, columns, squares, degrees)
+        local = _local_ratio(data.x, data.x, columns, squares, degrees, width)
         posterior = prior.condition(data.mean, error * local)
         return cls(
             hyperparameters,
@@ -238,6 +261,7 @@ class PooledProcess:
             squares,
             degrees,
             posterior,
+            width,
             (*warnings, *posterior.warnings),
         )
 
@@ -383,7 +407,8 @@ class PooledProcess:
 
         def compute(x: Array) -> Array:
             distinct = self._data_sets.distinct
-            return correlation(self.coding.encode(x), distinct, _parameter_widths(self.columns))
+            widths = _parameter_widths(self.columns, self.width)
+            return correlation(self.coding.encode(x), distinct, widths)
 
         return self._known.near.of(x, compute)
 
@@ -392,7 +417,7 @@ class PooledProcess:
 
         def compute(contexts: Array) -> tuple[Array, Array]:
             own = self.data.x[:, self.columns :]
-            across = correlation(own, contexts, _context_widths(own.shape[1]))
+            across = correlation(own, contexts, np.full(own.shape[1], self.width))
             sums = self._data_sets.sum
             return sums(across * self.squares[:, None]), sums(across * self.degrees[:, None])
 
@@ -403,10 +428,63 @@ class PooledProcess:
         return self.hyperparameters.length_scales[self.columns :]
 
 
-def _local_ratio(z: Array, points: Array, columns: int, squares: Array, degrees: Array) -> Array:
+@dataclass(frozen=True)
+class PooledProcesses:
+    """Makes `PooledProcess`es.
+
+    Attributes
+    ----------
+    width
+        Of the kernel around a place whose noise is estimated, in edges of the unit cube; see
+        `WIDTH`. With a large one the noise is the same everywhere.
+    restarted
+        Most observations with which a fit starts anew, too; see `RESTARTED`.
+    """
+
+    width: float = WIDTH
+    restarted: int = RESTARTED
+
+    def fit(
+        self,
+        x: Array,
+        c: Array,
+        y: Array,
+        *,
+        coding: Coding,
+        rng: np.random.Generator,
+        priors: Hyperpriors | None = None,
+        minimum_length_scales: Array | None = None,
+        start: Sequence[float] | None = None,
+        keep: bool = False,
+    ) -> PooledProcess:
+        """Fit a process; as `PooledProcess.fit`."""
+        return PooledProcess.fit(
+            x,
+            c,
+            y,
+            coding=coding,
+            rng=rng,
+            priors=priors,
+            minimum_length_scales=minimum_length_scales,
+            start=start,
+            keep=keep,
+            width=self.width,
+            restarted=self.restarted,
+        )
+
+    def condition(
+        self, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
+    ) -> PooledProcess:
+        """Condition a process on data; as `PooledProcess.condition`."""
+        return PooledProcess.condition(hyperparameters, x, c, y, coding=coding, width=self.width)
+
+
+def _local_ratio(
+    z: Array, points: Array, columns: int, squares: Array, degrees: Array, width: float
+) -> Array:
     """Return the local over the common noise variance at joint points, (m,)."""
     contexts = points.shape[1] - columns
-    widths = np.append(_parameter_widths(columns), _context_widths(contexts))
+    widths = np.append(_parameter_widths(columns, width), np.full(contexts, width))
     weighted = np.column_stack([squares, degrees])
     # In blocks, lest the kernel between all data takes more memory than anything else.
     blocks = np.array_split(z, 1 + len(z) // BLOCK)
@@ -415,14 +493,9 @@ def _local_ratio(z: Array, points: Array, columns: int, squares: Array, degrees:
     return ratio
 
 
-def _parameter_widths(columns: int) -> Array:
-    """Return the widths (columns,) of the kernel around a place whose noise is estimated."""
-    return np.full(columns, WIDTH * columns**0.5)
-
-
-def _context_widths(contexts: int) -> Array:
-    """Return the widths (contexts,) of the same kernel along the context variables."""
-    return np.full(contexts, WIDTH)
+def _parameter_widths(columns: int, width: float) -> Array:
+    """Return the widths (columns,) of the kernel around a place, `width` along a context."""
+    return np.full(columns, width * columns**0.5)
 
 
 def _spread_over_values(y: Array) -> NDArray[np.intp]:

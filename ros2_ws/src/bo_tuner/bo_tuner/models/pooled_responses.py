@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
-from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.context_process import ContextProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
 
@@ -40,7 +40,7 @@ class ExpectedObjective:
         The study's; says the scale.
     """
 
-    process: PooledProcess
+    process: ContextProcess
     contexts: Array
     objective: Objective
 
@@ -132,6 +132,25 @@ class PooledResponse(LimitedResponse):
         mean, low, high = map(self.compression.restore, super().band(x, deviations))
         return mean, low, high
 
+    def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
+        """Return where runs of x (1, d) tell most of whether the limit is kept.
+
+        Returns
+        -------
+        ndarray, shape (e,), or None
+            A context in the unit cube; None for one that is drawn.
+        float
+            Log probability that the limit is kept there.
+        """
+        return None, float(self.log_probability(x)[0])
+
+    def log_kept_in(self, x: Array, contexts: Array) -> Array | None:
+        """Return the log probability (k,) that the limit is kept by x (1, d) in contexts (k, e).
+
+        None if the limit is not one in every context.
+        """
+        return None
+
 
 @dataclass(frozen=True, eq=False)
 class EveryContext(PooledResponse):
@@ -158,7 +177,7 @@ class EveryContext(PooledResponse):
         Scale of the process.
     """
 
-    process: PooledProcess
+    process: ContextProcess
     limit: float
     contexts: Array
     deviations: float = 0.0
@@ -178,6 +197,22 @@ class EveryContext(PooledResponse):
         noise = np.sqrt(self.process.noise(x, self.contexts, rows)[0])
         deviation = self.compression.restore_deviation(noise, mean)
         return rows, self.compression.expectation(mean, noise), deviation
+
+    def estimate(self, x: Array) -> tuple[Array, float, float]:
+        """Return the worst context (e,) of x (1, d), and the metric's mean and noise there."""
+        rows, mean, noise = self.worst_case(x)
+        return self.contexts[rows[0]], float(mean[0]), float(noise[0])
+
+    def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
+        """Return the most doubtful context (e,) of x (1, d), and the log probability there."""
+        rows, log_probability = self.most_doubtful(x)
+        return self.contexts[rows[0]], float(log_probability[0])
+
+    def log_kept_in(self, x: Array, contexts: Array) -> Array:
+        """Return the log probability (k,) that the limit is kept by x (1, d) in contexts (k, e)."""
+        there = replace(self, contexts=contexts)
+        points = np.tile(x, (len(contexts), 1))
+        return self.log_kept(*there.predict_in(points, np.arange(len(contexts))))
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
@@ -276,7 +311,7 @@ class OverContexts(PooledResponse):
         Scale of the process.
     """
 
-    process: PooledProcess
+    process: ContextProcess
     limit: float
     contexts: Array
     probability: float

@@ -11,9 +11,9 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import BAGS, trial_bag
+from bo_tuner.study.limits import WITHIN, outcome_in_words, tightest
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-from bo_tuner.tuning.limits import WITHIN, outcome_in_words, tightest
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"

@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TextIO
 
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display, Result
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.json_numbers import without_nan
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import outcome_in_words
 
 SCHEMA = 1
 

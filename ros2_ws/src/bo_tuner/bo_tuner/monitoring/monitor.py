@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 from bo_tuner.interruption import Interruption, Pause
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.monitoring.display import Display, Output, plain_console
 from bo_tuner.monitoring.json_lines import JsonLines
 from bo_tuner.monitoring.progress import RunProgress
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice, StopAdvisor
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
@@ -22,14 +22,14 @@ class Advisor(RunObserver):
     ----------
     study
         The study.
-    algorithm
-        The algorithm of the run.
+    method
+        The method of the run.
     observers
         Are passed the advice.
     """
 
-    def __init__(self, study: Study, algorithm: Algorithm, observers: RunObserver) -> None:
-        self._advisor = StopAdvisor(study, algorithm)
+    def __init__(self, study: Study, method: Method, observers: RunObserver) -> None:
+        self._advisor = StopAdvisor(study, method)
         self._observers = observers
         self._trials: list[Trial] = []
 

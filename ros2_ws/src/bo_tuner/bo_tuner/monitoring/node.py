@@ -22,9 +22,9 @@ from bo_tuner.monitoring import diagnostics
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.limits import tightest
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-from bo_tuner.tuning.limits import tightest
 from bo_tuner.tuning.observer import RunObserver
 
 PERIOD = 1.0

@@ -4,11 +4,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.time_left import TimeLeft
-from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.study.limits import violated
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Evaluation,
@@ -18,7 +19,6 @@ from bo_tuner.trials import (
     count_evaluations,
     count_trials,
 )
-from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.verdict.verdict import Verdict
 
@@ -82,8 +82,8 @@ class RunStatus(RunObserver):
     ----------
     study
         The study.
-    algorithm
-        The algorithm of the run.
+    method
+        The method of the run.
     clock
         Returns the time [s] from a fixed point on.
 
@@ -94,10 +94,10 @@ class RunStatus(RunObserver):
     """
 
     def __init__(
-        self, study: Study, algorithm: Algorithm, clock: Callable[[], float] = time.monotonic
+        self, study: Study, method: Method, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._study = study
-        self._times = TimeLeft(study, algorithm, clock)
+        self._times = TimeLeft(study, method, clock)
         # What counts for the budget.
         self._counted = self._evaluations = 0
         self._evaluation_seconds = 0.0

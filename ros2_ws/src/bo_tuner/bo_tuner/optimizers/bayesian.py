@@ -1,6 +1,7 @@
 """Bayesian optimization, Algorithm 1 of the paper."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,7 @@ from bo_tuner.acquisition.acquisition import (
 )
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
-from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximize
 from bo_tuner.numerics.seeds import Stream, generator
@@ -42,7 +42,9 @@ STARTS = 8
 
 SPACE_FILLING_CANDIDATES = 512
 
-PointRule = Callable[[Surrogates, np.random.Generator], Iterator[tuple[Array, str]]]
+S = TypeVar("S", bound=Surrogates)
+
+PointRule = Callable[[S, np.random.Generator], Iterator[tuple[Array, str]]]
 """Yields points (d,) to try, the most promising one first, each with the origin of its proposal."""
 
 
@@ -118,15 +120,15 @@ class AcquisitionSearch:
         )
 
 
-class BayesianOptimization(DesignedOptimizer):
+class BayesianOptimization(DesignedOptimizer, Generic[S]):
     """Optimizer that fits surrogates to all trials and maximizes an acquisition function.
 
     Parameters
     ----------
     study
         The study.
-    options
-        Which surrogate models to fit.
+    models
+        Fits the surrogates.
     acquisition
         Makes the acquisition function.
     """
@@ -134,18 +136,18 @@ class BayesianOptimization(DesignedOptimizer):
     def __init__(
         self,
         study: Study,
-        options: ModelOptions = DEFAULT_MODELS,
+        models: FitSurrogates[S],
         acquisition: AcquisitionRule = constrained_improvement,
     ) -> None:
         super().__init__(study)
-        self._options = options
+        self._models = models
         self._acquisition = acquisition
 
     def ask(self) -> Proposal:
         """Propose the parameter set of the next trial."""
         return self.initial() or self.propose(self._most_promising)
 
-    def propose(self, points: PointRule, protocol: tuple[int, int] | None = None) -> Proposal:
+    def propose(self, points: PointRule[S], protocol: tuple[int, int] | None = None) -> Proposal:
         """Propose the first of `points` that was not tried before; `protocol` as in `Proposal`.
 
         The proposal is a point far from all tried ones (origin ``space-filling``) if there is none,
@@ -156,13 +158,8 @@ class BayesianOptimization(DesignedOptimizer):
         outliers: frozenset[int] = frozenset()
         warm = latest_hyperparameters(self.trials)
         try:
-            surrogates = Surrogates.fit(
-                self.study,
-                self.trials,
-                rng=rng,
-                start=warm,
-                options=self._options,
-                weights=self._weights(),
+            surrogates = self._models(
+                self.study, self.trials, rng=rng, start=warm, weights=self._weights()
             )
             warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
@@ -186,7 +183,7 @@ class BayesianOptimization(DesignedOptimizer):
         return rng.dirichlet(np.ones(count))
 
     def _most_promising(
-        self, surrogates: Surrogates, rng: np.random.Generator
+        self, surrogates: S, rng: np.random.Generator
     ) -> Iterator[tuple[Array, str]]:
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)

@@ -10,22 +10,23 @@ step beyond it loses as much as its arbitrary length makes it, and the best para
 have the largest penalties. A gorge that is narrower than the length scales is smooth to the models.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.models.constraints import BELIEVED_FEASIBLE, CONFIDENT
-from bo_tuner.models.fitting import DEFAULT_MODELS, FITTED_EACH, ModelOptions
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
+from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.models.protocol import Model
 from bo_tuner.models.scalarization import equal_weights
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.surrogates import FitSurrogates, S_co, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters
 from bo_tuner.study.study import Study
-from bo_tuner.trials import CHECKS, Trial, TrialState, pooled
+from bo_tuner.trials import Trial, TrialState
 
 TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.
@@ -85,133 +86,145 @@ class Candidate:
         return self.feasibility >= self.required
 
 
-def rank(
-    study: Study,
-    trials: Sequence[Trial],
-    options: ModelOptions = DEFAULT_MODELS,
-) -> list[Candidate]:
-    """Rank the complete trials, except outliers of the objective.
+@dataclass(frozen=True)
+class Ranking(Generic[S_co]):
+    """Ranks trials by surrogates.
 
-    Trials believed feasible come first, by score; the others follow, the least violating first.
-
-    Parameters
+    Attributes
     ----------
-    study
-        The study.
-    trials
-        All trials so far.
-    options
-        As in `Surrogates.fit`.
-
-    Returns
-    -------
-    list of Candidate
-        Empty if no trial is complete.
+    fit
+        Fits the surrogates.
     """
-    return ranked_by(ranking_models(study, trials, options), study, trials, options)
 
+    fit: FitSurrogates[S_co]
 
-def incumbent(
-    study: Study, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
-) -> Candidate | None:
-    """Return the first of `rank`, without the others; None if no trial is complete."""
-    return first_by(ranking_models(study, trials, options), study, trials, options)
+    def sets(self, trials: Sequence[Trial]) -> Sequence[Trial]:
+        """Return the trials that are ranked, of all trials."""
+        return trials
 
+    def required(self, trial: Trial) -> float:
+        """Return the lowest probability with which a trial counts as feasible."""
+        return BELIEVED_FEASIBLE
 
-def ranking_models(
-    study: Study,
-    trials: Sequence[Trial],
-    options: ModelOptions = DEFAULT_MODELS,
-    start: Mapping[str, Sequence[float]] | None = None,
-) -> Surrogates:
-    """Fit the surrogates that `rank` asks; its arguments.
+    def start(self, trials: Sequence[Trial]) -> Mapping[str, Sequence[float]]:
+        """Return the hyperparameters that the fit of `models` starts from.
 
-    Those of pooled evaluations or of many trials start from the hyperparameters of the latest
-    trial, as these are the costliest fits. If there are none, as in random search, those of many
-    trials start from `start`, by default from a fit to `FITTED_EACH` trials, evenly chosen.
-    """
-    rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    many = len(trials) > FITTED_EACH
-    count = len(study.objectives)
-    weights = equal_weights(count) if count > 1 else None
-    known: Mapping[str, Sequence[float]] = {}
-    if options.pooled or many:
-        known = latest_hyperparameters(trials)
-    if many and not known:
-        some = trials[:: -(-len(trials) // FITTED_EACH)]
-        known = (
-            start
-            or Surrogates.fit(study, some, rng=rng, options=options, weights=weights).warm_starts
-        )
-    return Surrogates.fit(study, trials, rng=rng, start=known, options=options, weights=weights)
+        Where the fits are costliest, those of many trials, it starts from those of the latest
+        trial; elsewhere it starts anew.
+        """
+        return latest_hyperparameters(trials) if len(trials) > FITTED_EACH else {}
 
+    def models(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        start: Mapping[str, Sequence[float]] | None = None,
+    ) -> S_co:
+        """Fit the surrogates that the ranking asks.
 
-def ranked_by(
-    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
-) -> list[Candidate]:
-    """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
-    ranking = _Ranking(models, study, options)
-    complete = comparable(models, trials, options)
-    blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
-    return sorted((c for block in blocks for c in ranking.candidates(block)), key=_place)
+        Parameters
+        ----------
+        study
+            The study.
+        trials
+            All trials so far.
+        start
+            Hyperparameters for many trials that have recorded none, as in random search; by default
+            those of a fit to `FITTED_EACH` trials, evenly chosen.
+        """
+        rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
+        count = len(study.objectives)
+        weights = equal_weights(count) if count > 1 else None
+        known = self.start(trials)
+        if len(trials) > FITTED_EACH and not known:
+            some = trials[:: -(-len(trials) // FITTED_EACH)]
+            known = start or self.fit(study, some, rng=rng, weights=weights).warm_starts
+        return self.fit(study, trials, rng=rng, start=known, weights=weights)
 
+    def rank(self, study: Study, trials: Sequence[Trial]) -> list[Candidate]:
+        """Rank the complete trials, except outliers of the objective.
 
-def first_by(
-    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
-) -> Candidate | None:
-    """Return the first of `ranked_by`, None without one; of many trials it asks about few."""
-    ranking = _Ranking(models, study, options)
-    complete = comparable(models, trials, options)
-    if not complete:
+        Trials believed feasible come first, by score; the others follow, the least violating first.
+
+        Parameters
+        ----------
+        study
+            The study.
+        trials
+            All trials so far.
+
+        Returns
+        -------
+        list of Candidate
+            Empty if no trial is complete.
+        """
+        return self.ranked_by(self.models(study, trials), study, trials)
+
+    def incumbent(self, study: Study, trials: Sequence[Trial]) -> Candidate | None:
+        """Return the first of `rank`, without the others; None if no trial is complete."""
+        return self.first_by(self.models(study, trials), study, trials)
+
+    def ranked_by(
+        self, models: Surrogates, study: Study, trials: Sequence[Trial]
+    ) -> list[Candidate]:
+        """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
+        estimates = _Estimates(models, study, self.required)
+        complete = self.comparable(models, trials)
+        blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
+        return sorted((c for block in blocks for c in estimates.candidates(block)), key=_place)
+
+    def first_by(
+        self, models: Surrogates, study: Study, trials: Sequence[Trial]
+    ) -> Candidate | None:
+        """Return the first of `ranked_by`, None without one; of many trials it asks about few."""
+        estimates = _Estimates(models, study, self.required)
+        complete = self.comparable(models, trials)
+        if not complete:
+            return None
+        cost = estimates.cost(complete)
+        order = np.argsort(cost, kind="stable")
+        first: list[Candidate] = []
+        for k in range(0, len(order), BLOCK):
+            # No penalty is negative, so the score of those left is at least their cost.
+            if first and first[0].believed_feasible and first[0].score < cost[order[k]]:
+                break
+            # In the order of the run, as `ranked_by` has a single block.
+            found = estimates.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
+            first = [min(first + found, key=_place)]
+        return first[0]
+
+    def lowest_cost(
+        self, models: Surrogates, study: Study, trials: Sequence[Trial]
+    ) -> float | None:
+        """Return the lowest posterior mean of the cost of those believed feasible, None without.
+
+        What is proposed is to improve on this. The score of the incumbent has a penalty, which a
+        point that was not tried does not have.
+        """
+        estimates = _Estimates(models, study, self.required)
+        complete = self.comparable(models, trials)
+        if not complete:
+            return None
+        cost = estimates.cost(complete)
+        order = np.argsort(cost, kind="stable")
+        order = order[estimates.may_be_feasible([complete[i] for i in order])]
+        for k in range(0, len(order), FEW):
+            block = order[k : k + FEW]
+            kept = estimates.believed_feasible([complete[i] for i in block])
+            if kept.any():
+                return float(cost[block[kept.argmax()]])
         return None
-    cost = ranking.cost(complete)
-    order = np.argsort(cost, kind="stable")
-    first: list[Candidate] = []
-    for k in range(0, len(order), BLOCK):
-        # No penalty is negative, so the score of those left is at least their cost.
-        if first and first[0].believed_feasible and first[0].score < cost[order[k]]:
-            break
-        # In the order of the run, as `ranked_by` has a single block.
-        found = ranking.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
-        first = [min(first + found, key=_place)]
-    return first[0]
 
-
-def lowest_cost(
-    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
-) -> float | None:
-    """Return the lowest posterior mean of the cost of those believed feasible, None without one.
-
-    What is proposed is to improve on this. The score of the incumbent has a penalty, which a point
-    that was not tried does not have.
-    """
-    ranking = _Ranking(models, study, options)
-    complete = comparable(models, trials, options)
-    if not complete:
-        return None
-    cost = ranking.cost(complete)
-    order = np.argsort(cost, kind="stable")
-    order = order[ranking.may_be_feasible([complete[i] for i in order])]
-    for k in range(0, len(order), FEW):
-        block = order[k : k + FEW]
-        kept = ranking.believed_feasible([complete[i] for i in block])
-        if kept.any():
-            return float(cost[block[kept.argmax()]])
-    return None
-
-
-def comparable(
-    models: Surrogates, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
-) -> list[Trial]:
-    """Return the complete trials, except outliers; `ranked_by` ranks these."""
-    if models.objective is None:
-        return []
-    # The data of the objective's model exclude the outliers, so it cannot judge them.
-    return [
-        t
-        for t in (pooled(trials) if options.pooled else trials)
-        if t.state is TrialState.COMPLETE and t.number not in models.outliers
-    ]
+    def comparable(self, models: Surrogates, trials: Sequence[Trial]) -> list[Trial]:
+        """Return the complete trials, except outliers; `ranked_by` ranks these."""
+        if models.objective is None:
+            return []
+        # The data of the objective's model exclude the outliers, so it cannot judge them.
+        return [
+            t
+            for t in self.sets(trials)
+            if t.state is TrialState.COMPLETE and t.number not in models.outliers
+        ]
 
 
 def _place(candidate: Candidate) -> tuple[int, float, int]:
@@ -221,14 +234,16 @@ def _place(candidate: Candidate) -> tuple[int, float, int]:
     return 1, candidate.violation, candidate.trial.number
 
 
-class _Ranking:
+class _Estimates:
     """Asks surrogates about the trials that they were fitted to."""
 
-    def __init__(self, models: Surrogates, study: Study, options: ModelOptions) -> None:
+    def __init__(
+        self, models: Surrogates, study: Study, required: Callable[[Trial], float]
+    ) -> None:
         self._models = models
         self._study = study
         self._space = study.search_space()
-        self._pooled = options.pooled
+        self._required = required
         self._several = len(study.objectives) > 1
 
     def cost(self, trials: Sequence[Trial]) -> Array:
@@ -239,13 +254,9 @@ class _Ranking:
         """Return the probability (n,) that trials keep all constraints."""
         return self._models.feasibility(self._points(trials))
 
-    def required(self, trial: Trial) -> float:
-        """Return the lowest probability with which a trial counts as feasible."""
-        return required_of(trial) if self._pooled else BELIEVED_FEASIBLE
-
     def believed_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
         """Return which (n,) of the trials count as feasible."""
-        return self.feasibility(trials) >= [self.required(trial) for trial in trials]
+        return self.feasibility(trials) >= [self._required(trial) for trial in trials]
 
     def may_be_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
         """Return which (n,) of the trials are within their limits by their means.
@@ -278,7 +289,7 @@ class _Ranking:
                     violation=float(excess[k]),
                     penalty=float(penalties[k]),
                     score=float(score[k]),
-                    required=self.required(trial),
+                    required=self._required(trial),
                 )
             )
         return found
@@ -312,38 +323,6 @@ class _Ranking:
 
     def _points(self, trials: Sequence[Trial]) -> Array:
         return self._space.cube_of(trial.parameters for trial in trials)
-
-
-def looks(trial: Trial) -> int:
-    """Return how often a parameter set was judged anew after it had been run again.
-
-    It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: whoever
-    looks after each run and stops when it looks well finds a limit kept that is not.
-    """
-    return max(_repetitions(trial).bit_length() - 1, 0)
-
-
-def runs_until(trial: Trial, judged: int) -> int:
-    """Return after how many further runs a trial has been judged so often, see `looks`."""
-    return int(2**judged) - _repetitions(trial)
-
-
-def _repetitions(trial: Trial) -> int:
-    return sum(evaluation.stage in CHECKS for evaluation in trial.evaluations)
-
-
-def required_of(trial: Trial) -> float:
-    """Return the probability with which a parameter set counts as feasible if runs are pooled.
-
-    What is lacking to 1 is divided by the number of judgements, each as if it were the last: with
-    1, 2, 3 of them the shares are 1, 1/2, 1/3, whose sum is not bounded.
-    """
-    return required_after(looks(trial))
-
-
-def required_after(judged: int) -> float:
-    """Return `required_of` a parameter set that was judged so often."""
-    return 1.0 - (1.0 - CONFIDENT) / (1 + judged)
 
 
 def intolerable(loss: Array) -> Array:

@@ -28,9 +28,9 @@ from bo_tuner.recording.retention import (
 )
 from bo_tuner.recording.signal_bag import RECORDING, recording_note, signal_messages
 from bo_tuner.storage.run_files import bag_name
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import outcome_in_words
 
 MEMORY = 64_000_000
 """Most bytes of messages that wait to be written."""

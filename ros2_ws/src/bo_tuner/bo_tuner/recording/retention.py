@@ -13,9 +13,9 @@ from pathlib import Path
 import yaml
 
 from bo_tuner.storage.run_files import open_file
+from bo_tuner.study.limits import excess, tightest
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import excess, tightest
 
 MEGABYTE = 1_000_000
 KEPT_AS = "kept_as"

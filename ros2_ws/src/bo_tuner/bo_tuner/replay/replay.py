@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
@@ -16,7 +14,6 @@ from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import CHECKS, TUNING, Evaluation, TrialState, latest_by_place
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
-from bo_tuner.tuning.settling import with_checks
 
 BEST, WORST = "best", "worst"
 
@@ -143,9 +140,8 @@ def find_trial(record: RunRecord, which: str) -> int:
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
-        options = ALGORITHMS[record.algorithm].models
-        checked = with_checks(record.study, record.trials, record.evaluations, options)
-        best = incumbent(record.study, checked, options)
+        checked = record.method.checked(record.study, record.trials, record.evaluations)
+        best = record.method.incumbent(record.study, checked)
         if best is None:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
         return best.trial.number

@@ -10,23 +10,20 @@ from typing import Any, TypeVar
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
-from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, comparable, first_by, ranked_by, ranking_models
+from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
-from bo_tuner.tuning.limits import uncertain, violated
-from bo_tuner.tuning.settling import estimated, with_checks
 from bo_tuner.verdict.verdict import Verdict
 
 T = TypeVar("T")
 
 
 class TrialOutcome(StrEnum):
-    """Outcome of a trial, as displayed; the rule is that of `tuning.limits`."""
+    """Outcome of a trial, as displayed; the rule is that of `study.limits`."""
 
     WITHIN = "within limits"
     UNCERTAIN = "may violate"
@@ -76,18 +73,12 @@ class Analysis:
 
         Worst cases are those on record; of a trial that was run again they are estimated anew.
         """
-        if not self._options.pooled:
-            return self._checked
         return tuple(
-            estimated(self.study, self.models, trial)
+            self.record.method.estimated(self.study, self.models, trial)
             if len(trial.evaluations) > len(trial.unchecked.evaluations)
             else trial
             for trial in self._checked
         )
-
-    @property
-    def _options(self) -> ModelOptions:
-        return ALGORITHMS[self.record.algorithm].models
 
     @cached_property
     def has_checks(self) -> bool:
@@ -98,27 +89,31 @@ class Analysis:
     def _checked(self) -> tuple[Trial, ...]:
         """As `trials`, but all worst cases as they were estimated when the trials were run."""
         record = self.record
-        return tuple(with_checks(self.study, record.trials, record.evaluations, self._options))
+        return tuple(record.method.checked(self.study, record.trials, record.evaluations))
+
+    @property
+    def _ranking(self) -> Ranking[Surrogates]:
+        return self.record.method.ranking
 
     @cached_property
     def models(self) -> Surrogates:
-        """Surrogates of all trials, the same as in `rank`."""
-        return ranking_models(self.study, self._checked, self._options)
+        """Surrogates of all trials, those of the ranking."""
+        return self._ranking.models(self.study, self._checked)
 
     @cached_property
     def ranked(self) -> list[Candidate]:
         """Complete trials, the recommended one first."""
-        return ranked_by(self.models, self.study, self.trials, self._options)
+        return self._ranking.ranked_by(self.models, self.study, self.trials)
 
     @cached_property
     def leader(self) -> Candidate | None:
         """The first of `ranked`; None without a complete trial."""
-        return first_by(self.models, self.study, self.trials, self._options)
+        return self._ranking.first_by(self.models, self.study, self.trials)
 
     @cached_property
     def comparable(self) -> list[Trial]:
         """The trials of `ranked`, in the order of the run."""
-        return comparable(self.models, self.trials, self._options)
+        return self._ranking.comparable(self.models, self.trials)
 
     @property
     def certificate(self) -> CertificateFile | None:

@@ -11,9 +11,9 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
+from bo_tuner.study.limits import tightest
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage, count_trials
-from bo_tuner.tuning.limits import tightest
 from bo_tuner.verdict.verdict import Quantity, Status
 
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)

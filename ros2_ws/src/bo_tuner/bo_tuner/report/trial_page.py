@@ -12,9 +12,9 @@ from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
 from bo_tuner.storage.run_files import BAGS, bag_name
+from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
-from bo_tuner.tuning.limits import outcome_in_words
 
 
 def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:

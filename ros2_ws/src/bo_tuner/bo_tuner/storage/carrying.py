@@ -26,10 +26,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.errors import ConditionError, ParameterError, RunRecordError, StudyError
+from bo_tuner.methods.protocol import Method
 from bo_tuner.metrics.collect import judged
-from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
@@ -105,7 +104,7 @@ def remeasured(then: Study, now: Study) -> list[str]:
     ]
 
 
-def check_comparable(record: RunRecord, study: Study, algorithm: Algorithm) -> None:
+def check_comparable(record: RunRecord, study: Study, method: Method) -> None:
     """Refuse a study of which no trial of a run can be data.
 
     Raises
@@ -117,31 +116,15 @@ def check_comparable(record: RunRecord, study: Study, algorithm: Algorithm) -> N
     if differences := incomparable_changes(then, study):
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
     moved = _moved_contexts(then, study)
-    if moved and algorithm.nominal:
-        moved = [
-            name
-            for name in moved
-            if then.contexts[name].distribution.nominal != study.contexts[name].distribution.nominal
-        ]
-    if moved and not algorithm.models.pooled:
-        what = "evaluates the nominal context" if algorithm.nominal else "takes means over draws"
-        raise RunRecordError(
-            f"{record.path}: contexts.{moved[0]} has another distribution, and the algorithm of "
-            f"this run {what}; start a new run"
-        )
     new = [c.name for c in study.worst_case_constraints if _searched(c, then, study) is None]
-    models = algorithm.models
-    if new and not (algorithm.nominal or models.pooled or models.joint):
-        raise RunRecordError(
-            f"{record.path}: the worst case of constraints.{new[0]} was not searched for in this "
-            "run, and its algorithm searches for it in each trial; start a new run"
-        )
+    if problem := method.unusable(then, study, moved, new):
+        raise RunRecordError(f"{record.path}: {problem}; start a new run")
     if not record.trials:
         raise RunRecordError(f"{record.path}: has no whole trial to begin with")
 
 
 def carry_over(
-    record: RunRecord, study: Study, algorithm: Algorithm, measure: Measure | None = None
+    record: RunRecord, study: Study, method: Method, measure: Measure | None = None
 ) -> Carried:
     """Take the trials of a run as far as they are data of a study.
 
@@ -151,7 +134,7 @@ def carry_over(
         The earlier run.
     study
         Of the new run.
-    algorithm
+    method
         Of both runs; `check_comparable` has not refused them.
     measure
         Computes metrics again where there are any `remeasured`.
@@ -161,14 +144,14 @@ def carry_over(
     RunRecordError
         If no trial is left.
     """
-    taking = _Taking(record, study, algorithm, measure)
+    taking = _Taking(record, study, method, measure)
     found = list(taking.trials())
     if not found:
         raise RunRecordError(
             f"{record.path}: none of its {counted(len(record.trials), 'trial')} can be used: "
             f"{taking.left_out}"
         )
-    trials = _with_worst_cases(study, algorithm, found)
+    trials = _with_worst_cases(study, method, found)
     run = str(record.path.resolve())
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
@@ -177,10 +160,10 @@ class _Taking:
     """Goes through the trials of a run, and counts what it leaves out."""
 
     def __init__(
-        self, record: RunRecord, study: Study, algorithm: Algorithm, measure: Measure | None
+        self, record: RunRecord, study: Study, method: Method, measure: Measure | None
     ) -> None:
         self._record = record
-        self._then, self._study, self._algorithm = record.study, study, algorithm
+        self._then, self._study, self._method = record.study, study, method
         self._space = study.search_space()
         self._measure = measure
         self._changed = bool(changes_of_data(self._then, study))
@@ -232,7 +215,7 @@ class _Taking:
                 kept.append(self._evaluation(evaluation))
             except _LeftOutError as reason:
                 reasons.append(str(reason))
-        if reasons and (not kept or not self._algorithm.models.pooled):
+        if reasons and (not kept or not self._method.takes_parts()):
             # Elsewhere a trial is its mean and its worst case, which are those of all evaluations.
             raise _LeftOutError(reasons[0])
         self._evaluations.update(reasons)
@@ -331,7 +314,7 @@ class _Taking:
         return {name: trial.worst_cases[then] for name, then in found.items() if then is not None}
 
 
-def _with_worst_cases(study: Study, algorithm: Algorithm, trials: Sequence[Trial]) -> list[Trial]:
+def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> list[Trial]:
     """Estimate the worst cases of complete trials that lack any, by all evaluations."""
     names = {constraint.name for constraint in study.worst_case_constraints}
     lacking = [
@@ -341,16 +324,14 @@ def _with_worst_cases(study: Study, algorithm: Algorithm, trials: Sequence[Trial
     ]
     if not lacking:
         return list(trials)
-    known: dict[str, tuple[float, ...]] = {}
-    if not algorithm.nominal:
-        rng = generator(study.seed, Stream.SEARCH, len(trials))
-        known = Surrogates.fit(study, trials, rng=rng, options=algorithm.models).warm_starts
+    rng = generator(study.seed, Stream.SEARCH, len(trials))
+    known = dict(method.hyperparameters(study, trials, rng))
     found = list(trials)
     for number in lacking:
         trial = trials[number]
         proposal = Proposal(dict(trial.parameters), trial.origin, hyperparameters=known)
         others = [other for other in trials if other.number != number]
-        searches = algorithm.worst_case_searches(study, proposal, others)
+        searches = method.worst_case_searches(study, proposal, others)
         for evaluation in trial.evaluations:
             searches.tell(evaluation.context, evaluation.outcome.metrics)
         rng = generator(study.seed, Stream.SEARCH, number, len(trial.evaluations))

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
@@ -38,7 +39,7 @@ class RunRecord:
     study
         The study of the last session.
     algorithm, backend
-        What it is run by; keys of `ALGORITHMS` and of the command line.
+        What it is run by; keys of `METHODS` and of the command line.
     stop_early
         Whether its last session follows the advice to stop.
     attached
@@ -75,6 +76,11 @@ class RunRecord:
     evaluations: tuple[Evaluation, ...]
     summary: Mapping[str, object] | None
     damage: str
+
+    @property
+    def method(self) -> Method:
+        """What it is run by."""
+        return METHODS[self.algorithm]
 
     @property
     def result(self) -> Trial | None:
@@ -119,7 +125,7 @@ def read_run(path: Path) -> RunRecord:
     provenance = dict(content.sessions[0])
     provenance.pop(STUDY_YAML, None)
     algorithm = provenance.get("algorithm", "")
-    if algorithm not in ALGORITHMS:
+    if algorithm not in METHODS:
         named = checks.quoted(algorithm) if algorithm else "none"
         raise RunRecordError(f"{path / JOURNAL}: no known algorithm in its provenance: {named}")
     return RunRecord(

@@ -14,9 +14,9 @@ from scipy.special import stdtrit
 
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import pooled
-from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 CONFIDENCE = 0.95
 """Of the interval of a mean."""
@@ -74,7 +74,7 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     study
         The study.
     ranked
-        As from `rank`, with the evaluations of checks.
+        As from `Ranking.rank`, with the evaluations of checks.
     """
     # In a space smaller than the budget several trials are of one set.
     firsts: dict[object, Candidate] = {}

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bo_tuner.backends.protocol import Backend
+from bo_tuner.methods.protocol import Method
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
-from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -37,8 +37,8 @@ class Tuning:
         The study.
     backend
         Runs the evaluations; open.
-    algorithm
-        The algorithm.
+    method
+        The method.
     observer
         Is passed each evaluation.
     trials
@@ -54,17 +54,16 @@ class Tuning:
         self,
         study: Study,
         backend: Backend,
-        algorithm: Algorithm,
+        method: Method,
         *,
         observer: RunObserver = NOBODY,
         trials: Sequence[Trial] = (),
     ) -> None:
         self._study = study
         self._backend = backend
-        self._algorithm = algorithm
+        self._method = method
         self._observer = observer
-        self._optimizer = algorithm.optimizer(study)
-        self._contexts = study.context_space()
+        self._optimizer = method.optimizer(study)
         self._losses = Losses("trials")
         self.trials: list[Trial] = []
         for trial in trials:
@@ -132,11 +131,11 @@ class Tuning:
         def rng() -> np.random.Generator:
             return generator(self._study.seed, Stream.SEARCH, number, len(done))
 
-        for stage, context in self._estimating_contexts(number, proposal):
+        for stage, context in self._method.first_contexts(self._study, number, proposal):
             outcome = run(stage, context)
             if not outcome.complete:
                 return TrialState.FAILED, outcome.reason, {}
-        searches = self._algorithm.worst_case_searches(self._study, proposal, self.trials)
+        searches = self._method.worst_case_searches(self._study, proposal, self.trials)
         for evaluation in done:
             searches.tell(evaluation.context, evaluation.outcome.metrics)
         while not searches.done(rng()):
@@ -146,11 +145,3 @@ class Tuning:
                 return TrialState.FAILED, outcome.reason, {}
             searches.tell(context, outcome.metrics)
         return TrialState.COMPLETE, "", searches.worst_cases(rng())
-
-    def _estimating_contexts(self, number: int, proposal: Proposal) -> list[tuple[Stage, Context]]:
-        if self._algorithm.nominal:
-            return [(Stage.NOMINAL, self._contexts.to_dict(self._contexts.nominal()))]
-        rng = generator(self._study.seed, Stream.CONTEXTS, number)
-        count, _ = self._algorithm.protocol(self._study, proposal)
-        drawn = self._contexts.draw_stratified(count, rng)
-        return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]

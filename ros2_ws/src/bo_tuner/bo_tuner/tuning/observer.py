@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from enum import StrEnum
 
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.trials import Evaluation, Trial
 
 

@@ -11,8 +11,9 @@ from dataclasses import asdict, dataclass, replace
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
-from bo_tuner.optimizers.stopping import StopAdvice, StopAdvisor
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -22,16 +23,14 @@ from bo_tuner.trials import (
     TUNING,
     Evaluation,
     Trial,
-    count_checks,
     count_evaluations,
     count_trials,
     parameter_set,
 )
 from bo_tuner.tuning.effects import ParameterEffects, effects_in
+from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
-from bo_tuner.tuning.recommendation import Recommendation, recommend
-from bo_tuner.tuning.settling import most_repetitions, settle, with_known_repetitions
 from bo_tuner.tuning.validation import Validation, validate
 
 
@@ -58,7 +57,7 @@ class Conclusion:
 def conclude(
     study: Study,
     backend: Backend,
-    algorithm: Algorithm,
+    method: Method,
     trials: Sequence[Trial],
     observer: RunObserver = NOBODY,
 ) -> Conclusion | None:
@@ -66,7 +65,7 @@ def conclude(
 
     Parameters
     ----------
-    study, algorithm
+    study, method
         Of the run.
     backend
         Runs the evaluations; open.
@@ -85,7 +84,7 @@ def conclude(
     RunError
         As in `validate`.
     """
-    best = choose_answer(study, backend, algorithm, trials, observer=observer)
+    best = choose_answer(study, backend, method, trials, observer=observer)
     if best is None:
         return None
     observer.begin(Phase.VALIDATION, study.budget.validation_draws)
@@ -101,7 +100,7 @@ def conclude(
 
 def continued(
     study: Study,
-    algorithm: Algorithm,
+    method: Method,
     trials: Sequence[Trial],
     evaluations: Sequence[Evaluation],
     *,
@@ -109,43 +108,42 @@ def continued(
 ) -> list[Trial]:
     """Return the trials of a run on record as its next step is to know them.
 
-    Where models pool all evaluations, the repetitions of a run that had ended are data for the
-    trials that it is continued with. A run that may stop early does without: whether trials are to
-    come is not known before they are judged.
+    For a method to which they are data, they have the repetitions of a run that had ended. A run
+    that may stop early does without: whether trials are to come is not known before they are
+    judged.
 
     Parameters
     ----------
-    study, algorithm
+    study, method
         Of the run.
     trials, evaluations
         Of the record, in its order.
     stop_early
         Whether the run follows the advice to stop.
     """
-    if stop_early or not algorithm.models.pooled:
+    if stop_early:
         return list(trials)
     more = not study.budget.is_spent(count_trials(trials), count_evaluations(trials))
-    return with_known_repetitions(trials, evaluations, more=more)
+    return method.continued(trials, evaluations, more=more)
 
 
 def choose_answer(
     study: Study,
     backend: Backend,
-    algorithm: Algorithm,
+    method: Method,
     trials: Sequence[Trial],
     *,
     most_repeated: int | None = None,
     observer: RunObserver = NOBODY,
 ) -> Recommendation | None:
-    """Evaluate the best candidates again, in the way of the algorithm, and recommend one.
+    """Evaluate the best candidates again, in the way of the method, and recommend one.
 
     Parameters
     ----------
-    study, backend, algorithm, trials, observer
+    study, backend, method, trials, observer
         As in `conclude`.
     most_repeated
-        Largest number of further repetitions of an algorithm with pooled evaluations; by default
-        `most_repetitions`.
+        As `most` of `Method.answer_search`.
 
     Returns
     -------
@@ -155,21 +153,20 @@ def choose_answer(
     Raises
     ------
     RunError
-        As in `settle` and `recommend`.
+        If three evaluations in a row were lost with their nodes or disturbed.
     """
-    models = algorithm.models
-    if models.pooled:
-        most = most_repeated
-        if most is None:
-            most = most_repetitions(study, count_evaluations(trials), count_checks(trials))
-        observer.begin(Phase.CHECKING, most)
-        found = settle(study, backend, trials, models, most=most, observer=observer)
-    else:
-        most = algorithm.most_checked
-        observer.begin(Phase.CHECKING, most)
-        found = recommend(study, backend, trials, models, most_checked=most, observer=observer)
+    search = method.answer_search(study, trials, most_repeated)
+    losses = Losses(search.what)
+    observer.begin(Phase.CHECKING, search.steps)
+    while (planned := search.ask()) is not None:
+        evaluation = evaluate(backend, planned, observer)
+        step = search.tell(evaluation)
+        losses.note(evaluation)
+        losses.check()
+        if step:
+            observer.advance()
     observer.end(Phase.CHECKING)
-    return found
+    return search.answer
 
 
 def summarize(
@@ -242,11 +239,11 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
-    study, algorithm = record.study, ALGORITHMS[record.algorithm]
+    study, method = record.study, record.method
     spent = study.budget.is_spent(count_trials(record.trials), count_evaluations(record.trials))
     if not spent and not record.stop_early:
         return None
-    advisor = StopAdvisor(study, algorithm)
+    advisor = StopAdvisor(study, method)
     for count in range(1, len(record.trials) + 1):
         advisor.consider(record.trials[:count])
     if not spent and advisor.advice is None:
@@ -261,9 +258,9 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)
         trials = continued(
-            study, algorithm, record.trials, record.evaluations, stop_early=record.stop_early
+            study, method, record.trials, record.evaluations, stop_early=record.stop_early
         )
-        conclusion = conclude(study, backend, algorithm, trials)
+        conclusion = conclude(study, backend, method, trials)
     except (_NotOnRecordError, RunError, KeyError):
         return None
     if conclusion is None:

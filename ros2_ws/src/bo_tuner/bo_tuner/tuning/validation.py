@@ -10,10 +10,10 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study import checks
+from bo_tuner.study.limits import Sample, Standing, judge_samples
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.limits import Sample, Standing, judge_samples
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 

@@ -7,9 +7,9 @@ limit permits. *Kept* is only what is shown, and it stands with what the limit p
 from dataclasses import dataclass
 
 from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.limits import Sample, Standing, permitted_violations
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.tuning.limits import Sample, Standing, permitted_violations
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.study.limits import Standing, worst_case_holds
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
 from bo_tuner.trials import (
@@ -18,7 +18,6 @@ from bo_tuner.trials import (
     evaluations_of,
 )
 from bo_tuner.tuning.front import RULE
-from bo_tuner.tuning.limits import Standing, worst_case_holds
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.at_bounds import at_bounds
 from bo_tuner.verdict.limit_verdict import LimitVerdict, by_test_runs
@@ -119,29 +118,6 @@ def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
 def fresh_draws(study: Study, count: int) -> str:
     """Return what a number of draws is of, in a few words."""
     return f"{count} fresh draws of {'context and noise' if study.contexts else 'noise'}"
-
-
-def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:
-    """Return why an algorithm does not vouch for the trial that it recommends; empty if it does.
-
-    Parameters
-    ----------
-    algorithm
-        Key of `ALGORITHMS`.
-    feasibility
-        Probability that the trial keeps all limits, by the algorithm's models.
-    passed
-        Whether it passed the check of candidates; if the algorithm has none, whether it is believed
-        feasible.
-    """
-    if passed:
-        return ""
-    if ALGORITHMS[algorithm].models.pooled:
-        return (
-            "By the model of all evaluations it keeps its limits with a probability of only "
-            f"{feasibility:.3g}, which is too low"
-        )
-    return "It did not pass the check of the best candidates"
 
 
 def observed(

@@ -10,9 +10,9 @@ from enum import StrEnum
 from math import isfinite, isnan
 
 from bo_tuner.storage.json_numbers import without_nan
+from bo_tuner.study.limits import Standing
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.tuning.effects import ParameterEffects
-from bo_tuner.tuning.limits import Standing
 from bo_tuner.verdict.at_bounds import AtBound
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
 from bo_tuner.verdict.limit_verdict import LimitVerdict

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
     advice_in_words,
@@ -23,7 +24,6 @@ from bo_tuner.monitoring.progress import (
 )
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.run_files import LOGS, open_file
 from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, printable

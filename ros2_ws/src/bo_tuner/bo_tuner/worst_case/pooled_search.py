@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.compression import Compression
-from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.context_process import ContextProcess
+from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
@@ -35,7 +35,9 @@ class PooledSearch:
     coding
         Of the parameters' columns.
     hyperparameters
-        Of the process, as in `PooledProcess.condition`; by default they are fitted to the data.
+        Of the process, as in `ContextProcess.condition`; by default they are fitted to the data.
+    models
+        Say which kind of process, and on which scale.
     until_clear
         Whether the search ends when the decision is clear.
     """
@@ -53,6 +55,7 @@ class PooledSearch:
         coding: Coding,
         hyperparameters: Sequence[float] | None = None,
         *,
+        models: PooledModels,
         until_clear: bool,
     ) -> None:
         self._space = space
@@ -60,12 +63,13 @@ class PooledSearch:
         self._deviations = deviations
         self._evaluations = evaluations
         self._point = point
-        self._compression = Compression.of(y, limit)
+        self._processes = models.processes
+        self._compression = models.scale(y, limit, 1.0)
         self._x, self._c, self._y = x, c, self._compression.apply(y)
         self._coding = coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
-        self._process: PooledProcess | None = None
+        self._process: ContextProcess | None = None
         self._observed: list[float] = []
         self._asked = 0
 
@@ -103,28 +107,28 @@ class PooledSearch:
         _, mean, noise = there.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
 
-    def _fit(self, rng: np.random.Generator) -> PooledProcess:
+    def _fit(self, rng: np.random.Generator) -> ContextProcess:
         if self._process is None:
             if self._hyperparameters is None:
-                self._process = PooledProcess.fit(
+                self._process = self._processes.fit(
                     self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
                 )
             else:
-                self._process = PooledProcess.condition(
+                self._process = self._processes.condition(
                     self._hyperparameters, self._x, self._c, self._y, coding=self._coding
                 )
         return self._process
 
-    def _quantile(self, process: PooledProcess, c: Array) -> tuple[Array, Array]:
+    def _quantile(self, process: ContextProcess, c: Array) -> tuple[Array, Array]:
         points = np.tile(self._point, (len(c), 1))
         return self._everywhere(process, c).predict_in(points, np.arange(len(c)))
 
-    def _everywhere(self, process: PooledProcess, c: Array) -> EveryContext:
+    def _everywhere(self, process: ContextProcess, c: Array) -> EveryContext:
         return EveryContext(
             process, self._limit, c, self._deviations, compression=self._compression
         )
 
-    def _upper(self, process: PooledProcess) -> Callable[[Array], Array]:
+    def _upper(self, process: ContextProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:
             mean, variance = self._quantile(process, c)
             return mean + np.sqrt(variance)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from bo_tuner.models.surrogates import Classifier, Surrogates
+from bo_tuner.models.surrogates import Classifier
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
@@ -38,7 +38,7 @@ def surrogate_fields(
     answer = run.answer()
     trials = run.trials
     rng = generator(run.study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    models = Surrogates.fit(run.study, trials, rng=rng, options=run.algorithm.models)
+    models = run.method.ranking.fit(run.study, trials, rng=rng)
     space = study.search_space()
     first, second = figure.axes(study)
     grid = np.array([_cube(space, a, b) for a in first for b in second])

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.evaluation import evaluate
@@ -49,7 +49,7 @@ class OwnContextsRun:
 
     def __iter__(self) -> Iterator[Trial]:
         """Run the initial trials, and then evaluations until the budget is used."""
-        for trial in Tuning(self.study, self.backend, ALGORITHMS[DESIGN]):
+        for trial in Tuning(self.study, self.backend, METHODS[DESIGN]):
             yield self._take(trial)
             if self.done or len(self.trials) >= self.study.budget.initial_trials:
                 break

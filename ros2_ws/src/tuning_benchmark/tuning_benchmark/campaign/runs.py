@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
-from bo_tuner.optimizers.boundary import new_point
-from bo_tuner.optimizers.ranking import incumbent
+from bo_tuner.methods.paper.searches import EachTrial
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value, count_evaluations
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import RunObserver
-from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
-from bo_tuner.tuning.settling import before_repetitions, part_of_trials, with_known_repetitions
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.reinterpolation_search import OBSERVED
@@ -26,13 +25,13 @@ from tuning_benchmark.experiments import plugins
 from tuning_benchmark.experiments.experiment import OWN, RANDOM, Row
 from tuning_benchmark.judging.neighbours import judge_neighbours
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of, verdict_record
-from tuning_benchmark.peers.adapter import PeerAlgorithm, PeerOptimizer
+from tuning_benchmark.peers.adapter import PeerOptimizer, peer_method
 
 MOMENTS = 24
 """Number of moments of a run, at most, at which its incumbent is recorded."""
 
 RANKING = "IV"
-"""Algorithm whose ranking is applied to the trials of other optimizers as well."""
+"""Method whose ranking is applied to the trials of other optimizers as well."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class RunSize:
     evaluations
         The trials end with the one that reaches this number.
     reserved
-        Part of it that is kept for an algorithm that checks its candidates.
+        Part of it that is kept for a method that checks its candidates.
     initial_trials
         Size of the initial design.
     """
@@ -67,48 +66,38 @@ class Run:
         Seed of the run.
     size
         Its budget.
+    method
+        In place of the one that the row names.
 
     Attributes
     ----------
     study
         The study with the seed and the budget of the run.
-    algorithm
-        The algorithm; for another optimizer one that asks it for parameter sets.
+    method
+        The method; for another optimizer one that asks it for parameter sets.
     backend
         Runs the evaluations, and counts them.
     budget
         Evaluations after which the trials end, or are followed by repetitions.
     """
 
-    def __init__(self, study: Study, row: Row, seed: int, size: RunSize) -> None:
-        self.study = _study_of(study, row, seed, size)
+    def __init__(
+        self, study: Study, row: Row, seed: int, size: RunSize, method: Method | None = None
+    ) -> None:
+        whole = _study_of(study, row, seed, size)
         self._peer: PeerOptimizer | None = None
-        if row.algorithm:
-            algorithm = ALGORITHMS[row.algorithm]
-        else:
-            self._peer = PeerOptimizer(self.study, plugins.load(row.optimizer)(self.study, seed))
-            algorithm = PeerAlgorithm(row.optimizer, peer=self._peer, most_checked=0)
-        # As many checks as the evaluations allow: what one row spends more, the others lack.
-        most_checked = min(
-            algorithm.most_checked, size.reserved // most_check_evaluations(self.study)
-        )
-        changes: dict[str, Any] = {"most_checked": most_checked}
-        if row.protocol == RANDOM:
-            changes["worst_case"] = OBSERVED
-        if row.worst_case:
-            changes["worst_case"] = row.worst_case
-        if row.neighbour_starts is not None:
-            changes["neighbour_starts"] = row.neighbour_starts
-        self.algorithm: Algorithm = dataclasses.replace(algorithm, **changes)
+        if row.optimizer:
+            self._peer = PeerOptimizer(whole, plugins.load(row.optimizer)(whole, seed))
+            method = peer_method(row.optimizer, self._peer)
+        method = _with_choices(method or METHODS[row.algorithm], row)
         self._evaluations = size.evaluations
-        self.budget = size.evaluations - (size.reserved if most_checked > 0 else 0)
-        if self.algorithm.models.pooled:
-            self.budget = before_repetitions(self.study, size.evaluations)
-            # It divides the budget of its trials into parts.
-            self.study = self.study.replace(evaluations=self.budget)
+        # As many checks as the evaluations allow: what one row spends more, the others lack.
+        self.method, self.budget = method.within(whole, size.evaluations, size.reserved)
+        # A method may divide the budget of its trials into parts.
+        self.study = whole.replace(evaluations=self.budget)
         self.backend = TimedBackend(self.study)
         self.backend.open()
-        self._tuning = Tuning(self.study, self.backend, self.algorithm)
+        self._tuning = Tuning(self.study, self.backend, self.method)
         self._found: Recommendation | None = None
 
     @property
@@ -124,64 +113,75 @@ class Run:
     def __iter__(self) -> Iterator[Trial]:
         """Run trials until one reaches the budget.
 
-        Where the models pool all evaluations, parameter sets are then run again until the answer is
-        settled, and a run with evaluations left is continued, as with ``--resume``.
+        Then the answer is settled, and where evaluations are left that a method can use, the run is
+        continued, as with ``--resume``.
         """
         while True:
             for trial in self._tuning:
                 yield trial
                 if self.done:
                     break
-            if not self.algorithm.models.pooled or not self._settled_early():
+            if self._peer is not None or not self._settled_early():
                 return
 
     def _settled_early(self) -> bool:
-        """Settle the answer; return whether more trials follow, which know the repetitions."""
-        repetitions = _Repetitions()
+        """Settle the answer; return whether more trials follow, which know what was run for it."""
+        settling = _Evaluations()
         left = self._evaluations - self.backend.evaluations
         self._found = choose_answer(
             self.study,
             self.backend,
-            self.algorithm,
+            self.method,
             self.trials,
             most_repeated=max(0, left),
-            observer=repetitions,
+            observer=settling,
         )
-        more = part_of_trials(self._evaluations - self.backend.evaluations)
-        if self._found is None or more < sum(new_point(self.study)):
+        more = self.method.further(self.study, self._evaluations - self.backend.evaluations)
+        if self._found is None or not more:
             return False
-        known = with_known_repetitions(self.trials, repetitions.evaluations, more=True)
+        known = self.method.continued(self.trials, settling.evaluations, more=True)
         self.budget = self.backend.evaluations + more
         self.study = self.study.replace(evaluations=count_evaluations(known) + more)
-        self._tuning = Tuning(self.study, self.backend, self.algorithm, trials=known)
+        self._tuning = Tuning(self.study, self.backend, self.method, trials=known)
         return True
 
     def incumbent(self) -> int | None:
         """Return the number of the trial believed feasible and best; None if there is none yet."""
         if self._peer is not None:
             return self._peer.recommend()
-        return self.first_ranked(self.algorithm)
+        return self.first_ranked(self.method)
 
-    def first_ranked(self, algorithm: Algorithm) -> int | None:
-        """Return the trial that an algorithm ranks first; None if none is believed feasible."""
-        best = incumbent(self.study, self.trials, algorithm.models)
+    def first_ranked(self, method: Method) -> int | None:
+        """Return the trial that a method ranks first; None if none is believed feasible."""
+        best = method.incumbent(self.study, self.trials)
         return best.trial.number if best is not None and best.believed_feasible else None
 
     def answer(self) -> tuple[int, bool] | None:
         """Return the trial recommended in the end and whether it is believed feasible, or None.
 
-        An algorithm of the tuner evaluates its candidates again first.
+        A method of the tuner has evaluated its candidates again.
         """
         if self._peer is not None:
             number = self._peer.recommend()
             return None if number is None else (number, True)
         found = self._found
-        if not self.algorithm.models.pooled:
-            found = choose_answer(self.study, self.backend, self.algorithm, self.trials)
         return None if found is None else (found.candidate.trial.number, found.feasible)
 
 
-class _Repetitions(RunObserver):
+def _with_choices(method: Method, row: Row) -> Method:
+    """Return a method with the choices of a row for stage two."""
+    estimate = row.worst_case or (OBSERVED if row.protocol == RANDOM else "")
+    if not estimate and row.neighbour_starts is None:
+        return method
+    search = EachTrial()
+    if estimate:
+        search = dataclasses.replace(search, estimate=estimate)
+    if row.neighbour_starts is not None:
+        search = dataclasses.replace(search, neighbour_starts=row.neighbour_starts)
+    return method.with_search(search)
+
+
+class _Evaluations(RunObserver):
     """Keeps the evaluations while the answer is settled."""
 
     def __init__(self) -> None:
@@ -231,7 +231,7 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
     }
     truth = truth_of(study, judge)
     if row.optimizer and isinstance(run, Run):
-        number = run.first_ranked(ALGORITHMS[RANKING])
+        number = run.first_ranked(METHODS[RANKING])
         if number is not None:
             verdict = truth.verdict(trials[number].parameters)
             record["ranked"] = {"trial": number, "truth": verdict_record(verdict)}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
@@ -29,7 +29,7 @@ class Row:
     name
         Its label in the tables.
     algorithm
-        Key of `ALGORITHMS`; or
+        Key of `METHODS`; or
     optimizer
         an optimizer, as ``module:Class``.
     protocol
@@ -62,7 +62,7 @@ class Row:
         if bool(self.algorithm) == bool(self.optimizer):
             raise StudyError("expected either an algorithm or an optimizer")
         if self.algorithm:
-            checks.choice(self.algorithm, tuple(ALGORITHMS), "algorithm")
+            checks.choice(self.algorithm, tuple(METHODS), "algorithm")
         if self.optimizer:
             checks.matching(self.optimizer, checks.OBJECT_PATH, "module:Class", "optimizer")
         checks.choice(self.protocol, (RANDOM, WORST_CASE, OWN), "protocol")
@@ -182,7 +182,7 @@ class Cost:
     Attributes
     ----------
     algorithm
-        Key of `ALGORITHMS`.
+        Key of `METHODS`.
     dimensions, trials
         Number of tuned parameters, and trials at which the cost is taken.
     compared_trials
@@ -198,7 +198,7 @@ class Cost:
     seeds: int = 3
 
     def __post_init__(self) -> None:
-        checks.choice(self.algorithm, tuple(ALGORITHMS), "algorithm")
+        checks.choice(self.algorithm, tuple(METHODS), "algorithm")
         for name in ("dimensions", "trials"):
             for index, value in enumerate(getattr(self, name)):
                 checks.integer(value, name, index, at_least=1)

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import EXPECTATION
+from bo_tuner.study.limits import judge_sample
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 from bo_tuner.trials import Context, Value
-from bo_tuner.tuning.limits import judge_sample
 from tuning_benchmark.experiments import plugins
 from tuning_benchmark.judging.evaluator import Evaluator
 

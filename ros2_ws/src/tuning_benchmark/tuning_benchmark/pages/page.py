@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from tuning_benchmark.experiments.experiment import (
     RANDOM,
     WORST_CASE,
@@ -222,18 +222,8 @@ def _points(case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Reco
 def _kept(case: Case) -> str:
     """Tell which evaluations are not those of trials."""
     algorithms = {row.algorithm for row in case.rows.values() if row.algorithm}
-    pooled = sorted(name for name in algorithms if ALGORITHMS[name].models.pooled)
-    kept = []
-    if algorithms.difference(pooled):
-        kept.append(
-            "algorithms that check their candidates before they answer reserve "
-            f"{case.reserved_evaluations} of them for the checks"
-        )
-    if pooled:
-        kept.append(
-            f"{' and '.join(pooled)} keeps part of them for repetitions, and goes on "
-            "with further trials when these settle the answer early"
-        )
+    # As often as methods keep the same, it is said once.
+    kept = {METHODS[name].reserve(case.reserved_evaluations): None for name in sorted(algorithms)}
     return "; ".join(kept) or "no row checks its candidates"
 
 

@@ -1,14 +1,14 @@
 """Another optimizer in the place of the tuner's: the same trials, evaluated in the same way."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from bo_tuner.errors import ParameterError
+from bo_tuner.methods.paper.check import CandidateCheck
+from bo_tuner.methods.paper.method import PaperMethod
 from bo_tuner.models.observations import single_evaluation_margin
 from bo_tuner.optimizers import base
-from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DesignedOptimizer, Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
@@ -79,15 +79,9 @@ class PeerOptimizer:
         self._optimizer.tell(observation(self._study, trial, self._trials))
 
 
-@dataclass(frozen=True, kw_only=True)
-class PeerAlgorithm(Algorithm):
-    """An algorithm whose proposals come from another optimizer."""
-
-    peer: PeerOptimizer
-
-    def optimizer(self, study: Study) -> base.Optimizer:
-        """Return the optimizer of this run."""
-        return self.peer
+def peer_method(title: str, peer: base.Optimizer) -> PaperMethod:
+    """Return the method of the paper whose proposals come from another optimizer."""
+    return PaperMethod(title, stage_one=lambda _: peer, check=CandidateCheck(0))
 
 
 def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observation:

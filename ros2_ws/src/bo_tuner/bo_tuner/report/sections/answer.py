@@ -9,7 +9,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
-from bo_tuner.tuning.limits import Standing
+from bo_tuner.study.limits import Standing
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
 from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict

@@ -23,12 +23,12 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
+from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import EXPECTATION, Constraint
+from bo_tuner.study.limits import worst_case_holds
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, values
@@ -40,7 +40,6 @@ from bo_tuner.trials import (
     count_evaluations,
     count_trials,
 )
-from bo_tuner.tuning.limits import worst_case_holds
 from bo_tuner.tuning.summary import continued
 
 MOST_INCUMBENTS = 40
@@ -288,18 +287,18 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     if count == len(analysis.record.trials) and not analysis.has_checks:
         return analysis.leader
     study, record = analysis.study, analysis.record
-    algorithm = ALGORITHMS[record.algorithm]
+    method = record.method
     own = (k for k, e in enumerate(record.evaluations) if e.stage in TUNING and e.trial < count)
     # A run that was continued has repetitions between its trials.
     trials = continued(
         study,
-        algorithm,
+        method,
         record.trials[:count],
         record.evaluations[: max(own, default=-1) + 1],
         stop_early=record.stop_early,
     )
-    models = ranking_models(study, trials, algorithm.models, analysis.models.warm_starts)
-    return first_by(models, study, trials, algorithm.models)
+    models = method.ranking.models(study, trials, analysis.models.warm_starts)
+    return method.ranking.first_by(models, study, trials)
 
 
 def _incumbent_lines(

@@ -22,9 +22,9 @@ from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.constraint import UPPER, Constraint
+from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Trial
-from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 """Other limits to look at, as factors on the study's."""

@@ -1,7 +1,7 @@
 """Whether the limits of a study hold in evaluations and trials.
 
-`recommend`, `validate`, the record, the report and the displays take the answer from here. A limit
-is one of three:
+The check of candidates, the validation, the record, the report and the displays take the answer
+from here. A limit is one of three:
 
 chance
     Over contexts and noise, a run keeps it with at least the constraint's `probability`.

@@ -20,30 +20,18 @@ Analysis 7(4).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.pooled_responses import EveryContext, PooledResponse, bound_after
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.methods.boundary.judging import looks, required_after, runs_until
+from bo_tuner.models.pooled_models import PooledSurrogates
+from bo_tuner.models.pooled_responses import PooledResponse, bound_after
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
-from bo_tuner.optimizers.ranking import Candidate, looks, required_after, runs_until
+from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Stage, Trial
-
-OWN_RUNS = 4
-"""Runs of its own that the answer must have where each limit is most doubtful.
-
-Far from a limit the most doubtful context moves with each run; so many repetitions in such contexts
-are enough, too.
-"""
-
-CORNERS = 8
-"""Largest number of corners of the contexts in all of which the answer must have been run.
-
-With more of them, the runs that they take are better spent where a limit is doubtful.
-"""
 
 NEAR = 0.15
 """Distance in every coordinate of the unit cube up to which contexts count as the same."""
@@ -53,6 +41,24 @@ WORTH_REPEATING = 0.02
 
 NEGLIGIBLE = 1e-3
 """Largest expected gain, in standard deviations of the cost, that is not worth a run."""
+
+
+@dataclass(frozen=True)
+class OwnRuns:
+    """The runs of its own that a parameter set must have to be the answer.
+
+    Attributes
+    ----------
+    doubtful
+        Runs where each limit is most doubtful. Far from a limit that context moves with each run;
+        so many repetitions in such contexts are enough, too.
+    corners
+        Largest number of corners of the contexts in all of which it must have been run. With more
+        of them, the runs that they take are better spent where a limit is doubtful.
+    """
+
+    doubtful: int = 4
+    corners: int = 8
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,11 @@ class Repetition:
 
 
 def next_repetition(
-    study: Study, surrogates: Surrogates, candidates: Sequence[Candidate], left: int
+    study: Study,
+    surrogates: PooledSurrogates,
+    candidates: Sequence[Candidate],
+    left: int,
+    required: OwnRuns,
 ) -> Repetition | None:
     """Return the runs that tell most of what the answer is; None if that is settled.
 
@@ -89,21 +99,25 @@ def next_repetition(
         All candidates as they rank them.
     left
         Number of runs that are left.
+    required
+        Runs of its own that the answer must have.
     """
     best = candidates[0] if candidates and candidates[0].believed_feasible else None
-    own = lacking(study, surrogates, best.trial) if best is not None else []
+    own = lacking(study, surrogates, best.trial, required) if best is not None else []
     challenger = _challenger(study, surrogates, candidates, best, left - len(own))
     if challenger is not None:
         doubtful = _doubtful(study, surrogates, challenger.trial)[0]
         runs = runs_until(challenger.trial, looks(challenger.trial) + 1)
         # These runs are some of its own.
-        its_own = len(lacking(study, surrogates, challenger.trial))
+        its_own = len(lacking(study, surrogates, challenger.trial, required))
         if best is None or max(runs + len(own), its_own) <= left:
             return Repetition(challenger.trial, doubtful, runs)
     return Repetition(best.trial, own[0], 1) if best is not None and own else None
 
 
-def lacking(study: Study, surrogates: Surrogates, trial: Trial) -> list[Context]:
+def lacking(
+    study: Study, surrogates: PooledSurrogates, trial: Trial, required: OwnRuns
+) -> list[Context]:
     """Return the contexts of the runs of its own that a parameter set lacks to be the answer.
 
     They are made one at a time, since the first of them may show that another one is the answer,
@@ -114,15 +128,15 @@ def lacking(study: Study, surrogates: Surrogates, trial: Trial) -> list[Context]
     contexts = [context for context in doubtful if context is not None]
     corners = _Corners(study, trial)
     made = sum(e.stage is Stage.CHECK_WORST for e in trial.evaluations)
-    most = OWN_RUNS * len(contexts) + int(corners.seen.sum())
-    missing = (OWN_RUNS - _own_runs(study, trial, context) for context in contexts)
+    most = required.doubtful * len(contexts) + int(corners.seen.sum())
+    missing = (required.doubtful - _own_runs(study, trial, context) for context in contexts)
     there = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
-    return there[: max(0, most - made)] + corners.unseen(surrogates)
+    return there[: max(0, most - made)] + corners.unseen(surrogates, required.corners)
 
 
 def _challenger(
     study: Study,
-    surrogates: Surrogates,
+    surrogates: PooledSurrogates,
     candidates: Sequence[Candidate],
     best: Candidate | None,
     left: int,
@@ -137,8 +151,7 @@ def _challenger(
         _, variance = surrogates.objective.predict(x)
         score = np.array([c.score for c in open_ones])
         gain = log_expected_improvement(score, variance, best.score)
-    limits = [limit for limit in surrogates.limits if isinstance(limit, PooledResponse)]
-    forecasts = [(limit, np.array(limit.forecast(x))) for limit in limits]
+    forecasts = [(limit, np.array(limit.forecast(x))) for limit in surrogates.limits]
     plans = [
         _plan(candidate, [(limit, known[:, k]) for limit, known in forecasts], left)
         for k, candidate in enumerate(open_ones)
@@ -185,7 +198,7 @@ def _plan(
     return max(plans, key=lambda plan: plan[1] - np.log(plan[0]))
 
 
-def _doubtful(study: Study, surrogates: Surrogates, trial: Trial) -> list[Context | None]:
+def _doubtful(study: Study, surrogates: PooledSurrogates, trial: Trial) -> list[Context | None]:
     """Return where each limit of a parameter set is most doubtful, the least probable one first.
 
     That is None for a limit on runs in drawn contexts.
@@ -193,14 +206,12 @@ def _doubtful(study: Study, surrogates: Surrogates, trial: Trial) -> list[Contex
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
     found: list[tuple[float, Context | None]] = []
-    for constraint in surrogates.limits:
+    for limit in surrogates.limits:
+        point, log_probability = limit.doubtful_context(x)
         context = None
-        if isinstance(constraint, EveryContext):
-            row, log_probability = constraint.most_doubtful(x)
-            context = contexts.to_dict(contexts.to_contexts(constraint.contexts[row])[0])
-        else:
-            log_probability = constraint.log_probability(x)
-        found.append((float(log_probability[0]), context))
+        if point is not None:
+            context = contexts.to_dict(contexts.to_contexts(point[None])[0])
+        found.append((log_probability, context))
     return [context for _, context in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -215,20 +226,18 @@ class _Corners:
         self._point = study.search_space().to_cube(trial.parameters)
         self.seen = np.array([_own_runs(study, trial, c) > 0 for c in self._contexts])
 
-    def unseen(self, surrogates: Surrogates) -> list[Context]:
+    def unseen(self, surrogates: PooledSurrogates, most: int) -> list[Context]:
         """Return those in which it was not run yet, the most doubtful one first.
 
-        None of them if there are more than `CORNERS`, or if no limit is one in every context.
+        None of them if there are more than `most`, or if no limit is one in every context.
         """
-        limits = [limit for limit in surrogates.limits if isinstance(limit, EveryContext)]
-        if not limits or self.seen.all() or len(self.seen) > CORNERS:
+        if self.seen.all() or len(self.seen) > most:
             return []
-        x = np.tile(self._point, (len(self._cube), 1))
-        kept = np.zeros(len(self._cube))
-        for limit in limits:
-            there = replace(limit, contexts=self._cube)
-            kept += limit.log_kept(*there.predict_in(x, np.arange(len(x))))
-        order = np.argsort(kept, kind="stable")
+        found = [limit.log_kept_in(self._point[None], self._cube) for limit in surrogates.limits]
+        kept = [log_kept for log_kept in found if log_kept is not None]
+        if not kept:
+            return []
+        order = np.argsort(np.sum(kept, axis=0), kind="stable")
         return [self._contexts[k] for k in order if not self.seen[k]]
 
 

@@ -36,43 +36,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.pooled_responses import ExpectedObjective
-from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.optimizers.algorithms import Algorithm
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
-from bo_tuner.optimizers.boundary import provable
-from bo_tuner.optimizers.ranking import first_by
+from bo_tuner.methods.protocol import Method
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, count_evaluations, count_trials
+from bo_tuner.trials import Trial, count_evaluations, count_trials
 
 PERIOD = 5
 """Number of trials between two computations, each of which costs about as much as a proposal."""
 
 IN_A_ROW = 2
 """Number of times in a row that the inequality must hold; once may be chance."""
-
-OWN_STREAM = 2**31 + 1
-"""Part of the seed of the random draws, in place of the trial number of a proposal."""
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """Expected gain of one more trial, and the uncertainty of the incumbent.
-
-    Attributes
-    ----------
-    incumbent
-        Posterior mean of the cost of the best parameter set that is believed feasible.
-    gain
-        Largest value of the acquisition function, in the unit of the cost.
-    noise
-        Standard error of the incumbent's cost, in the same unit.
-    """
-
-    incumbent: float
-    gain: float
-    noise: float
 
 
 @dataclass(frozen=True)
@@ -104,8 +76,8 @@ class StopAdvisor:
     ----------
     study
         The study.
-    algorithm
-        The algorithm of the run; there is no advice for random search, or for several objectives.
+    method
+        The method of the run; there is no advice for random search, or for several objectives.
 
     Attributes
     ----------
@@ -113,9 +85,9 @@ class StopAdvisor:
         The advice once it was given, else None.
     """
 
-    def __init__(self, study: Study, algorithm: Algorithm) -> None:
+    def __init__(self, study: Study, method: Method) -> None:
         self._study = study
-        self._algorithm = algorithm
+        self._method = method
         self._in_a_row = 0
         self.advice: StopAdvice | None = None
 
@@ -130,14 +102,14 @@ class StopAdvisor:
         budget = self._study.budget
         done = len(trials)
         remaining = budget.remaining(count_trials(trials), count_evaluations(trials))
-        if self.advice is not None or self._algorithm.random or remaining <= 0:
+        if self.advice is not None or remaining <= 0:
             return None
         # The gain in one scalarization of several objectives says nothing of the others.
         if len(self._study.objectives) > 1:
             return None
         if done < budget.initial_trials or done % PERIOD:
             return None
-        found = outlook(self._study, trials, self._algorithm)
+        found = self._method.outlook(self._study, trials)
         if found is None or remaining * found.gain >= found.noise:
             self._in_a_row = 0
             return None
@@ -153,63 +125,3 @@ class StopAdvisor:
         now, better, larger = objective.from_cost(cost).tolist()
         self.advice = StopAdvice(done, remaining, abs(better - now), abs(larger - now))
         return self.advice
-
-
-def outlook(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> Outlook | None:
-    """Estimate the gain of one more trial.
-
-    Parameters
-    ----------
-    study
-        The study.
-    trials
-        All trials so far.
-    algorithm
-        The algorithm of the run: its models and its acquisition function.
-
-    Returns
-    -------
-    Outlook or None
-        None while no parameter set is believed feasible, or if the computation fails numerically.
-    """
-    rng = generator(study.seed, Stream.ACQUISITION, OWN_STREAM, len(trials))
-    start = latest_hyperparameters(trials)
-    try:
-        surrogates = Surrogates.fit(study, trials, rng=rng, start=start, options=algorithm.models)
-        if isinstance(surrogates.objective, ExpectedObjective):
-            return _pooled(study, trials, algorithm, surrogates, surrogates.objective, rng)
-        model = surrogates.objective
-        if model is None:
-            return None
-        search = AcquisitionSearch(surrogates, study.search_space(), algorithm.acquisition, rng)
-        if search.incumbent is None:
-            return None
-        found = search.maximize()
-    except (ArithmeticError, np.linalg.LinAlgError, ValueError):
-        return None
-    means = model.predict_mean(model.points)
-    row = int(np.flatnonzero(search.feasible)[np.argmin(means[search.feasible])])
-    noise = float(np.sqrt(model.noise_variance / model.counts[row]))
-    return Outlook(search.incumbent, float(np.exp(found.value)), noise)
-
-
-def _pooled(
-    study: Study,
-    trials: Sequence[Trial],
-    algorithm: Algorithm,
-    surrogates: Surrogates,
-    model: ExpectedObjective,
-    rng: np.random.Generator,
-) -> Outlook | None:
-    """Return the outlook of an algorithm with pooled evaluations."""
-    best, space = first_by(surrogates, study, trials, algorithm.models), study.search_space()
-    if best is None or not best.believed_feasible:
-        return None
-    search = AcquisitionSearch(provable(surrogates), space, algorithm.acquisition, rng)
-    search.incumbent = float(study.objective.to_cost(best.objective))
-    found = search.maximize()
-    x = space.to_cube(best.trial.parameters)[None]
-    over_contexts = float(model.process.means(x, model.contexts).var())
-    evaluations = sum(e.outcome.state is EvaluationState.COMPLETE for e in best.trial.evaluations)
-    noise = float(np.sqrt((over_contexts + model.noise_variance) / evaluations))
-    return Outlook(search.incumbent, float(np.exp(found.value)), noise)

@@ -4,14 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from answering import settle
 from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
+from bo_tuner.methods.boundary.judging import looks, required_of, runs_until
+from bo_tuner.methods.boundary.repetition import NEAR
+from bo_tuner.methods.boundary.settling import with_known_repetitions, with_repetitions
+from bo_tuner.methods.registry import BOUNDARY, METHODS
+from bo_tuner.methods.repetitions import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 from bo_tuner.models.constraints import CONFIDENT
-from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.ranking import looks, rank, ranking_models, required_of, runs_until
-from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS
+from bo_tuner.models.estimates import estimated
 from bo_tuner.trials import (
     CHECKS,
     Evaluation,
@@ -25,18 +29,9 @@ from bo_tuner.trials import (
     count_evaluations,
 )
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
-from bo_tuner.tuning.settling import (
-    before_repetitions,
-    estimated,
-    most_repetitions,
-    settle,
-    with_checks,
-    with_known_repetitions,
-    with_repetitions,
-)
 
-ALGORITHM = ALGORITHMS[BOUNDARY]
+ALGORITHM = METHODS[BOUNDARY]
+REPETITIONS, OWN_RUNS = ALGORITHM.repetitions, ALGORITHM.own_runs.doubtful
 PEAK = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
 
 
@@ -79,7 +74,7 @@ def trials(study, function_backend):
 def settled(study, trials, function_backend):
     watcher = Watcher()
     backend = function_backend(study, axis)
-    found = settle(study, backend, trials, ALGORITHM.models, most=25, observer=watcher)
+    found = settle(study, backend, trials, most=25, observer=watcher)
     return found, watcher
 
 
@@ -125,11 +120,11 @@ def test_the_answer_has_runs_of_its_own_there(settled):
 def test_without_repetitions_left_the_answer_is_one_that_has_runs_of_its_own(
     study, trials, function_backend
 ):
-    first, second, *_ = rank(study, trials, ALGORITHM.models)
+    first, second, *_ = ALGORITHM.ranking.rank(study, trials)
     assert first.believed_feasible
     assert second.believed_feasible
     backend = function_backend(study, axis)
-    answer = settle(study, backend, trials, ALGORITHM.models, most=0)
+    answer = settle(study, backend, trials, most=0)
     assert answer.candidate.trial.number == first.trial.number
     number, x = second.trial.number, second.trial.parameters["x"]
     loads = [2.0] * OWN_RUNS + [1.0]
@@ -145,11 +140,11 @@ def test_without_repetitions_left_the_answer_is_one_that_has_runs_of_its_own(
     ]
     known = list(trials)
     known[number] = with_repetitions(trials[number], own)
-    again = rank(study, known, ALGORITHM.models)
+    again = ALGORITHM.ranking.rank(study, known)
     assert again[0].trial.number != number
     (with_own_runs,) = [c for c in again if c.trial.number == number]
     assert with_own_runs.believed_feasible
-    answer = settle(study, backend, known, ALGORITHM.models, most=0)
+    answer = settle(study, backend, known, most=0)
     ranked = [c.trial.number for c in answer.ranked]
     others = [c.trial.number for c in again if c is not with_own_runs]
     assert (answer.candidate.trial.number, ranked) == (number, [number, *others])
@@ -158,7 +153,7 @@ def test_without_repetitions_left_the_answer_is_one_that_has_runs_of_its_own(
 @pytest.mark.parametrize("most", [8, 14, 20, 25])
 def test_what_is_better_than_the_answer_is_named(study, trials, function_backend, most):
     """And an answer that is not shown to keep its limits is never chosen over one that is."""
-    found = settle(study, function_backend(study, axis), trials, ALGORITHM.models, most=most)
+    found = settle(study, function_backend(study, axis), trials, most=most)
     known = {candidate.trial.number: candidate for candidate in found.ranked}
     better = [known[item.trial] for item in found.passed_over]
     assert all(c.score < found.candidate.score for c in better)
@@ -177,7 +172,7 @@ def test_what_is_better_than_the_answer_is_named(study, trials, function_backend
 
 
 def test_a_better_one_without_runs_of_its_own_is_named(study, trials, function_backend):
-    first, second, *_ = rank(study, trials, ALGORITHM.models)
+    first, second, *_ = ALGORITHM.ranking.rank(study, trials)
     number = second.trial.number
     own = [
         dataclasses.replace(
@@ -191,7 +186,7 @@ def test_a_better_one_without_runs_of_its_own_is_named(study, trials, function_b
     ]
     known = list(trials)
     known[number] = with_repetitions(trials[number], own)
-    answer = settle(study, function_backend(study, axis), known, ALGORITHM.models, most=0)
+    answer = settle(study, function_backend(study, axis), known, most=0)
     assert answer.candidate.trial.number == number
     named = {item.trial: item.shown for item in answer.passed_over}
     assert named[first.trial.number]
@@ -207,7 +202,7 @@ def test_a_record_of_the_repetitions_leads_to_the_same_answer(study, trials, set
             raise AssertionError("asked for a run that is not on record")
 
     recorded = RecordedEvaluations(Nothing(), study, watcher.evaluations)
-    assert settle(study, recorded, trials, ALGORITHM.models, most=25) == found
+    assert settle(study, recorded, trials, most=25) == found
 
 
 def test_repetitions_that_trials_have_count_and_are_not_made_again(
@@ -217,7 +212,7 @@ def test_repetitions_that_trials_have_count_and_are_not_made_again(
     known = with_known_repetitions(trials, watcher.evaluations, more=True)
     again = Watcher()
     backend = function_backend(study, axis)
-    once_more = settle(study, backend, known, ALGORITHM.models, most=25, observer=again)
+    once_more = settle(study, backend, known, most=25, observer=again)
     assert not again.evaluations
     assert (once_more.candidate, once_more.ranked) == (found.candidate, found.ranked)
     assert sorted(once_more.checked) == sorted(found.checked)
@@ -248,7 +243,7 @@ def test_the_rank_after_repetitions_is_that_of_the_answer(study, trials, settled
         with_repetitions(trial, [e for e in watcher.evaluations if e.trial == trial.number])
         for trial in trials
     ]
-    best = rank(study, extended, ALGORITHM.models)[0]
+    best = ALGORITHM.ranking.rank(study, extended)[0]
     assert best.trial.number == found.candidate.trial.number
     assert best.feasibility == found.candidate.feasibility
 
@@ -278,7 +273,7 @@ def test_a_parameter_set_is_judged_when_its_runs_have_doubled(make_trial):
 
 def test_none_are_left(study, trials, function_backend):
     backend = function_backend(study, axis)
-    found = settle(study, backend, trials, ALGORITHM.models, most=0)
+    found = settle(study, backend, trials, most=0)
     assert backend.calls == []
     assert found.checked == ()
 
@@ -288,7 +283,7 @@ def test_without_limits_nothing_is_in_doubt(study_of, function_backend):
     backend = function_backend(study, axis)
     trials = list(Tuning(study, backend, ALGORITHM))
     runs = len(backend.calls)
-    assert settle(study, backend, trials, ALGORITHM.models, most=20).feasible
+    assert settle(study, backend, trials, most=20).feasible
     assert len(backend.calls) == runs
 
 
@@ -297,7 +292,7 @@ def test_a_chance_constraint_is_doubtful_in_drawn_contexts(study_of, function_ba
     study = study_of(peak=chance)
     backend, watcher = function_backend(study, axis), Watcher()
     trials = list(Tuning(study, backend, ALGORITHM))
-    settle(study, backend, trials, ALGORITHM.models, most=6, observer=watcher)
+    settle(study, backend, trials, most=6, observer=watcher)
     assert {e.stage for e in watcher.evaluations} <= {Stage.CHECK_DRAWN}
     loads = [e.context["load"] for e in watcher.evaluations]
     assert len(set(loads)) == len(loads)
@@ -307,7 +302,7 @@ def test_a_run_that_fails_ends_the_hopes_of_its_parameter_set(
     study, trials, function_backend, failed
 ):
     backend = function_backend(study, lambda **_: failed("axis: stalled"))
-    found = settle(study, backend, trials, ALGORITHM.models, most=40)
+    found = settle(study, backend, trials, most=40)
     # Each candidate in doubt fails once; not one is asked twice, and none is the answer.
     assert found.candidate.trial.number not in found.checked
     assert len(backend.calls) == len(set(found.checked)) == len(found.checked)
@@ -317,16 +312,16 @@ def test_lost_nodes_end_the_run(study, trials, function_backend):
     backend = function_backend(study, lambda **_: Outcome(EvaluationState.LOST, reason="axis gone"))
     watcher = Watcher()
     with pytest.raises(RunError, match="3 repetitions in a row were lost"):
-        settle(study, backend, trials, ALGORITHM.models, most=40, observer=watcher)
+        settle(study, backend, trials, most=40, observer=watcher)
     # Those on record do not end the run again when it is resumed with the nodes back.
     resumed = RecordedEvaluations(function_backend(study, axis), study, watcher.evaluations)
-    assert settle(study, resumed, trials, ALGORITHM.models, most=40) is not None
+    assert settle(study, resumed, trials, most=40) is not None
 
 
 def test_all_trials_failed(study, make_trial, function_backend):
     trials = [make_trial(k, {"x": k / 10}) for k in range(4)]
     backend = function_backend(study, axis)
-    assert settle(study, backend, trials, ALGORITHM.models, most=20) is None
+    assert settle(study, backend, trials, most=20) is None
 
 
 def test_a_lost_run_tells_nothing_of_the_trial(trials, settled):
@@ -341,33 +336,33 @@ def test_a_lost_run_tells_nothing_of_the_trial(trials, settled):
 def test_the_number_of_repetitions(study, study_of):
     """A sixth of the trials' evaluations, and at least those of a check of one candidate."""
     least = DRAWN_EVALUATIONS + WORST_EVALUATIONS
-    assert most_repetitions(study, 20) == least
-    assert most_repetitions(study, 300) == 50
-    assert most_repetitions(study, 300, made=20) == 30
-    assert most_repetitions(study, 300, made=45) == least
-    assert most_repetitions(study_of(peak=None), 20) == DRAWN_EVALUATIONS
+    assert REPETITIONS.most(study, 20) == least
+    assert REPETITIONS.most(study, 300) == 50
+    assert REPETITIONS.most(study, 300, made=20) == 30
+    assert REPETITIONS.most(study, 300, made=45) == least
+    assert REPETITIONS.most(study_of(peak=None), 20) == DRAWN_EVALUATIONS
 
 
 @pytest.mark.parametrize("whole", [30, 60, 80, 160, 301])
 def test_trials_and_repetitions_fill_a_budget(study, whole):
-    trials = before_repetitions(study, whole)
-    assert whole - 1 <= trials + most_repetitions(study, trials) <= whole
+    trials = REPETITIONS.before(study, whole)
+    assert whole - 1 <= trials + REPETITIONS.most(study, trials) <= whole
 
 
 @pytest.mark.parametrize("name", [BOUNDARY, "IV"])
 def test_what_failed_when_it_was_run_again_is_no_candidate_of_a_pooled_run(study, trials, name):
-    options = ALGORITHMS[name].models
-    best = rank(study, trials, options)[0].trial.number
+    method = METHODS[name]
+    best = method.ranking.rank(study, trials)[0].trial.number
     again = dataclasses.replace(
         trials[best].evaluations[0],
         index=len(trials[best].evaluations),
         stage=Stage.CHECK_DRAWN,
         outcome=Outcome(EvaluationState.FAILED, reason="axis: stalled"),
     )
-    known = with_checks(study, trials, [*trials[best].evaluations, again], options)
+    known = method.checked(study, trials, [*trials[best].evaluations, again])
     assert known[best].evaluations == (*trials[best].evaluations, again)
-    numbers = [candidate.trial.number for candidate in rank(study, known, options)]
-    assert (best in numbers) is not options.pooled
+    numbers = [candidate.trial.number for candidate in method.ranking.rank(study, known)]
+    assert (best in numbers) is (name != BOUNDARY)
 
 
 def test_without_its_checks_a_trial_is_what_it_was(study_of):
@@ -399,6 +394,5 @@ def test_worst_cases_stay_where_all_trials_have_failed_when_run_again(study_of):
     failed = Outcome(EvaluationState.FAILED, reason="axis: stalled")
     again = Evaluation(0, 0, Stage.CHECK_DRAWN, trial.parameters, {"load": 2.0}, 1, failed)
     trial = with_repetitions(trial, [again])
-    options = ALGORITHM.models
-    models = ranking_models(study, [trial], options)
+    models = ALGORITHM.ranking.models(study, [trial])
     assert estimated(study, models, trial).worst_cases == found

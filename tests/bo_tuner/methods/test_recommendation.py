@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from answering import recommend
 from functions import Watcher
 
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.methods.repetitions import DRAWN_EVALUATIONS, WORST_EVALUATIONS
+from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.trials import EvaluationState, Outcome, Stage
-from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS, recommend
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
@@ -139,10 +140,10 @@ def test_what_held_but_is_no_longer_believed_is_not_called_feasible(
     believed = Candidate(trial, 1.0, 0.9, -0.5, 0.0, 0.0)
     rankings = iter([believed, replace(believed, feasibility=0.1)])
 
-    def ranked(study, trials, options):
+    def ranked(self, study, trials):
         return [replace(next(rankings), trial=trials[0])]
 
-    monkeypatch.setattr("bo_tuner.tuning.recommendation.rank", ranked)
+    monkeypatch.setattr(Ranking, "rank", ranked)
     backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.4})
     answer = recommend(study, backend, [trial])
     assert answer.checked == (0,)

@@ -9,17 +9,15 @@ from axis import node
 from command_runs import Runs
 from scipy.stats import norm
 
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.methods.outlook import Outlook
+from bo_tuner.methods.paper.method import PaperMethod
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.numerics.particle_swarm import maximize
-from bo_tuner.optimizers import stopping
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.bayesian import BayesianOptimization
-from bo_tuner.optimizers.ranking import rank
-from bo_tuner.optimizers.stopping import Outlook, StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.tuning.loop import Tuning
 
-ALGORITHM, BOUNDARY = ALGORITHMS["IV"], ALGORITHMS["boundary"]
+ALGORITHM, BOUNDARY = METHODS["IV"], METHODS["boundary"]
 BUDGET = {
     "trials": 40,
     "initial_trials": 8,
@@ -96,7 +94,7 @@ class TestAdvice:
         trials, advice = until_advice(study, steps, BOUNDARY)
         assert advice is not None
         assert advice.trials < 40
-        (answer, *_) = rank(study, trials, BOUNDARY.models)
+        (answer, *_) = BOUNDARY.ranking.rank(study, trials)
         expected = 0.3 / len(answer.trial.evaluations) ** 0.5
         assert advice.noise == pytest.approx(expected, rel=0.15)
         assert advice.expected_gain < advice.noise
@@ -108,7 +106,7 @@ class TestAdvice:
         for trials in steps:
             assert advisor.consider(trials) is None
             if len(trials) in (10, 15):
-                seen.append((20 - len(trials), outlook(study, trials, BOUNDARY)))
+                seen.append((20 - len(trials), BOUNDARY.outlook(study, trials)))
         for remaining, found in seen:
             assert remaining * found.gain > found.noise
 
@@ -117,7 +115,7 @@ class TestAdvice:
         assert until_advice(study, steps)[1] is None
         study, steps = run(lambda gains: 5.0, noise=0.3, trials=25)
         trials = list(list(steps)[-1])
-        random = StopAdvisor(study, ALGORITHMS["II"])
+        random = StopAdvisor(study, METHODS["II"])
         assert not any(random.consider(trials[:n]) for n in range(1, 25))
 
     @pytest.mark.parametrize("direction", ["minimize", "maximize"])
@@ -127,7 +125,7 @@ class TestAdvice:
         objective = {"metric": "error", "scale": "log", "direction": direction}
         study = make_study(objective=objective, budget=BUDGET)
         cost = float(study.objective.to_cost(10.0))
-        monkeypatch.setattr(stopping, "outlook", lambda *_: Outlook(cost, 0.016, 0.5))
+        monkeypatch.setattr(PaperMethod, "outlook", lambda *_: Outlook(cost, 0.016, 0.5))
         trials = [make_trial(k, {"gain": 0.5}, [10.0]) for k in range(40)]
         _, advice = until_advice(study, (trials[:count] for count in range(1, 16)))
         assert advice.remaining == 25
@@ -141,9 +139,9 @@ class TestAdvice:
             make_trial(k, {"gain": g}, rng.normal(1.0, 0.1, 5).tolist(), worst=5.0)
             for k, g in enumerate(rng.random(12))
         ]
-        assert outlook(study, trials, ALGORITHM) is None
-        assert outlook(study, trials, BOUNDARY) is None
-        assert outlook(study, [make_trial(0, {"gain": 0.5})], ALGORITHM) is None
+        assert ALGORITHM.outlook(study, trials) is None
+        assert BOUNDARY.outlook(study, trials) is None
+        assert ALGORITHM.outlook(study, [make_trial(0, {"gain": 0.5})]) is None
 
 
 def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_trial):
@@ -156,8 +154,8 @@ def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_tr
         )
         for k, g in enumerate(np.linspace(0.02, 0.98, 7))
     ]
-    found = outlook(study, trials, ALGORITHM)
-    models = Surrogates.fit(study, trials, rng=np.random.default_rng(0), options=ALGORITHM.models)
+    found = ALGORITHM.outlook(study, trials)
+    models = ALGORITHM.models(study, trials, rng=np.random.default_rng(0))
     grid = np.linspace(0.0, 1.0, 20001)[:, None]
 
     def probability(x):
@@ -239,12 +237,12 @@ def test_advice_and_optimizer_start_their_search_from_the_feasible_points(
         return maximize(acquisition, dimension, rng, initial=initial, **options)
 
     monkeypatch.setattr("bo_tuner.optimizers.bayesian.maximize", keep)
-    optimizer = BayesianOptimization(study)
+    optimizer = ALGORITHM.optimizer(study)
     for trial in trials:
         optimizer.tell(trial)
     optimizer.ask()
     by_optimizer, seen[:] = seen[0], []
-    outlook(study, trials, ALGORITHM)
+    ALGORITHM.outlook(study, trials)
     (by_advice,) = seen
     for starts in (by_optimizer, by_advice):
         # The six feasible points come first, each moved by 0.05 on average.

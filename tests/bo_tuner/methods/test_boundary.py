@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.boundary import FAILING, BoundaryOptimization, evaluations_ahead, searches
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.methods.boundary.settling import with_repetitions
+from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance
+from bo_tuner.methods.registry import BOUNDARY, METHODS
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.settling import most_repetitions, settle, with_repetitions
+from bo_tuner.tuning.summary import choose_answer
 
-ALGORITHM = ALGORITHMS[BOUNDARY]
+ALGORITHM = METHODS[BOUNDARY]
+SCHEDULE = ALGORITHM.schedule
 NODE = {"node": "axis"}
 PEAK = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
 
@@ -60,9 +61,7 @@ def tune(function_backend):
         tuning = Tuning(study, backend, ALGORITHM, trials=trials)
         for _ in tuning:
             pass
-        most = most_repetitions(study, count_evaluations(tuning.trials))
-        best = settle(study, backend, tuning.trials, ALGORITHM.models, most=most)
-        return tuning.trials, best
+        return tuning.trials, choose_answer(study, backend, ALGORITHM, tuning.trials)
 
     return run
 
@@ -130,7 +129,9 @@ class TestProtocol:
     def test_the_second_part_runs_new_points_in_their_worst_context(self, run):
         study, trials, _ = run
         later = [
-            t for k, t in enumerate(trials) if not searches(study, k, count_evaluations(trials[:k]))
+            t
+            for k, t in enumerate(trials)
+            if not SCHEDULE.searches(study, k, count_evaluations(trials[:k]))
         ]
         assert len(later) >= 5
         for trial in later:
@@ -142,7 +143,7 @@ class TestProtocol:
         made = [len(trial.evaluations) for trial in trials]
         first = study.budget.initial_trials
         done = sum(made[:first])
-        ahead = list(evaluations_ahead(study, first, done, 4.0))
+        ahead = list(SCHEDULE.evaluations_ahead(study, first, done, 4.0))
         searched = ahead.count(4.0)
         assert 0 < searched < len(ahead)
         assert ahead == [4.0] * searched + [3] * (len(ahead) - searched)
@@ -257,12 +258,10 @@ def test_lost_trials_do_not_change_the_largest_probability_of_a_failure(make_stu
         parameters={"x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}},
         budget={"trials": 30, "initial_trials": 3},
     )
-    optimizer = BoundaryOptimization(study)
-    for number in range(3):
-        optimizer.tell(make_trial(number, {"x": number / 10}, [1.0]))
-    for number in range(3, 13):
-        optimizer.tell(lost_trial(make_trial, number, number / 20))
-    assert optimizer.avoid == FAILING
+    trials = [make_trial(number, {"x": number / 10}, [1.0]) for number in range(3)]
+    trials += [lost_trial(make_trial, number, number / 20) for number in range(3, 13)]
+    avoidance = AdaptedAvoidance()
+    assert avoidance(study, trials) == avoidance.failing
 
 
 class TestPooled:
@@ -312,5 +311,5 @@ class TestPooled:
 
     def test_one_candidate_for_each_set(self, run):
         study, trials, _ = run
-        numbers = [candidate.trial.number for candidate in rank(study, trials, ALGORITHM.models)]
+        numbers = [candidate.trial.number for candidate in ALGORITHM.ranking.rank(study, trials)]
         assert sorted(numbers) == [trial.number for trial in pooled(trials)]

@@ -9,11 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, norm, ttest_1samp
 
+from bo_tuner.methods.paper.check import with_check
+from bo_tuner.methods.repetitions import most_check_evaluations
 from bo_tuner.monitoring.progress import describe
-from bo_tuner.text import JOIN
-from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
-from bo_tuner.tuning import recommendation
-from bo_tuner.tuning.limits import (
+from bo_tuner.study.limits import (
     judge_sample,
     judge_samples,
     most_violations,
@@ -23,7 +22,8 @@ from bo_tuner.tuning.limits import (
     violated,
     worst_case_holds,
 )
-from bo_tuner.tuning.recommendation import with_check
+from bo_tuner.text import JOIN
+from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning.validation import validate
 
 CHANCE = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
@@ -203,7 +203,7 @@ def test_a_check_that_broke_off_changes_no_worst_case(make_study, make_trial, co
     whole, holds = with_check(study, trial, check)
     assert holds
     assert whole.worst_cases["peak"].value == pytest.approx(0.2)
-    assert len(check) == recommendation.most_check_evaluations(study)
+    assert len(check) == most_check_evaluations(study)
 
 
 def test_a_check_without_contexts_judges_its_draws_as_all_others(make_study, make_trial):

@@ -4,14 +4,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bo_tuner.methods.boundary.repetition import NEAR, OwnRuns, lacking, next_repetition
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.models.pooled_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, lacking, next_repetition
 from bo_tuner.trials import Stage
 
 SPREAD = 0.05
+OWN = OwnRuns()
 
 
 class Stress(PooledResponse):
@@ -55,7 +56,7 @@ def test_what_no_budget_shows_is_not_run_again(study, candidate):
     surrogates = SimpleNamespace(limits=(Stress(),), objective=Cost())
     best, sure, close = candidate(0, 0.9, 0.98), candidate(1, 0.93, 0.92), candidate(2, 0.985, 0.62)
     assert (0.985 - 0.9) * close.feasibility > (0.93 - 0.9) * sure.feasibility
-    chosen = next_repetition(study, surrogates, [best, close, sure], 40)
+    chosen = next_repetition(study, surrogates, [best, close, sure], 40, OWN)
     assert chosen.trial.number == 1
     assert chosen.runs == 2
 
@@ -63,13 +64,13 @@ def test_what_no_budget_shows_is_not_run_again(study, candidate):
 def test_nothing_is_run_again_for_a_negligible_gain(study, candidate):
     surrogates = SimpleNamespace(limits=(Stress(),), objective=Cost())
     best, other = candidate(0, 0.9, 0.98), candidate(1, 0.9005, 0.97)
-    assert next_repetition(study, surrogates, [best, other], 40) is None
+    assert next_repetition(study, surrogates, [best, other], 40, OWN) is None
 
 
 def test_without_an_answer_the_most_provable_one_is_run_again(study, candidate):
     surrogates = SimpleNamespace(limits=(Stress(),), objective=Cost())
     open_ones = [candidate(k, x, 0.5) for k, x in enumerate((0.99, 0.95, 0.97))]
-    assert next_repetition(study, surrogates, open_ones, 40).trial.number == 1
+    assert next_repetition(study, surrogates, open_ones, 40, OWN).trial.number == 1
 
 
 @pytest.fixture
@@ -93,10 +94,10 @@ def repeated(study, constraint, best, contexts):
     )
     surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
     answer = replace(best, trial=replace(best.trial, evaluations=checks))
-    return next_repetition(study, surrogates, [answer], 40)
+    return next_repetition(study, surrogates, [answer], 40, OWN)
 
 
-@pytest.mark.parametrize("done", [0, OWN_RUNS - 1])
+@pytest.mark.parametrize("done", [0, OWN.doubtful - 1])
 def test_an_answer_has_runs_of_its_own_one_at_a_time(study, candidate, constraint, done):
     best = candidate(0, 0.95, 0.98)
     (row,), _ = constraint.most_doubtful(np.array([[0.95]]))
@@ -112,7 +113,7 @@ def test_an_answer_has_been_run_in_every_corner_and_no_more(study, candidate, co
     space = study.context_space()
     corners = space.corners()
     (row,), _ = constraint.most_doubtful(np.array([[0.95]]))
-    done = np.tile(constraint.contexts[row], (OWN_RUNS, 1))
+    done = np.tile(constraint.contexts[row], (OWN.doubtful, 1))
     for _ in range(len(corners)):
         found = repeated(study, constraint, best, done)
         if found is None:
@@ -133,10 +134,10 @@ def test_a_challenger_is_run_before_an_answer_and_leaves_it_its_own_runs(
     """An answer that is to be replaced needs none; and the one that stays must get its own."""
     surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
     best, better = candidate(0, 0.5, 0.98), candidate(1, 0.9, 0.9)
-    own = len(lacking(study, surrogates, best.trial))
-    assert own > OWN_RUNS
+    own = len(lacking(study, surrogates, best.trial, OWN))
+    assert own > OWN.doubtful
     for left in range(1, 4 * own):
-        found = next_repetition(study, surrogates, [best, better], left)
+        found = next_repetition(study, surrogates, [best, better], left, OWN)
         if left >= 2 + own:
             assert (found.trial.number, found.runs) == (1, 2)
         else:
@@ -147,11 +148,11 @@ def test_no_challenger_is_run_that_could_not_get_its_own_runs(study, candidate, 
     """It would be shown to be better, and be passed over for the answer that has its own."""
     surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
     best, better = candidate(0, 0.5, 0.98), candidate(1, 0.9, 0.9)
-    while own := lacking(study, surrogates, best.trial):
+    while own := lacking(study, surrogates, best.trial, OWN):
         best = with_own_run(best, own[0])
-    own = len(lacking(study, surrogates, better.trial))
+    own = len(lacking(study, surrogates, better.trial, OWN))
     for left in range(1, 2 * own):
-        found = next_repetition(study, surrogates, [best, better], left)
+        found = next_repetition(study, surrogates, [best, better], left, OWN)
         assert (found is not None) == (left >= own)
 
 
@@ -159,7 +160,7 @@ def test_where_nothing_is_shown_all_runs_are_for_challengers(study, candidate, c
     surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
     open_ones = [candidate(0, 0.5, 0.9), candidate(1, 0.9, 0.9)]
     for left in (1, 2, 20):
-        assert next_repetition(study, surrogates, open_ones, left) is not None
+        assert next_repetition(study, surrogates, open_ones, left, OWN) is not None
 
 
 def with_own_run(candidate, context):
@@ -183,7 +184,7 @@ def test_many_corners_are_not_run(make_study, candidate, variables, corners):
     inside = np.full((1, variables), 0.6)
     constraint = EveryContext(process, 5.0, inside)
     best = candidate(0, 0.95, 0.98)
-    done = np.tile(inside, (OWN_RUNS, 1))
+    done = np.tile(inside, (OWN.doubtful, 1))
     for _ in range(16):
         found = repeated(study, constraint, best, done)
         if found is None:
@@ -204,4 +205,4 @@ def test_without_contexts_there_are_no_corners(make_study, candidate, constraint
     )  # fmt: skip
     everywhere = replace(everywhere, process=process)
     best = candidate(0, 0.95, 0.98)
-    assert repeated(study, everywhere, best, np.empty((OWN_RUNS, 0))) is None
+    assert repeated(study, everywhere, best, np.empty((OWN.doubtful, 0))) is None

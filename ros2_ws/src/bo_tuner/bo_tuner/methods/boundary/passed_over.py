@@ -5,34 +5,12 @@ an answer needs.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from bo_tuner.methods.boundary.repetition import NEGLIGIBLE
+from bo_tuner.methods.recommendation import PassedOver
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.repetition import NEGLIGIBLE
-
-
-@dataclass(frozen=True)
-class PassedOver:
-    """A parameter set that was passed over.
-
-    Attributes
-    ----------
-    trial
-        Number of its trial.
-    objective
-        Posterior mean of the objective, in the metric's unit.
-    feasibility
-        Probability that it keeps all limits.
-    shown
-        Whether that is enough, so that it lacked only runs of its own.
-    """
-
-    trial: int
-    objective: float
-    feasibility: float
-    shown: bool
 
 
 def passed_over(

@@ -1,0 +1,1 @@
+"""Methods: how parameters are searched for, and what the answer is."""

@@ -1,0 +1,278 @@
+"""The method `boundary`, whose parts are arguments."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.methods.boundary.judging import PooledRanking
+from bo_tuner.methods.boundary.repetition import OwnRuns
+from bo_tuner.methods.boundary.searches import Pooled
+from bo_tuner.methods.boundary.settling import (
+    Repetitions,
+    SettledAnswer,
+    with_all_repetitions,
+    with_known_repetitions,
+)
+from bo_tuner.methods.boundary.stage_one import (
+    AdaptedAvoidance,
+    Avoidance,
+    BoundaryOptimization,
+    Schedule,
+    new_point,
+    provable,
+)
+from bo_tuner.methods.contexts import DrawnContexts
+from bo_tuner.methods.outlook import Outlook, draws_of_outlook
+from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.searches import SearchRule, search_evaluations, searches_of
+from bo_tuner.methods.times import Times
+from bo_tuner.models.estimates import estimated
+from bo_tuner.models.pooled_models import PooledModels, PooledSurrogates
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.optimizers.base import Optimizer, Proposal
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
+from bo_tuner.study.study import Study
+from bo_tuner.trials import (
+    Context,
+    Evaluation,
+    EvaluationState,
+    Stage,
+    Trial,
+    count_checks,
+    count_evaluations,
+)
+from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
+
+MOST_TO_SETTLE = 25
+"""It is settled what the answer is after so many repetitions, or when all are used up.
+
+How many it takes differs widely between runs, and hardly depends on how many are allowed.
+"""
+
+RANKINGS, RANKINGS_WEIGHT = 5.0, 3
+"""What is expected of a trial beside its evaluations, in rankings.
+
+A proposal, which fits the models, ranks and searches, takes all of them but the one after the
+trial. The expected value counts as so many trials that were measured.
+"""
+
+
+@dataclass(frozen=True)
+class Boundary(Method):
+    """Search, then settle which side of the limits the best points are on.
+
+    Attributes
+    ----------
+    title
+        Short description.
+    models
+        Fits the models of all evaluations.
+    acquisition
+        Makes the acquisition function of stage one.
+    schedule
+        Says which trials are a search.
+    ahead
+        Further runs of a new point after which it should be shown to keep its limits.
+    avoidance
+        Largest probability of a failure of a proposal.
+    contexts
+        Of a trial before the search.
+    search
+        Of stage two; by default one by the process of the models.
+    searched
+        Largest number of evaluations of the search in a trial, unless the study says otherwise.
+    repetitions
+        How many there are.
+    own_runs
+        Those that the answer must have.
+    """
+
+    title: str
+    models: PooledModels = field(default_factory=PooledModels)
+    acquisition: AcquisitionRule = constrained_improvement
+    schedule: Schedule = field(default_factory=Schedule)
+    ahead: int = 8
+    avoidance: Avoidance = field(default_factory=AdaptedAvoidance)
+    contexts: DrawnContexts = field(default=DrawnContexts(2))
+    search: SearchRule | None = None
+    searched: int = 3
+    repetitions: Repetitions = field(default_factory=Repetitions)
+    own_runs: OwnRuns = field(default_factory=OwnRuns)
+
+    @property
+    def ranking(self) -> PooledRanking:
+        """Of the parameter sets, by the models of all evaluations."""
+        return PooledRanking(self.models)
+
+    @property
+    def _search(self) -> SearchRule:
+        return self.search or Pooled(self.models)
+
+    def problem(self, study: Study) -> str:
+        """Refuse several objectives."""
+        count = len(study.objectives)
+        return f"optimizes one objective, and the study has {count}" if count > 1 else ""
+
+    def optimizer(self, study: Study) -> Optimizer:
+        """Make the optimizer of stage one."""
+        return BoundaryOptimization(
+            study, self.ranking, self.acquisition, self.schedule, self.ahead, self.avoidance
+        )
+
+    def first_contexts(
+        self, study: Study, number: int, proposal: Proposal
+    ) -> list[tuple[Stage, Context]]:
+        """Return the contexts that a trial begins in."""
+        return self.contexts.of(study, number, proposal)
+
+    def worst_case_searches(
+        self, study: Study, proposal: Proposal, trials: Sequence[Trial]
+    ) -> WorstCaseSearches:
+        """Make the searches of stage two."""
+        most = search_evaluations(study, self.searched)
+        if proposal.protocol is not None:
+            _, most = proposal.protocol
+        return searches_of(self._search, study, proposal, trials, most)
+
+    def with_search(self, search: SearchRule) -> "Boundary":
+        """Return the method with another search for the worst context."""
+        return replace(self, search=search)
+
+    def outlook(self, study: Study, trials: Sequence[Trial]) -> Outlook | None:
+        """Estimate the gain of one more trial: that it will be shown to be better."""
+        rng = draws_of_outlook(study, trials)
+        try:
+            models = self.models(study, trials, rng=rng, start=latest_hyperparameters(trials))
+            return self._outlook(study, trials, models, rng)
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError):
+            return None
+
+    def _outlook(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        models: PooledSurrogates,
+        rng: np.random.Generator,
+    ) -> Outlook | None:
+        model, space = models.objective, study.search_space()
+        best = self.ranking.first_by(models, study, trials)
+        if model is None or best is None or not best.believed_feasible:
+            return None
+        search = AcquisitionSearch(provable(models, self.ahead), space, self.acquisition, rng)
+        search.incumbent = float(study.objective.to_cost(best.objective))
+        found = search.maximize()
+        x = space.to_cube(best.trial.parameters)[None]
+        over_contexts = float(model.process.means(x, model.contexts).var())
+        complete = EvaluationState.COMPLETE
+        evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
+        noise = float(np.sqrt((over_contexts + model.noise_variance) / evaluations))
+        return Outlook(search.incumbent, float(np.exp(found.value)), noise)
+
+    def answer_search(
+        self, study: Study, trials: Sequence[Trial], most: int | None = None
+    ) -> SettledAnswer:
+        """Make the search for the answer: repetitions until it is settled."""
+        if most is None:
+            most = self.repetitions.most(study, count_evaluations(trials), count_checks(trials))
+        return SettledAnswer(study, trials, self.ranking, self.own_runs, most)
+
+    def doubt(self, feasibility: float) -> str:
+        """Return why an answer is doubtful."""
+        return (
+            "By the model of all evaluations it keeps its limits with a probability of only "
+            f"{feasibility:.3g}, which is too low"
+        )
+
+    def continued(
+        self, trials: Sequence[Trial], evaluations: Sequence[Evaluation], *, more: bool
+    ) -> list[Trial]:
+        """Give trials the repetitions of a run that had ended: they are data for trials to come."""
+        return with_known_repetitions(trials, evaluations, more=more)
+
+    def checked(
+        self, study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
+    ) -> list[Trial]:
+        """Give trials their repetitions."""
+        return with_all_repetitions(trials, evaluations)
+
+    def estimated(self, study: Study, models: Surrogates, trial: Trial) -> Trial:
+        """Estimate worst cases by the models of all evaluations."""
+        return estimated(study, models, trial)
+
+    def unusable(
+        self, then: Study, now: Study, moved: Sequence[str], unsearched: Sequence[str]
+    ) -> str:
+        """Refuse nothing: an evaluation is data in whatever context."""
+        return ""
+
+    def takes_parts(self) -> bool:
+        """Return True: each evaluation is data by itself."""
+        return True
+
+    def hyperparameters(
+        self, study: Study, trials: Sequence[Trial], rng: np.random.Generator
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Return what its search takes from the models."""
+        return self._search.hyperparameters(self.models, study, trials, rng)
+
+    def most_evaluations(self, study: Study) -> int:
+        """Return the largest number of evaluations of the trials and the repetitions."""
+        searched = self.contexts.count(study)
+        if study.worst_case_constraints:
+            searched += search_evaluations(study, self.searched)
+        by_trials = replace(study, budget=replace(study.budget, evaluations=None))
+        ahead = self.schedule.evaluations_ahead(by_trials, 0, 0.0, searched)
+        tuning = round(sum(ahead))
+        if study.budget.evaluations is not None:
+            largest = max(searched, sum(new_point(study)))
+            tuning = min(tuning, study.budget.evaluations + largest - 1)
+        return tuning + self.repetitions.most(study, tuning)
+
+    def time_to_answer(self, study: Study, times: Times) -> float:
+        """Return the time [s] of the trials and the repetitions to come.
+
+        What a trial takes beside its evaluations is counted in rankings, whose time follows a
+        straight line over the evaluations.
+        """
+        evaluations, repeated, seconds = float(times.evaluations), 0, 0.0
+        if times.answering:
+            repeated = times.in_phase
+            evaluations -= repeated
+        else:
+            searched = times.evaluations_of_trial()
+            rankings = times.rankings_of_trial(RANKINGS, RANKINGS_WEIGHT)
+            for count in self.schedule.evaluations_ahead(
+                study, times.counted, evaluations, searched
+            ):
+                evaluations += count
+                seconds += count * times.recent_evaluation()
+                seconds += rankings * times.ranking_of(evaluations)
+        most = self.repetitions.most(study, round(evaluations), times.repeated)
+        total = repeated + min(max(0, most - repeated), MOST_TO_SETTLE)
+        # Most are runs of their own of what may be the answer, and a ranking follows each of them.
+        seconds += (total - repeated) * times.plain_evaluation()
+        return seconds + (total - repeated + 1) * times.ranking_of(
+            evaluations + 0.5 * (repeated + total)
+        )
+
+    def recalled_ranking(self, trial: Trial) -> float:
+        """Return the time [s] of a ranking by that of the proposal."""
+        return trial.seconds / (RANKINGS - 1.0)
+
+    def within(self, study: Study, evaluations: int, reserved: int) -> tuple["Boundary", int]:
+        """Keep the share of the repetitions, whatever is reserved for others."""
+        return self, self.repetitions.before(study, evaluations)
+
+    def further(self, study: Study, left: int) -> int:
+        """Return the part of the trials, if that is enough for a new point."""
+        more = self.repetitions.part_of_trials(left)
+        return more if more >= sum(new_point(study)) else 0
+
+    def reserve(self, reserved: int) -> str:
+        """Return what it keeps of the evaluations."""
+        return (
+            "boundary keeps part of them for repetitions, and goes on with further trials when "
+            "these settle the answer early"
+        )

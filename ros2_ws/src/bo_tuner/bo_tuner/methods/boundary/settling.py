@@ -1,0 +1,219 @@
+"""The answer of `boundary`: the parameter sets that are run again before it.
+
+Parameter sets are run again, a few runs at a time, until it is settled which one is the answer
+(`repetition`) or the repetitions are used up. These runs are added to their trials. No further
+check of the answer follows: the posterior that chooses it has them among its data.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from bo_tuner.methods.boundary.judging import PooledRanking
+from bo_tuner.methods.boundary.passed_over import passed_over
+from bo_tuner.methods.boundary.repetition import OwnRuns, Repetition, lacking, next_repetition
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.repetitions import most_check_evaluations, repetitions_of
+from bo_tuner.models.estimates import estimated
+from bo_tuner.models.pooled_models import PooledSurrogates
+from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.study import Study
+from bo_tuner.trials import CHECKS, TUNING, Context, Evaluation, Stage, Trial, TrialState
+
+
+@dataclass(frozen=True)
+class Repetitions:
+    """How many evaluations are those of parameter sets that are run again.
+
+    Attributes
+    ----------
+    share
+        Repetitions, at most, for each evaluation of the trials; 0 for none at all.
+    """
+
+    share: float = 1.0 / 6.0
+
+    def most(self, study: Study, evaluations: int, made: int = 0) -> int:
+        """Return the largest number of repetitions after trials with so many evaluations.
+
+        They are the share of them, less those that were made already, and at least as many as the
+        check of one candidate takes.
+        """
+        if not self.share:
+            return 0
+        return max(most_check_evaluations(study), math.ceil(self.share * evaluations) - made)
+
+    def before(self, study: Study, evaluations: int) -> int:
+        """Return how many of so many evaluations in all, at least one, are those of the trials."""
+        if not self.share:
+            return evaluations
+        of_trials = self.part_of_trials(evaluations)
+        return max(1, min(evaluations - most_check_evaluations(study), of_trials))
+
+    def part_of_trials(self, evaluations: int) -> int:
+        """Return how many of so many evaluations are of trials, with repetitions in proportion.
+
+        An answer is known where a run is continued, so none are kept for the check of one.
+        """
+        return math.floor(evaluations / (1.0 + self.share))
+
+
+class SettledAnswer:
+    """The search for the answer by repetitions; see `AnswerSearch`.
+
+    Parameters
+    ----------
+    study, trials
+        Of the run; repetitions that the trials have already are data, too.
+    ranking
+        Of the parameter sets.
+    required
+        Runs of its own that the answer must have.
+    most
+        Largest number of further repetitions.
+
+    Attributes
+    ----------
+    steps
+        Repetitions, at most; each evaluation is one.
+    what
+        For messages.
+    answer
+        The recommendation, once there is nothing more to ask. ``checked`` are the trials that were
+        run again.
+    """
+
+    what = "repetitions"
+
+    def __init__(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        ranking: PooledRanking,
+        required: OwnRuns,
+        most: int,
+    ) -> None:
+        self._study = study
+        self._ranking = ranking
+        self._required = required
+        self._latest = {trial.number: trial for trial in trials}
+        self._repeated = [t.number for t in trials for e in t.evaluations if e.stage in CHECKS]
+        self._most = most + len(self._repeated)
+        self._candidates: list[Candidate] = []
+        self._choice: Repetition | None = None
+        self._runs = 0
+        self.steps = most
+        self.answer: Recommendation | None = None
+
+    def ask(self) -> Evaluation | None:
+        """Return the next repetition."""
+        if not self._runs:
+            self._choose()
+        if self._choice is None:
+            return None
+        trial = self._latest[self._choice.trial.number]
+        return _planned(self._study, trial, self._choice.context)
+
+    def tell(self, evaluation: Evaluation) -> bool:
+        """Add a repetition, which is a step."""
+        number = evaluation.trial
+        self._latest[number] = with_repetitions(self._latest[number], [evaluation])
+        self._repeated.append(number)
+        self._runs = self._runs - 1 if evaluation.outcome.complete else 0
+        return True
+
+    def _choose(self) -> None:
+        """Choose what is run again next; without a choice there is the answer."""
+        study, known = self._study, list(self._latest.values())
+        models = self._ranking.models(study, known)
+        before, self._candidates = self._candidates, self._ranking.ranked_by(models, study, known)
+        left = self._most - len(self._repeated)
+        self._choice = None
+        if self._candidates and left:
+            self._choice = next_repetition(study, models, self._candidates, left, self._required)
+        if self._choice is not None:
+            self._runs = min(self._choice.runs, left)
+        elif self._candidates:
+            self.answer = self._settled(models)
+        elif before:
+            # Every candidate has failed when it was run again.
+            self.answer = Recommendation(before[0], False, tuple(self._repeated), tuple(before))
+
+    def _settled(self, models: PooledSurrogates) -> Recommendation:
+        candidates = _with_own_runs_first(self._study, models, self._candidates, self._required)
+        best = candidates[0]
+        return Recommendation(
+            replace(best, trial=estimated(self._study, models, best.trial)),
+            best.believed_feasible,
+            tuple(dict.fromkeys(self._repeated)),
+            tuple(candidates),
+            passed_over(models, best, candidates),
+        )
+
+
+def _with_own_runs_first(
+    study: Study,
+    models: PooledSurrogates,
+    candidates: Sequence[Candidate],
+    required: OwnRuns,
+) -> list[Candidate]:
+    """Put the first candidate before the others that has the runs of its own which an answer needs.
+
+    Where the repetitions are used up, a better one may have become the first without any. If none
+    has them, the order stays.
+    """
+    for candidate in candidates:
+        if not candidate.believed_feasible:
+            break
+        if not lacking(study, models, candidate.trial, required):
+            return [candidate, *(c for c in candidates if c is not candidate)]
+    return list(candidates)
+
+
+def with_known_repetitions(
+    trials: Sequence[Trial], evaluations: Sequence[Evaluation], *, more: bool
+) -> list[Trial]:
+    """Give the trials of a run that is continued the repetitions that its next trial can know.
+
+    Parameters
+    ----------
+    trials
+        Without the repetitions.
+    evaluations
+        All evaluations of the run, in the order of the record.
+    more
+        Whether trials are to come. If not, what was recorded after the last trial belongs to the
+        search for the answer, which takes its way anew.
+    """
+    last = max((k for k, e in enumerate(evaluations) if e.stage in TUNING), default=0)
+    return with_all_repetitions(trials, evaluations if more else evaluations[:last])
+
+
+def with_all_repetitions(trials: Sequence[Trial], evaluations: Iterable[Evaluation]) -> list[Trial]:
+    """Give trials their repetitions on record; as `Method.checked`.
+
+    A trial that failed when it was run again is no candidate. Worst cases are as they were
+    estimated when the trials were run.
+    """
+    known = repetitions_of(evaluations)
+    return [with_repetitions(trial, known.get(trial.number, ())) for trial in trials]
+
+
+def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
+    """Add repetitions to a trial, which has failed if one of them did for its parameters."""
+    extended = replace(trial, evaluations=(*trial.evaluations, *repetitions))
+    for outcome in (evaluation.outcome for evaluation in repetitions):
+        if not outcome.complete and not outcome.spoilt:
+            return replace(extended, state=TrialState.FAILED, reason=outcome.reason)
+    return extended
+
+
+def _planned(study: Study, trial: Trial, context: Context | None) -> Evaluation:
+    index, stage = len(trial.evaluations), Stage.CHECK_WORST
+    if context is None:
+        contexts, stage = study.context_space(), Stage.CHECK_DRAWN
+        rng = generator(study.seed, Stream.CHECK_CONTEXTS, trial.number, index)
+        context = contexts.to_dict(contexts.draw_stratified(1, rng)[0])
+    seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
+    return Evaluation(trial.number, index, stage, trial.parameters, context, seed)

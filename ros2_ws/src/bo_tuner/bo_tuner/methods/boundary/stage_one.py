@@ -1,0 +1,192 @@
+"""Stage one of `boundary`: search, then settle which side of the limits the best points are on.
+
+Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
+is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
+set. Those of the first part of the budget are a search, with few evaluations each. Those of the
+second part are proposed against the best parameter set that is *shown* to keep all limits, with a
+probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
+them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
+their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
+is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
+
+All evaluations are pooled in the processes over parameter set and context
+(`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
+among those that are shown to keep all limits.
+
+References
+----------
+Gibbs and Candès (2021). Adaptive conformal inference under distribution shift. NeurIPS 34.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.acquisition.acquisition import AcquisitionRule
+from bo_tuner.methods.boundary.judging import PooledRanking
+from bo_tuner.models.constraints import CONFIDENT
+from bo_tuner.models.pooled_models import PooledSurrogates
+from bo_tuner.models.pooled_responses import FutureBound
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.optimizers.base import ACQUISITION, Proposal
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
+
+DOOMED = 0.95
+"""Probability of a failure from which on no point is proposed as long as there are others."""
+
+DRAWN, WORST = 1, 2
+"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
+
+
+Avoidance = Callable[[Study, Sequence[Trial]], float]
+"""Returns the largest probability of a failure of a proposal, by all trials so far."""
+
+
+@dataclass(frozen=True)
+class AdaptedAvoidance:
+    """Largest probability of a failure of a proposal, adapted to how often one failed.
+
+    A model of crashes is too sure of itself where proposals go, to the edge of the region where
+    runs fail, and far from all trials. So each failure lowers the largest probability, which is
+    `failing` at first, and each that ends without one raises it, as much as keeps the share of
+    failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021, on the
+    logarithm).
+
+    Attributes
+    ----------
+    failing
+        Share of the proposals that may fail, since a crash can cost a machine more than a run
+        tells.
+    adaptation
+        Halvings of the largest probability by each failure. A run has some tens of trials, in which
+        the bound must be able to find its level: ten in a row that do not fail open almost every
+        region, and a single failure closes the doubtful ones again.
+    """
+
+    failing: float = 0.1
+    adaptation: float = 3.0
+
+    def __call__(self, study: Study, trials: Sequence[Trial]) -> float:
+        """Return the largest probability of a failure of the next proposal."""
+        level, highest = 0.0, np.log2(DOOMED / self.failing)
+        for trial in trials[study.budget.initial_trials :]:
+            if trial.spoilt:
+                continue
+            failed = trial.state is TrialState.FAILED
+            level += self.adaptation * (-1.0 if failed else self.failing / (1.0 - self.failing))
+            level = min(level, highest)
+        return float(self.failing * 2.0**level)
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Which trials are a search, and which at the boundary.
+
+    Attributes
+    ----------
+    searching
+        Part of the budget for the search.
+    """
+
+    searching: float = 0.5
+
+    def searches(self, study: Study, trials: int, evaluations: int) -> bool:
+        """Return whether a trial is one of the search, after so many with so many evaluations."""
+        parts = [trials / study.budget.trials]
+        if study.budget.evaluations is not None:
+            parts.append(evaluations / study.budget.evaluations)
+        return max(parts) < self.searching
+
+    def evaluations_ahead(
+        self, study: Study, trials: int, evaluations: float, searched: float
+    ) -> Iterator[float]:
+        """Yield the evaluations of each trial to come; one of the search has `searched` of them."""
+        while study.budget.remaining(trials, round(evaluations)):
+            searching = self.searches(study, trials, round(evaluations))
+            count = searched if searching else sum(new_point(study))
+            yield count
+            trials, evaluations = trials + 1, evaluations + count
+
+
+class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
+    """Optimizer of `boundary`.
+
+    Parameters
+    ----------
+    study
+        The study.
+    ranking
+        Of the parameter sets, and with it the models.
+    acquisition
+        Makes the acquisition function.
+    schedule
+        Says which trials are a search.
+    ahead
+        Further runs of a new point after which it should be shown to keep its limits.
+    avoidance
+        Largest probability of a failure.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        ranking: PooledRanking,
+        acquisition: AcquisitionRule,
+        schedule: Schedule,
+        ahead: int,
+        avoidance: Avoidance,
+    ) -> None:
+        super().__init__(study, ranking.fit, acquisition)
+        self._ranking = ranking
+        self._schedule = schedule
+        self._ahead = ahead
+        self._avoidance = avoidance
+
+    def ask(self) -> Proposal:
+        """Propose the next trial and its evaluations."""
+        done = count_trials(self.trials), count_evaluations(self.trials)
+        if self._schedule.searches(self.study, *done):
+            return super().ask()
+        return self.initial() or self.propose(self._at_boundary, new_point(self.study))
+
+    @property
+    def avoid(self) -> float:
+        """Largest probability of a failure of a proposal, as long as others exist."""
+        return self._avoidance(self.study, self.trials)
+
+    def _at_boundary(
+        self, surrogates: PooledSurrogates, rng: np.random.Generator
+    ) -> Iterator[tuple[Array, str]]:
+        """Yield the most promising points that a few runs are likely to show feasible."""
+        models = provable(surrogates, self._ahead)
+        search = AcquisitionSearch(models, self.space, self._acquisition, rng)
+        search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        for avoid in (self.avoid, 1.0):
+            result = search.maximize(avoid=avoid)
+            if np.isfinite(result.value):
+                yield result.position, ACQUISITION
+
+
+def provable(surrogates: PooledSurrogates, ahead: int) -> Surrogates:
+    """Return surrogates with the probability that so many runs show a limit kept for its own."""
+    constraints = {
+        name: FutureBound(response, ahead, CONFIDENT)
+        for name, response in surrogates.constraints.items()
+    }
+    return Surrogates(
+        surrogates.objective,
+        constraints,
+        surrogates.failures,
+        surrogates.outlying,
+        surrogates.outliers,
+        surrogates.models,
+    )
+
+
+def new_point(study: Study) -> tuple[int, int]:
+    """Return the evaluations of a point at the boundary: in drawn and in worst contexts."""
+    return DRAWN, WORST * len(study.worst_case_constraints)

@@ -1,0 +1,79 @@
+"""The contexts that a trial begins in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.optimizers.base import Proposal
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Context, Stage
+
+
+class FirstContexts(Protocol):
+    """The contexts that a trial begins in, before the search for the worst one."""
+
+    def of(self, study: Study, number: int, proposal: Proposal) -> list[tuple[Stage, Context]]:
+        """Return them for a trial, by its number, each with its stage."""
+
+    def count(self, study: Study) -> int:
+        """Return how many they are, unless a proposal says otherwise."""
+
+    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+        """Return as `Method.unusable`, for context variables whose distribution has `moved`."""
+
+
+@dataclass(frozen=True)
+class DrawnContexts:
+    """Contexts drawn from their distribution.
+
+    Attributes
+    ----------
+    drawn
+        How many, unless the study says otherwise.
+    """
+
+    drawn: int
+
+    def of(self, study: Study, number: int, proposal: Proposal) -> list[tuple[Stage, Context]]:
+        """Draw them, as many as the proposal or the study says."""
+        contexts, rng = study.context_space(), generator(study.seed, Stream.CONTEXTS, number)
+        count = self.count(study) if proposal.protocol is None else proposal.protocol[0]
+        drawn = contexts.draw_stratified(count, rng)
+        return [(Stage.DRAWN, contexts.to_dict(row)) for row in drawn]
+
+    def count(self, study: Study) -> int:
+        """Return the number that the study says, or else `drawn`."""
+        said = study.budget.drawn_contexts
+        return self.drawn if said is None else said
+
+    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+        """Refuse trials whose means are over another distribution."""
+        return other_distribution(moved[0], "takes means over draws") if moved else ""
+
+
+@dataclass(frozen=True)
+class NominalContext:
+    """The nominal context alone."""
+
+    def of(self, study: Study, number: int, proposal: Proposal) -> list[tuple[Stage, Context]]:
+        """Return the nominal context."""
+        contexts = study.context_space()
+        return [(Stage.NOMINAL, contexts.to_dict(contexts.nominal()))]
+
+    def count(self, study: Study) -> int:
+        """Return 1."""
+        return 1
+
+    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+        """Refuse trials in another nominal context."""
+        for name in moved:
+            before, after = (s.contexts[name].distribution.nominal for s in (then, now))
+            if before != after:
+                return other_distribution(name, "evaluates the nominal context")
+        return ""
+
+
+def other_distribution(name: str, what: str) -> str:
+    """Return that a context variable has moved, and what an algorithm does that forbids it."""
+    return f"contexts.{name} has another distribution, and the algorithm of this run {what}"

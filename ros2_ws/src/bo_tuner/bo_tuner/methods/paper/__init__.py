@@ -1,0 +1,1 @@
+"""Algorithms I to IV of the paper (Sec. 5.1), and V with a joint model."""

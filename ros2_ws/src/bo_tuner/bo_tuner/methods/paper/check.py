@@ -1,0 +1,258 @@
+"""The recommended parameter set, after a check of the best candidates on fresh draws.
+
+Candidates are selected by noisy evaluations, so the estimates from these are too optimistic. They
+are therefore evaluated again, in fresh contexts from the distribution and, with fresh noise, in
+their estimated worst context. These evaluations are added to the trial, and the ranking decides
+among the candidates that passed the check.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.repetitions import (
+    DRAWN_EVALUATIONS,
+    WORST_EVALUATIONS,
+    most_check_evaluations,
+    repetitions_of,
+)
+from bo_tuner.methods.times import Times
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.optimizers.ranking import Candidate, Ranking
+from bo_tuner.study.limits import judge_sample, judge_samples, refuted
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Context, Evaluation, Stage, Trial, WorstCase
+
+EXPECTED_CHECKS = 2
+"""Candidates that are checked, as if every other one passed."""
+
+
+@dataclass(frozen=True)
+class CandidateCheck:
+    """The check of the best candidates on fresh draws before the answer.
+
+    Attributes
+    ----------
+    most
+        Largest number of candidates to check; with 0 the first in rank is the answer, unchecked.
+    """
+
+    most: int = 6
+
+    def search(
+        self, study: Study, trials: Sequence[Trial], ranking: Ranking[Surrogates]
+    ) -> "CheckedAnswer":
+        """Make the search for the answer."""
+        return CheckedAnswer(study, trials, ranking, self.most)
+
+    def most_evaluations(self, study: Study) -> int:
+        """Return the largest number of evaluations of all checks."""
+        return self.most * most_check_evaluations(study)
+
+    def affordable(self, study: Study, reserved: int) -> "CandidateCheck":
+        """Return the check of as many candidates as so many evaluations allow."""
+        return replace(self, most=min(self.most, reserved // most_check_evaluations(study)))
+
+    def seconds(self, study: Study, times: Times) -> float:
+        """Return the time [s] that the checks will still take."""
+        size = most_check_evaluations(study)
+        cost = times.plain_evaluation() + times.ranking() / size
+        if times.answering:
+            count = min(times.steps + EXPECTED_CHECKS, self.most)
+            return max(0, size * count - times.in_phase) * times.measured(cost)
+        return min(EXPECTED_CHECKS, self.most) * size * cost
+
+
+class CheckedAnswer:
+    """The search for the answer by checks of candidates; see `AnswerSearch`.
+
+    The trials are ranked again after each check, until the first in rank has passed its check. An
+    evaluation that tells nothing of the parameters, since its nodes were lost or others disturbed
+    it, is asked for again.
+
+    Parameters
+    ----------
+    study, trials
+        Of the run.
+    ranking
+        Of the trials.
+    most
+        Largest number of candidates to check.
+
+    Attributes
+    ----------
+    steps
+        Checked candidates, at most.
+    what
+        For messages.
+    answer
+        The recommendation, once there is nothing more to ask.
+    """
+
+    what = "evaluations of the check"
+
+    def __init__(
+        self, study: Study, trials: Sequence[Trial], ranking: Ranking[Surrogates], most: int
+    ) -> None:
+        self._study = study
+        self._ranking = ranking
+        self._latest = {trial.number: trial for trial in trials}
+        self._held: set[int] = set()
+        self._checked: list[int] = []
+        self._candidate: Trial | None = None
+        self._plan: list[tuple[Stage, Context]] = []
+        self._check: list[Evaluation] = []
+        self.steps = most
+        self.answer: Recommendation | None = None
+
+    def ask(self) -> Evaluation | None:
+        """Return the next evaluation of a check."""
+        trial = self._candidate or self._next_candidate()
+        if trial is None:
+            return None
+        index = len(trial.evaluations) + len(self._check)
+        stage, context = self._plan[len(self._check)]
+        seed = noise_seed(self._study.seed, Stream.CHECK_NOISE, trial.number, index)
+        return Evaluation(trial.number, index, stage, trial.parameters, context, seed)
+
+    def tell(self, evaluation: Evaluation) -> bool:
+        """Add an evaluation; returns whether a check has ended with it."""
+        trial = self._candidate
+        if trial is None or evaluation.outcome.spoilt:
+            return False
+        self._check.append(evaluation)
+        if evaluation.outcome.complete and len(self._check) < len(self._plan):
+            return False
+        self._latest[trial.number], holds = with_check(self._study, trial, self._check)
+        self._checked.append(trial.number)
+        if holds:
+            self._held.add(trial.number)
+        self._candidate = None
+        return True
+
+    def _next_candidate(self) -> Trial | None:
+        """Return the candidate to check next; without one there is the answer."""
+        ranked = self._ranking.rank(self._study, list(self._latest.values()))
+        if not ranked:
+            return None
+        # In a space smaller than the budget trials repeat a set, which has one check all the same.
+        sets = {self._latest[number].parameter_set for number in self._checked}
+        open_ones = [
+            candidate
+            for candidate in ranked
+            if candidate.believed_feasible
+            and (candidate.trial.number in self._held or candidate.trial.parameter_set not in sets)
+        ]
+        if open_ones:
+            best = open_ones[0]
+            if best.trial.number in self._held or self.steps == 0:
+                self.answer = self._recommendation(best, True, ranked)
+                return None
+            if len(self._checked) < self.steps:
+                self._begin(best.trial)
+                return best.trial
+        self.answer = self._without_a_leader(ranked, open_ones)
+        return None
+
+    def _begin(self, trial: Trial) -> None:
+        contexts = self._study.context_space()
+        rng = generator(self._study.seed, Stream.CHECK_CONTEXTS, trial.number)
+        drawn = contexts.draw_stratified(DRAWN_EVALUATIONS, rng)
+        self._candidate, self._check = trial, []
+        self._plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
+        for worst_context in _worst_contexts(trial):
+            self._plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
+
+    def _without_a_leader(
+        self, ranked: Sequence[Candidate], open_ones: Sequence[Candidate]
+    ) -> Recommendation:
+        """Return the answer where the first in rank has passed no check, and none is left."""
+        kept = next((c for c in ranked if c.trial.number in self._held), None)
+        if kept is not None:
+            return self._recommendation(kept, kept.believed_feasible, ranked)
+        # Among several within the limits the first in rank, not the one with the largest margin: a
+        # machine that hardly moves keeps every limit.
+        crashed = {c.trial.parameter_set for c in ranked if c.trial.failed_again}
+        others = [c for c in ranked if c.trial.parameter_set not in crashed] or ranked
+        least = open_ones[0] if open_ones else min(others, key=lambda c: max(c.violation, 0.0))
+        return self._recommendation(least, False, ranked)
+
+    def _recommendation(
+        self, candidate: Candidate, feasible: bool, ranked: Sequence[Candidate]
+    ) -> Recommendation:
+        return Recommendation(candidate, feasible, tuple(self._checked), tuple(ranked))
+
+
+def with_checks(
+    study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
+) -> list[Trial]:
+    """Give trials their checks on record; as `Method.checked`."""
+    known = repetitions_of(evaluations)
+    return [with_check(study, trial, known.get(trial.number, ()))[0] for trial in trials]
+
+
+def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple[Trial, bool]:
+    """Add the evaluations of a check to a trial, and judge all constraints.
+
+    A check that is not complete is not passed, and leaves the estimated worst case as it is.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trial
+        The trial before the check.
+    check
+        Evaluations of the check, up to the first that is not complete.
+
+    Returns
+    -------
+    trial
+        With the evaluations of the check and the worst case estimated from them.
+    passed
+        Whether the check is complete and all constraints hold.
+    """
+    extended = replace(trial, evaluations=trial.evaluations + tuple(check))
+    completed = len(check) == _size(trial) and all(e.outcome.complete for e in check)
+    if not completed:
+        return extended, False
+    holds = all(
+        judge_sample(chance, extended.observations(chance.metric)).agrees
+        for chance in study.chance_constraints
+    )
+    samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
+    repeated = [e for e in check if e.stage is Stage.CHECK_WORST]
+    found: dict[str, WorstCase] = {}
+    for constraint in study.worst_case_constraints:
+        worst = trial.worst_cases.get(constraint.name)
+        if worst is None:
+            continue
+        there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
+        holds = holds and not refuted(constraint, there) and samples[constraint.name].agrees
+        found[constraint.name] = replace(
+            worst,
+            value=float(np.mean(there)),
+            observed=constraint.farthest([worst.observed, *there]),
+        )
+    return replace(extended, worst_cases=found), holds
+
+
+def _size(trial: Trial) -> int:
+    """Return the number of evaluations in the check of a trial."""
+    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(_worst_contexts(trial))
+
+
+def _worst_contexts(trial: Trial) -> list[Context]:
+    """Return the different worst contexts of a trial, in the order of the constraints."""
+    found: list[Context] = []
+    for worst in trial.worst_cases.values():
+        if dict(worst.context) not in found:
+            found.append(dict(worst.context))
+    return found
+
+
+def _values(evaluations: Sequence[Evaluation], metric: str) -> list[float]:
+    return [e.outcome.metrics[metric] for e in evaluations]

@@ -1,0 +1,130 @@
+"""Stage two of the Algorithms I to V."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.methods.searches import SearchRule
+from bo_tuner.models.categories import Coding
+from bo_tuner.models.observations import joint_observations
+from bo_tuner.models.surrogates import FitSurrogates, Surrogates
+from bo_tuner.optimizers.base import Proposal
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState
+from bo_tuner.worst_case.contexts import worst_contexts_nearby
+from bo_tuner.worst_case.joint_search import JointSearch
+from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
+
+
+@dataclass(frozen=True)
+class EachTrial(SearchRule):
+    """A search in each trial that begins without data of its own (Sec. 4.2).
+
+    Attributes
+    ----------
+    estimate
+        Of the worst case: ``posterior`` or ``observed``, as in `ReinterpolationSearch`.
+    neighbour_starts
+        Largest number of starting contexts, which are the worst contexts of neighbouring trials.
+    """
+
+    estimate: str = POSTERIOR
+    neighbour_starts: int = 2
+
+    def __call__(
+        self,
+        study: Study,
+        constraint: Constraint,
+        proposal: Proposal,
+        trials: Sequence[Trial],
+        evaluations: int,
+    ) -> ReinterpolationSearch:
+        """Make the search for one constraint."""
+        contexts, space = study.context_space(), study.search_space()
+        coding = Coding(space.levels)
+        name = constraint.name
+        known = [(t.parameters, t.worst_cases[name]) for t in trials if name in t.worst_cases]
+        return ReinterpolationSearch(
+            contexts,
+            constraint.sign * constraint.limit,
+            evaluations,
+            self.estimate,
+            worst_contexts_nearby(
+                coding.encode(space.to_cube(proposal.parameters)[None])[0],
+                coding.encode(space.cube_of(p for p, _ in known)),
+                [worst for _, worst in known],
+                contexts,
+                self.neighbour_starts,
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class NoSearch(SearchRule):
+    """No search: the worst case is the largest observation, of the nominal context."""
+
+    def __call__(
+        self,
+        study: Study,
+        constraint: Constraint,
+        proposal: Proposal,
+        trials: Sequence[Trial],
+        evaluations: int,
+    ) -> ReinterpolationSearch:
+        """Make a search that asks for nothing."""
+        limit = constraint.sign * constraint.limit
+        return ReinterpolationSearch(study.context_space(), limit, 0, OBSERVED)
+
+    def unusable(self, unsearched: Sequence[str]) -> str:
+        """Refuse nothing."""
+        return ""
+
+
+@dataclass(frozen=True)
+class Joint(SearchRule):
+    """A search by a joint model of parameter set and context (Algorithm V)."""
+
+    def __call__(
+        self,
+        study: Study,
+        constraint: Constraint,
+        proposal: Proposal,
+        trials: Sequence[Trial],
+        evaluations: int,
+    ) -> JointSearch:
+        """Make the search for one constraint."""
+        contexts, space = study.context_space(), study.search_space()
+        coding = Coding(space.levels)
+        kept = [
+            t
+            for t in trials
+            if t.state is TrialState.COMPLETE and t.number not in proposal.outliers
+        ]
+        points = space.cube_of(t.parameters for t in kept)
+        x, c, y = joint_observations(points, contexts, kept, constraint.metric)
+        return JointSearch(
+            contexts,
+            constraint.sign * constraint.limit,
+            constraint.level,
+            evaluations,
+            coding.encode(space.to_cube(proposal.parameters)[None])[0],
+            coding.encode(np.hstack([x, c])),
+            constraint.sign * y,
+            proposal.hyperparameters.get(constraint.name) or None,
+        )
+
+    def unusable(self, unsearched: Sequence[str]) -> str:
+        """Refuse nothing: the joint model estimates the worst case of any trial."""
+        return ""
+
+    def hyperparameters(
+        self,
+        models: FitSurrogates[Surrogates],
+        study: Study,
+        trials: Sequence[Trial],
+        rng: np.random.Generator,
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Return those of the joint model."""
+        return models(study, trials, rng=rng).warm_starts

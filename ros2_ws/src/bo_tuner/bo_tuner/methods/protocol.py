@@ -1,0 +1,268 @@
+"""Interface of a method: how parameters are searched for, and what the answer is.
+
+Whatever depends on the method is asked of it here, by the loop, the driver of the answer, the
+verdict, the report, the time left and ``--check``. None of them knows which method it is.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from bo_tuner.errors import StudyError
+from bo_tuner.methods.outlook import Outlook
+from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.methods.searches import SearchRule
+from bo_tuner.methods.times import Times
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.optimizers.base import Optimizer, Proposal
+from bo_tuner.optimizers.ranking import Candidate, Ranking
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Context, Evaluation, Stage, Trial
+from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
+
+
+class AnswerSearch(Protocol):
+    """Which parameter sets are run again before the answer is given; the caller runs them.
+
+    What it asks for depends only on the study, the trials and the evaluations that it was told.
+
+    Attributes
+    ----------
+    steps : int
+        How many steps it takes at most.
+    what : str
+        What is run, in the plural, for messages.
+    """
+
+    @property
+    def steps(self) -> int: ...  # noqa: D102
+
+    @property
+    def what(self) -> str: ...  # noqa: D102
+
+    def ask(self) -> Evaluation | None:
+        """Return the next evaluation to run, without an outcome; None when the answer is there."""
+
+    def tell(self, evaluation: Evaluation) -> bool:
+        """Add the evaluation that was asked for; returns whether a step has ended with it."""
+
+    @property
+    def answer(self) -> Recommendation | None:
+        """The answer, once `ask` has returned None; None if no trial is complete."""
+
+
+class Method(Protocol):
+    """A method. A subclass has the defaults of one that takes each trial for itself.
+
+    Attributes
+    ----------
+    title : str
+        Short description.
+    ranking : Ranking
+        Of the trials, by its surrogates.
+    """
+
+    title: str
+
+    @property
+    @abstractmethod
+    def ranking(self) -> Ranking[Surrogates]: ...  # noqa: D102
+
+    # Trials.
+
+    def problem(self, study: Study) -> str:
+        """Return in a few words why it cannot run a study; empty if it can."""
+        return ""
+
+    @abstractmethod
+    def optimizer(self, study: Study) -> Optimizer:
+        """Make the optimizer of stage one."""
+
+    @abstractmethod
+    def first_contexts(
+        self, study: Study, number: int, proposal: Proposal
+    ) -> list[tuple[Stage, Context]]:
+        """Return the contexts that a trial begins in, by its number, each with its stage."""
+
+    @abstractmethod
+    def worst_case_searches(
+        self, study: Study, proposal: Proposal, trials: Sequence[Trial]
+    ) -> WorstCaseSearches:
+        """Make the worst-case searches of stage two for a proposed parameter set.
+
+        Parameters
+        ----------
+        study
+            The study.
+        proposal
+            The proposed parameter set.
+        trials
+            All trials so far.
+        """
+
+    def with_search(self, search: SearchRule) -> "Method":
+        """Return the method with another search for the worst context.
+
+        Raises
+        ------
+        StudyError
+            If its search is no part that can be replaced.
+        """
+        raise StudyError(f"{self.title}: its search for the worst context cannot be replaced")
+
+    def incumbent(self, study: Study, trials: Sequence[Trial]) -> Candidate | None:
+        """Return the first in rank; None if no trial is complete."""
+        return self.ranking.incumbent(study, trials)
+
+    def outlook(self, study: Study, trials: Sequence[Trial]) -> Outlook | None:
+        """Estimate the gain of one more trial.
+
+        Returns
+        -------
+        Outlook or None
+            None if nothing is known of it, as while no parameter set is believed feasible.
+        """
+        return None
+
+    # The answer.
+
+    @abstractmethod
+    def answer_search(
+        self, study: Study, trials: Sequence[Trial], most: int | None = None
+    ) -> AnswerSearch:
+        """Make the search for the answer after the trials.
+
+        Parameters
+        ----------
+        study, trials
+            Of the run.
+        most
+            Largest number of evaluations, where these follow from the budget; by default as many
+            as are due to the trials.
+        """
+
+    @abstractmethod
+    def doubt(self, feasibility: float) -> str:
+        """Return why an answer that is not `Recommendation.feasible` is doubtful.
+
+        Parameters
+        ----------
+        feasibility
+            Probability that it keeps all limits, by the models.
+        """
+
+    # The record.
+
+    def continued(
+        self, trials: Sequence[Trial], evaluations: Sequence[Evaluation], *, more: bool
+    ) -> list[Trial]:
+        """Return the trials of a run on record as its next step is to know them.
+
+        Parameters
+        ----------
+        trials, evaluations
+            Of the record, in its order.
+        more
+            Whether trials are to come.
+        """
+        return list(trials)
+
+    @abstractmethod
+    def checked(
+        self, study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
+    ) -> list[Trial]:
+        """Give trials the search for the answer on record, as the ranking has to know it.
+
+        Parameters
+        ----------
+        study
+            The study.
+        trials
+            Without these evaluations.
+        evaluations
+            All evaluations of the run, in the order of the record.
+        """
+
+    def estimated(self, study: Study, models: Surrogates, trial: Trial) -> Trial:
+        """Return a trial that was run again with its worst cases as they are estimated now."""
+        return trial
+
+    # An earlier run.
+
+    def unusable(
+        self, then: Study, now: Study, moved: Sequence[str], unsearched: Sequence[str]
+    ) -> str:
+        """Return why no trial of an earlier run is data; empty if they are.
+
+        Parameters
+        ----------
+        then, now
+            The study of the earlier run, and that of the new one.
+        moved
+            Context variables whose distribution is another one.
+        unsearched
+            Worst-case constraints that the earlier run has not searched for.
+        """
+        if moved:
+            return f"contexts.{moved[0]} has another distribution"
+        if unsearched:
+            return f"the worst case of constraints.{unsearched[0]} was not searched for in this run"
+        return ""
+
+    def takes_parts(self) -> bool:
+        """Whether some of a trial's evaluations are data without the others."""
+        return False
+
+    def hyperparameters(
+        self, study: Study, trials: Sequence[Trial], rng: np.random.Generator
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Return what the searches that estimate worst cases anew take from the models."""
+        return {}
+
+    # What is to come.
+
+    @abstractmethod
+    def most_evaluations(self, study: Study) -> int:
+        """Return the largest number of evaluations of a run, without the validation."""
+
+    @abstractmethod
+    def time_to_answer(self, study: Study, times: Times) -> float:
+        """Return the time [s] that it will take until the answer is there, by what was measured."""
+
+    def recalled_ranking(self, trial: Trial) -> float:
+        """Return the time [s] of the ranking after a trial on record, which has only that before.
+
+        0 if it does not tell.
+        """
+        return 0.0
+
+    def within(self, study: Study, evaluations: int, reserved: int) -> tuple["Method", int]:
+        """Divide a number of evaluations between the trials and the search for the answer.
+
+        Parameters
+        ----------
+        study
+            The study.
+        evaluations
+            All together.
+        reserved
+            Part of them that is kept for a method that checks candidates.
+
+        Returns
+        -------
+        Method
+            As it can run with them.
+        int
+            Evaluations of the trials.
+        """
+        return self, evaluations
+
+    def further(self, study: Study, left: int) -> int:
+        """Return how many evaluations more trials have if so many are left after the answer."""
+        return 0
+
+    def reserve(self, reserved: int) -> str:
+        """Return what it keeps of the evaluations, in words; see `within`."""
+        return ""

@@ -1,0 +1,54 @@
+"""Methods by name: `boundary`, the default; I to IV of the paper (Sec. 5.1); V, a joint model."""
+
+from bo_tuner.methods.boundary.method import Boundary
+from bo_tuner.methods.contexts import NominalContext
+from bo_tuner.methods.paper.check import CandidateCheck
+from bo_tuner.methods.paper.method import PaperMethod
+from bo_tuner.methods.paper.random_search import RandomSearch
+from bo_tuner.methods.paper.searches import Joint, NoSearch
+from bo_tuner.methods.protocol import Method
+from bo_tuner.models.trial_models import TrialModels, over_contexts
+from bo_tuner.study.study import Study
+
+BOUNDARY = "boundary"
+DEFAULT_METHOD = BOUNDARY
+SEVERAL_OBJECTIVES = "IV"
+"""The default for a study with several objectives."""
+
+METHODS: dict[str, Method] = {
+    "I": PaperMethod(
+        "Bayesian optimization on the nominal model",
+        contexts=NominalContext(),
+        search=NoSearch(),
+        searched=0,
+        check=CandidateCheck(0),
+    ),
+    "II": PaperMethod("random sampling in stage one", stage_one=RandomSearch),
+    "III": PaperMethod(
+        "Bayesian optimization without outlier detection",
+        models=TrialModels(reject_outliers=False),
+    ),
+    "IV": PaperMethod("Bayesian optimization with outlier detection"),
+    "V": PaperMethod(
+        "as IV, with one joint model of parameter set and context",
+        models=TrialModels(worst_case=over_contexts),
+        search=Joint(),
+    ),
+    BOUNDARY: Boundary(
+        "search, then repeated runs at the boundary of the limits, all pooled in one joint model"
+    ),
+}
+
+
+def default_method(study: Study) -> str:
+    """Return the name of the method for a study when none is chosen."""
+    return SEVERAL_OBJECTIVES if len(study.objectives) > 1 else DEFAULT_METHOD
+
+
+def problem_of(name: str, study: Study) -> str:
+    """Return in one line why a method cannot run a study; empty if it can."""
+    problem = METHODS[name].problem(study)
+    if not problem:
+        return ""
+    others = ", ".join(other for other, item in METHODS.items() if not item.problem(study))
+    return f"{name} {problem}; expected one of {others}"

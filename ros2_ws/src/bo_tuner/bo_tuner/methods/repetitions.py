@@ -1,0 +1,20 @@
+"""Trials that are run again: how many evaluations check a candidate, and what is on record."""
+
+from collections.abc import Iterable
+
+from bo_tuner.study.study import Study
+from bo_tuner.trials import CHECKS, Evaluation, latest_by_place
+
+DRAWN_EVALUATIONS = 10
+WORST_EVALUATIONS = 10
+
+
+def most_check_evaluations(study: Study) -> int:
+    """Return the largest number of evaluations in the check of a candidate."""
+    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(study.worst_case_constraints)
+
+
+def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:
+    """Return the evaluations on record that checked trials, by number of the trial."""
+    found = latest_by_place(evaluations, CHECKS)
+    return {trial: list(checks.values()) for trial, checks in found.items()}

@@ -1,0 +1,109 @@
+"""Interface of the processes over parameter set and context.
+
+Notation: d tuned parameters, e context variables, all in unit cubes; N observations; m parameter
+sets and k contexts in a query.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.models.categories import Coding
+from bo_tuner.models.hyperpriors import Hyperpriors
+from bo_tuner.models.protocol import Fitted
+from bo_tuner.numerics.arrays import Array
+
+
+class ContextProcess(Fitted, Protocol):
+    """Posterior of a response over parameter set and context, with local noise.
+
+    Attributes
+    ----------
+    points : ndarray, shape (p, d)
+        Distinct parameter sets of the data.
+    counts : ndarray, shape (p,)
+        Number of observations of each of them.
+    scale : float
+        Spread of the responses, in their unit.
+    range : tuple of float
+        Least and largest mean of the responses at a joint point.
+    noise_variance : float
+        Common variance of one observation's noise, in the squared unit of the response.
+    """
+
+    @property
+    def points(self) -> Array: ...  # noqa: D102
+
+    @property
+    def counts(self) -> Array: ...  # noqa: D102
+
+    @property
+    def scale(self) -> float: ...  # noqa: D102
+
+    @property
+    def range(self) -> tuple[float, float]: ...  # noqa: D102
+
+    @property
+    def noise_variance(self) -> float: ...  # noqa: D102
+
+    def means(self, x: Array, contexts: Array) -> Array:
+        """Return the mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
+
+    def variances(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> Array:
+        """Return the variance (m,) of x (m, d), each in the context of its own row `which` (m,)."""
+
+    def variance_of_mean(self, x: Array, contexts: Array) -> Array:
+        """Return the variance (m,) of the mean over contexts (k, e), at x (m, d)."""
+
+    def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
+        """Return the variance (m,) of sums over contexts (k, e) with weights (m, k)."""
+
+    def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return noise variance and its degrees of freedom (m,), places as in `variances`."""
+
+    def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
+        """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
+
+
+class ContextProcesses(Protocol):
+    """A kind of such processes, which makes them of observations."""
+
+    def fit(
+        self,
+        x: Array,
+        c: Array,
+        y: Array,
+        *,
+        coding: Coding,
+        rng: np.random.Generator,
+        priors: Hyperpriors | None = None,
+        minimum_length_scales: Array | None = None,
+        start: Sequence[float] | None = None,
+        keep: bool = False,
+    ) -> ContextProcess:
+        """Fit to responses y (N,) of the parameter sets x (N, d) in contexts c (N, e).
+
+        Parameters
+        ----------
+        x, c, y
+            The observations; e may be 0.
+        coding
+            Of the parameters' columns.
+        rng
+            Source of random numbers.
+        priors
+            Of hyperparameters, if the process has any.
+        minimum_length_scales : ndarray, shape (d,), optional
+            Lower bounds of the parameters' length scales.
+        start
+            `warm_start` of an earlier fit.
+        keep
+            Whether `start` is good enough as it is, since little is new since that fit.
+        """
+
+    def condition(
+        self, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
+    ) -> ContextProcess:
+        """Condition on observations with the `warm_start` of an earlier fit."""

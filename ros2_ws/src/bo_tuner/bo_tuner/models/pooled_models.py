@@ -1,0 +1,192 @@
+"""Models of all evaluations, pooled in processes over parameter set and context.
+
+One process for the objective and one for each limited metric, with local noise. Evaluations of a
+trial that failed are data as far as they are complete, and not to fail is one more limit.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bo_tuner.models.compression import Compression
+from bo_tuner.models.context_process import ContextProcess, ContextProcesses
+from bo_tuner.models.crashes import CrashModel
+from bo_tuner.models.fitting import Fitting
+from bo_tuner.models.observations import searched_contexts
+from bo_tuner.models.pooled_process import PooledProcesses
+from bo_tuner.models.pooled_responses import (
+    EveryContext,
+    ExpectedObjective,
+    OverContexts,
+    PooledResponse,
+)
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.constraint import FAILURES, OBJECTIVE, Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Context, Trial, TrialState, pooled
+
+EXPECTED_OVER = 256
+"""Number of contexts, the same in every fit, that an expectation is taken over."""
+
+CHANCE_OVER = 64
+"""Number of contexts, the same in every fit, that the probability of a chance limit is over."""
+
+Scale = Callable[[Array, float, float], Compression]
+"""Chooses the scale on which a limited metric is modelled, by values (n,), limit and sign."""
+
+Looked = Callable[[Sequence[Trial]], Sequence[Context]]
+"""Returns the contexts where trials have looked for the worst one, which are candidates for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class PooledSurrogates(Surrogates):
+    """Models of all evaluations.
+
+    Attributes
+    ----------
+    objective
+        Model of the cost; None while no trial is complete.
+    constraints
+        Constraints by their names in the study; empty while no trial is complete.
+    crashes
+        Probability of a failure, as a limit.
+    """
+
+    objective: ExpectedObjective | None
+    constraints: Mapping[str, PooledResponse]
+    crashes: CrashModel = field(kw_only=True)
+
+    @property
+    def limits(self) -> tuple[PooledResponse, ...]:
+        """The constraints, and the one on failures once there was any."""
+        known = () if self.crashes.constraint is None else (self.crashes.constraint,)
+        return (*self.constraints.values(), *known)
+
+    @property
+    def warm_starts(self) -> dict[str, tuple[float, ...]]:
+        """Starting points for the next fit, by model name."""
+        found = super().warm_starts
+        if self.crashes.warm_start is not None:
+            found[FAILURES] = self.crashes.warm_start
+        return found
+
+
+@dataclass(frozen=True)
+class PooledModels:
+    """Fits the models of all evaluations; see `FitSurrogates`.
+
+    Attributes
+    ----------
+    processes
+        The kind of process.
+    scale
+        Chooses the scale on which a limited metric is modelled.
+    looked
+        Returns contexts that are candidates for the worst one, besides corners and a hypercube.
+    """
+
+    processes: ContextProcesses = field(default_factory=PooledProcesses)
+    scale: Scale = Compression.of
+    looked: Looked = searched_contexts
+
+    def __call__(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        *,
+        rng: np.random.Generator,
+        start: Mapping[str, Sequence[float]] | None = None,
+        weights: Array | None = None,
+    ) -> PooledSurrogates:
+        """Fit all models; see `FitSurrogates`.
+
+        Raises
+        ------
+        ValueError
+            If there are weights: the cost is that of a single objective.
+        """
+        if weights is not None:
+            raise ValueError("models of all evaluations are those of one objective")
+        trials = pooled(trials)
+        fitting = Fitting(study, trials, rng, start)
+        complete = [t for t in trials if t.state is TrialState.COMPLETE]
+        outliers = fitting.outliers(complete) if complete else frozenset()
+        objective: ExpectedObjective | None = None
+        constraints: dict[str, PooledResponse] = {}
+        if complete:
+            # A failed trial's complete evaluations tell of the contexts that they were in.
+            kept = [t for t in trials if t.number not in outliers]
+            objective = self._objective(fitting, kept)
+            constraints = self._constraints(fitting, kept)
+        crashes = self._crashes(fitting, trials)
+        outlying = None
+        if complete:
+            outlying = fitting.classifier(complete, lambda t: t.number in outliers)
+        return PooledSurrogates(
+            objective, constraints, crashes, outlying, outliers, fitting.models, crashes=crashes
+        )
+
+    def _objective(self, fitting: Fitting, trials: Sequence[Trial]) -> ExpectedObjective:
+        """Return the model of the cost."""
+        objective, contexts = fitting.study.objective, fitting.study.context_space()
+        x, c, y = fitting.joint_observations(trials, objective.metric)
+        process = fitting.process(self.processes, OBJECTIVE, x, c, objective.to_cost(y))
+        drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
+        return ExpectedObjective(process, contexts.to_cube(drawn), objective)
+
+    def _constraints(self, fitting: Fitting, trials: Sequence[Trial]) -> dict[str, PooledResponse]:
+        """Return the limits, with the models of their responses, by name."""
+        found: dict[str, PooledResponse] = {}
+        for chance in fitting.study.chance_constraints:
+            found[chance.name] = self._over_contexts(fitting, trials, chance)
+        for worst in fitting.study.worst_case_constraints:
+            found[worst.name] = self._every_context(fitting, trials, worst)
+        return found
+
+    def _every_context(
+        self, fitting: Fitting, trials: Sequence[Trial], worst: Constraint
+    ) -> EveryContext:
+        process, scale = self._limited(fitting, trials, worst)
+        # The searches have looked where no corner is, and may have found the worst context there.
+        candidates = fitting.study.context_space().candidates(self.looked(trials))
+        return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign, scale)
+
+    def _over_contexts(
+        self, fitting: Fitting, trials: Sequence[Trial], chance: Constraint
+    ) -> OverContexts:
+        process, scale = self._limited(fitting, trials, chance)
+        contexts = fitting.study.context_space()
+        drawn = contexts.to_cube(contexts.draw_stratified(CHANCE_OVER, np.random.default_rng(0)))
+        return OverContexts(process, chance.limit, drawn, chance.level, chance.sign, scale)
+
+    def _limited(
+        self, fitting: Fitting, trials: Sequence[Trial], constraint: Constraint
+    ) -> tuple[ContextProcess, Compression]:
+        x, c, y = fitting.joint_observations(trials, constraint.metric)
+        scale = self.scale(y, constraint.limit, constraint.sign)
+        return fitting.process(self.processes, constraint.name, x, c, scale.apply(y)), scale
+
+    def _crashes(self, fitting: Fitting, trials: Sequence[Trial]) -> CrashModel:
+        """Return the probability that a run fails, as a constraint."""
+        contexts = fitting.study.context_space()
+        runs = [
+            (point, evaluation)
+            for trial, point in zip(trials, fitting.points(trials), strict=True)
+            for evaluation in trial.evaluations
+            if not evaluation.outcome.spoilt
+        ]
+        return CrashModel.fit(
+            np.array([point for point, _ in runs]).reshape(-1, len(fitting.minimum)),
+            contexts.cube_of([evaluation.context for _, evaluation in runs]),
+            np.array([not e.outcome.complete for _, e in runs], bool),
+            processes=self.processes,
+            coding=fitting.coding,
+            contexts=contexts.candidates(),
+            neighbours=fitting.classifier(
+                [t for t in trials if not t.spoilt], lambda t: t.state is TrialState.FAILED
+            ),
+            rng=fitting.rng,
+            start=fitting.kept(FAILURES),
+        )

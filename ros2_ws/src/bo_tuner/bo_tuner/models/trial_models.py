@@ -1,0 +1,163 @@
+"""Models of trials: each is one point, by its mean and its estimated worst case (paper, Sec. 4.1).
+
+One process for the objective, one for each constrained response, and classifiers of failures and
+of outliers. A failed trial tells of failures only.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from bo_tuner.models.constraints import (
+    BELIEVED_FEASIBLE,
+    JointConstraint,
+    LimitedResponse,
+    SurrogateConstraint,
+    log_feasibility,
+)
+from bo_tuner.models.fitting import Fitting
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.observations import single_evaluation_worst_cases
+from bo_tuner.models.protocol import FitModel, Model
+from bo_tuner.models.scalarization import Chebyshev
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.constraint import OBJECTIVE, Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState
+
+
+class WorstCaseModel(Protocol):
+    """Models a limit on the worst case."""
+
+    def __call__(
+        self, fitting: Fitting, fit: FitModel, trials: Sequence[Trial], worst: Constraint
+    ) -> LimitedResponse:
+        """Return the limit, with the model of its response.
+
+        Parameters
+        ----------
+        fitting
+            Has the points and observations, and collects the model.
+        fit
+            Fits the model of a response.
+        trials
+            Complete ones.
+        worst
+            The constraint.
+        """
+
+
+def of_estimates(
+    fitting: Fitting, fit: FitModel, trials: Sequence[Trial], worst: Constraint
+) -> SurrogateConstraint:
+    """Model the worst cases that the search of each trial has estimated."""
+    y = single_evaluation_worst_cases(trials, worst)
+    model = fitting.model(fit, worst.name, fitting.points(trials), y, fitting.minimum)
+    return SurrogateConstraint(model, worst.limit, worst.sign)
+
+
+def over_contexts(
+    fitting: Fitting, fit: FitModel, trials: Sequence[Trial], worst: Constraint
+) -> JointConstraint:
+    """Model the metric over parameter set and context, by all evaluations (Algorithm V)."""
+    contexts = fitting.study.context_space()
+    x, c, y = fitting.joint_observations(trials, worst.metric)
+    minimum = np.append(fitting.minimum, np.zeros(contexts.dimension))
+    model = fitting.model(fit, worst.name, np.hstack([x, c]), y, minimum)
+    margin = worst.sign * worst.deviations * model.noise_variance**0.5
+    return JointConstraint(model, worst.limit - margin, worst.sign, contexts=contexts.candidates())
+
+
+@dataclass(frozen=True)
+class TrialModels:
+    """Fits the models of trials; see `FitSurrogates`.
+
+    Attributes
+    ----------
+    fit
+        Fits the model of a response.
+    reject_outliers
+        Whether outliers of the objective are excluded from all models, and their region is avoided.
+    worst_case
+        Models a limit on the worst case.
+    """
+
+    fit: FitModel = GaussianProcess.fit
+    reject_outliers: bool = True
+    worst_case: WorstCaseModel = of_estimates
+
+    def __call__(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        *,
+        rng: np.random.Generator,
+        start: Mapping[str, Sequence[float]] | None = None,
+        weights: Array | None = None,
+    ) -> Surrogates:
+        """Fit all models; see `FitSurrogates`."""
+        fitting = Fitting(study, trials, rng, start)
+        complete = [t for t in trials if t.state is TrialState.COMPLETE]
+        rejecting = self.reject_outliers and bool(complete)
+        outliers = fitting.outliers(complete) if rejecting else frozenset()
+        # Trials with an outlying objective would distort the other models as well.
+        kept = [t for t in complete if t.number not in outliers]
+        objective: Model | None = None
+        constraints: dict[str, LimitedResponse] = {}
+        if complete and weights is None:
+            objective = self._objective(fitting, kept)
+            constraints = self._constraints(fitting, kept)
+        elif complete and weights is not None:
+            constraints = self._constraints(fitting, kept)
+            objective = self._scalarized(fitting, kept, constraints.values(), weights)
+        # A node that was lost may have died of its parameters.
+        telling = [t for t in trials if not t.disturbed]
+        failures = fitting.classifier(telling, lambda t: t.state is TrialState.FAILED)
+        outlying = None
+        if rejecting:
+            outlying = fitting.classifier(complete, lambda t: t.number in outliers)
+        return Surrogates(objective, constraints, failures, outlying, outliers, fitting.models)
+
+    def _objective(self, fitting: Fitting, trials: Sequence[Trial]) -> Model:
+        """Return the model of the cost, that of the first objective."""
+        objective = fitting.study.objective
+        x, y, _ = fitting.observations(trials, objective.metric)
+        return fitting.model(self.fit, OBJECTIVE, x, objective.to_cost(y), fitting.minimum)
+
+    def _scalarized(
+        self,
+        fitting: Fitting,
+        trials: Sequence[Trial],
+        constraints: Iterable[LimitedResponse],
+        weights: Array,
+    ) -> Model:
+        """Return the model of the scalarization of k objectives with weights (k,)."""
+        objectives = fitting.study.objectives
+        costs = [
+            np.column_stack([o.to_cost(t.observations(o.metric)) for o in objectives])
+            for t in trials
+        ]
+        points = fitting.points(trials)
+        feasible = log_feasibility(constraints, points) >= np.log(BELIEVED_FEASIBLE)
+        means = np.array([values.mean(axis=0) for values in costs])
+        chebyshev = Chebyshev.between(means, feasible, weights)
+        x = np.repeat(points, [len(values) for values in costs], axis=0)
+        y = np.concatenate([chebyshev.linearized(values) for values in costs])
+        # Other weights than in the fit before make another response.
+        return fitting.model(self.fit, OBJECTIVE, x, y, fitting.minimum, keep=False)
+
+    def _constraints(self, fitting: Fitting, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
+        """Return the limits, with the models of their responses, by name."""
+        found: dict[str, LimitedResponse] = {}
+        for chance in fitting.study.chance_constraints:
+            x, y, _ = fitting.observations(trials, chance.metric)
+            model = fitting.model(self.fit, chance.name, x, y, fitting.minimum)
+            found[chance.name] = SurrogateConstraint.on_observation(
+                model, chance.limit, chance.level, chance.sign
+            )
+        for worst in fitting.study.worst_case_constraints:
+            found[worst.name] = self.worst_case(fitting, self.fit, trials, worst)
+        return found
