@@ -5,7 +5,7 @@ import pytest
 from functions import make_study
 
 from bo_tuner.errors import ConditionError, StudyError
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import INITIAL
 from bo_tuner.report.grid import permitted
 from bo_tuner.study.parameter import Parameter
@@ -208,12 +208,12 @@ def study_with(**sections):
 
 
 class TestProposals:
-    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("algorithm", METHODS)
     def test_of_every_algorithm(self, make_trial, algorithm):
         """The best is beyond both conditions, where each search would go."""
         budget = {"trials": 12, "initial_trials": 5, "drawn_contexts": 2, "search_evaluations": 2}
         study = study_with(budget=budget | {"validation_draws": 5}, start=["default"])
-        optimizer = ALGORITHMS[algorithm].optimizer(study)
+        optimizer = METHODS[algorithm].optimizer(study)
         found = []
         for number in range(12):
             proposal = optimizer.ask()
