@@ -507,7 +507,8 @@ class RosBackend(SequentialBackend):
             If that is so.
         """
         self._suspension.look()
-        seconds = self._suspension.longest
+        # A shorter gap is that of a busy computer, unless the guard has found it too long.
+        seconds = self._suspension.longest if self._taken_over else self._suspension.seconds
         if seconds > FORGOTTEN:
             raise BackendError(
                 f"this process was stopped for {seconds:.0f} s, and ROS took it for dead: "
