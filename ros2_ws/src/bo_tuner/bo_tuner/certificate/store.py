@@ -34,7 +34,8 @@ TEXTS = frozenset(
 """Keys of a certificate whose values are text, wherever they occur."""
 
 BY_NAME = frozenset(
-    {"changed", "context", "contexts", "held", "parameters", "provenance", "worst_context"}
+    {"changed", "context", "contexts", "held", "parameters", "provenance"}
+    | {"seen", "worst_context"}
 )
 """Keys of values by names of the study, which may be those of `TEXTS`."""
 

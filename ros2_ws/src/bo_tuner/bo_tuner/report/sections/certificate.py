@@ -18,6 +18,7 @@ from bo_tuner.certificate.table import (
     gap_in_words,
     parameter_sets,
     search_in_words,
+    seen_in_words,
 )
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
@@ -118,6 +119,7 @@ def _section(study: Study, content: Mapping[str, Any], path: PurePath) -> Sectio
             *map(str, content["reasons"]),
             *earlier_in_words(content),
             *([f"Search for the worst context: {searched}."] if searched else []),
+            *(f"{line}." for line in seen_in_words(study, content)),
             *map(str, content["warnings"]),
             f"Details are in {path}, the evaluations in {path.stem}_evaluations.csv beside it.",
         ],
