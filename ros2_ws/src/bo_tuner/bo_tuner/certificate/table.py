@@ -12,7 +12,6 @@ from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.search_width import SearchWidth, widths_in_words
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.constraint import CHANCE, SINGLE_RUN, WORST_CASE
-from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Value
@@ -98,7 +97,6 @@ def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]
         yield f"{constraint['name']}: {kept}: {constraint['reason']}"
     if searched := search_in_words(content):
         yield f"search for the worst context: {searched}"
-    yield from seen_in_words(study, content)
     for gap in content["training_gaps"]:
         observed = "" if gap["observed"] is None else f"observed {_number(gap['observed'])}, "
         validated = f"{_number(gap['validated'])} {gap['unit']}".rstrip()
@@ -118,13 +116,6 @@ def search_in_words(content: Mapping[str, Any]) -> str:
         SearchWidth(float(item["probability"]), to_number(item["width"]))
         for item in content["search_widths"]
     )
-
-
-def seen_in_words(study: Study, content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a line on each measured context: what was seen of it, and that no more is claimed."""
-    for name, found in content.get("seen", {}).items():
-        seen = SeenRange(*(to_number(found[key]) for key in ("low", "high", "mean")))
-        yield seen.in_words(name, study.metrics[name].unit)
 
 
 def gap_in_words(gap: Mapping[str, Any]) -> str:

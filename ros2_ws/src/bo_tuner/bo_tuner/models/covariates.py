@@ -56,8 +56,8 @@ class Covariates:
         """Add seen values to contexts (k, e) that were drawn, in no relation to these."""
         if not self.seen.shape[1]:
             return contexts
-        # The same in every fit, as the contexts are.
-        order = np.random.default_rng(0).permutation(len(contexts))
+        # The same in every fit, as the contexts are, which have the seed 0.
+        order = np.random.default_rng(1).permutation(len(contexts))
         return np.hstack([contexts, self.rows(len(contexts))[order]])
 
 

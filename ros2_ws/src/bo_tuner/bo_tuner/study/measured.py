@@ -1,6 +1,6 @@
 """Measured contexts: metrics that tell in what surroundings a run was, and that nobody sets."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,9 +46,13 @@ def check_measured(
         path = ("measured", index)
         checks.reference(name, "metric", metrics, *path)
         if isinstance(metrics[name], COMPUTED):
-            raise StudyError(f"metric '{name}' is computed from others; expected one of a run", path)
+            raise StudyError(
+                f"metric '{name}' is computed from others; expected one of a run", path
+            )
         if name in contexts:
-            raise StudyError(f"'{name}' is also a context, which is set; expected another name", path)
+            raise StudyError(
+                f"'{name}' is also a context, which is set; expected another name", path
+            )
         if any(objective.metric == name for objective in objectives):
             raise StudyError(f"'{name}' is the objective; what is measured is not optimized", path)
         for constraint in constraints.values():
@@ -76,14 +80,6 @@ class SeenRange:
     high: float
     mean: float
 
-    def in_words(self, name: str, unit: str) -> str:
-        """Return the range, and what follows from it, in a line."""
-        ends = f"{shown(self.low)} and {shown(self.high)} {unit}".rstrip()
-        return (
-            f"{name} was between {ends} in these runs (mean {shown(self.mean)}); "
-            "nothing is claimed beyond"
-        )
-
 
 def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[str, SeenRange]:
     """Return by name what the complete evaluations have seen; empty if there are none."""
@@ -94,6 +90,18 @@ def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[
     return {
         name: SeenRange(float(low), float(high), float(mean)) for name, low, high, mean in ranges
     }
+
+
+def seen_in_words(
+    metrics: Mapping[str, StudyMetric], seen: Mapping[str, SeenRange]
+) -> Iterator[str]:
+    """Yield a sentence on each measured context: its range, and that nothing is claimed beyond."""
+    for name, found in seen.items():
+        ends = f"{shown(found.low)} and {shown(found.high)} {metrics[name].unit}".rstrip()
+        yield (
+            f"{name} was between {ends} in these runs (mean {shown(found.mean)}); nothing is "
+            "claimed beyond."
+        )
 
 
 def values_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> Array:

@@ -290,6 +290,11 @@ class Study:
         return {k: m for k, m in self.metrics.items() if isinstance(m, RelativeMetric)}
 
     @property
+    def responses(self) -> list[str]:
+        """Names of the metrics that may depend on the parameters: all but the measured contexts."""
+        return [name for name in self.metrics if name not in self.measured]
+
+    @property
     def needs_folder(self) -> bool:
         """Whether it names programs, code or files that may lie in its folder."""
         return self.names_programs or (self.run is not None and self.run.needs_folder)
