@@ -78,6 +78,10 @@ def test_it_is_written_as_it_is_read():
             "measured[0]: 'wind' is the objective; what is measured is not optimized",
         ),
         (
+            {"objective": "windier"},
+            "measured[0]: 'wind' is the objective; what is measured is not optimized",
+        ),
+        (
             {"constraints": {"calm": {"kind": "chance", "metric": "wind", "upper": 3.0}}},
             "measured[0]: constraints.calm limits 'wind'; what is measured depends on no "
             "parameter, and is not limited",

@@ -53,17 +53,21 @@ def check_measured(
             raise StudyError(
                 f"'{name}' is also a context, which is set; expected another name", path
             )
-        if any(objective.metric == name for objective in objectives):
+        if any(_of(metrics, objective.metric) == name for objective in objectives):
             raise StudyError(f"'{name}' is the objective; what is measured is not optimized", path)
         for constraint in constraints.values():
-            limited = metrics.get(constraint.metric)
-            of = limited.relative if isinstance(limited, RelativeMetric) else constraint.metric
-            if of == name:
+            if _of(metrics, constraint.metric) == name:
                 raise StudyError(
                     f"constraints.{constraint.name} limits '{name}'; what is measured depends on "
                     "no parameter, and is not limited",
                     path,
                 )
+
+
+def _of(metrics: Mapping[str, StudyMetric], name: str) -> str:
+    """Return the metric that one relative to the default is of, or else itself."""
+    metric = metrics.get(name)
+    return metric.relative if isinstance(metric, RelativeMetric) else name
 
 
 @dataclass(frozen=True)
