@@ -95,3 +95,32 @@ def test_a_worst_case_that_explodes_is_in_the_unit_of_the_metric(line):
     worst = search.worst_case(rng)
     assert worst.value == pytest.approx(truth, rel=0.1)
     assert worst.observed == pytest.approx(1.02 * truth)
+
+
+def test_what_was_measured_is_no_noise_and_its_mean_counts(line):
+    """y = c (0.5 + wind): at the worst c, 1, the mean over the wind is 1."""
+    rng = np.random.default_rng(5)
+    c, wind = rng.random((20, 1)), rng.random(20)
+    search = PooledSearch(
+        line, LIMIT, 0.0, 4, np.array([0.5]), np.full((20, 1), 0.5), c, c[:, 0] * (0.5 + wind),
+        Coding((0,)), models=PooledModels(), until_clear=False, measured={"wind": wind},
+    )  # fmt: skip
+    for further in (0.1, 0.3, 0.7, 0.9):
+        context = search.ask(rng)
+        assert context.keys() == {"c"}
+        search.tell({**context, "wind": further}, context["c"] * (0.5 + further))
+    worst = search.worst_case(rng)
+    assert worst.context == {"c": pytest.approx(1.0, abs=0.05)}
+    assert worst.value == pytest.approx(0.5 + np.mean([*wind, 0.1, 0.3, 0.7, 0.9]), abs=0.03)
+
+
+def test_the_first_trial_has_no_data_but_its_own(line):
+    nothing = np.empty((0, 1))
+    search = PooledSearch(
+        line, LIMIT, 0.0, 2, np.array([0.5]), nothing, nothing, np.empty(0), Coding((0,)),
+        models=PooledModels(), until_clear=False, measured={"wind": np.empty(0)},
+    )  # fmt: skip
+    rng = np.random.default_rng(6)
+    for c in (0.0, 0.5, 1.0):
+        search.tell({"c": c, "wind": 0.4}, c)
+    assert search.worst_case(rng).value == pytest.approx(1.0, abs=0.1)

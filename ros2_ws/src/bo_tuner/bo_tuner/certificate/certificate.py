@@ -31,6 +31,7 @@ from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.checks import same_value
+from bo_tuner.study.measured import SeenRange, seen_in
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
@@ -59,6 +60,8 @@ class Certificate:
         Findings for the parameter set, and for the hand-tuned one if it was evaluated as well.
     held
         By the name of a parameter the value that a device has in place of one with more digits.
+    seen
+        By the name of a measured context what the evaluations of the parameter set have seen of it.
     earlier
         What was known of the parameter set before.
     widths
@@ -83,6 +86,7 @@ class Certificate:
     tuned: Findings
     default: Findings | None
     held: Mapping[str, float]
+    seen: Mapping[str, SeenRange]
     earlier: Earlier
     widths: Sequence[SearchWidth]
     gaps: Sequence[Gap]
@@ -144,6 +148,7 @@ class Certificate:
             "parameters": dict(self.tuned.parameters),
             "parameters_sha256": parameters_sha256(self.tuned.parameters),
             "held": dict(self.held),
+            "seen": {name: asdict(found) for name, found in self.seen.items()},
             "best_yaml_sha256": self.best_sha256,
             "evaluations_sha256": evaluations_sha256,
             "draws": self.draws,
@@ -230,6 +235,7 @@ def make_certificate(
         tuned=findings,
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
         held=_held(study, tuned),
+        seen=seen_in(study.measured, tuned.evaluations),
         earlier=tuned.earlier,
         widths=_widths(study, tuned),
         gaps=training_gaps(study, trial, ranking.ranked_by(surrogates, study, trials), findings),

@@ -15,6 +15,7 @@ from bo_tuner.certificate.store import (
     certificate_problem,
     latest_certificate,
     read_certificate,
+    seen_of,
 )
 from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.errors import RunRecordError
@@ -22,6 +23,7 @@ from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.constraint import SINGLE_RUN, UPPER
+from bo_tuner.study.measured import seen_in, seen_in_words
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
@@ -95,10 +97,12 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
+        runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
+        seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
         return replace(
             verdict,
-            remarks=(*verdict.remarks, *better),
+            remarks=(*verdict.remarks, *better, *seen_in_words(record.study.metrics, seen)),
             effects=effects,
             of_parameters=effects_in_words(record.study, effects),
         )
@@ -158,6 +162,7 @@ def _certified(
         remarks.append("apply waits for the result of the run, which has not ended.")
     try:
         before = tuple(earlier_in_words(content))
+        seen = tuple(seen_in_words(study.metrics, seen_of(content)))
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
         overall = min(float(content["confidence"]), *_confidences(record))
         tuned, default = content[TUNED], content[DEFAULT]
@@ -192,6 +197,7 @@ def _certified(
             *before,
             f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
             f"certify this run have {100.0 * overall:.4g} % together.",
+            *seen,
             *remarks,
         ),
         observed=observed,

@@ -18,6 +18,7 @@ from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
+from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
@@ -34,7 +35,8 @@ TEXTS = frozenset(
 """Keys of a certificate whose values are text, wherever they occur."""
 
 BY_NAME = frozenset(
-    {"changed", "context", "contexts", "held", "parameters", "provenance", "worst_context"}
+    {"changed", "context", "contexts", "held", "parameters", "provenance"}
+    | {"seen", "worst_context"}
 )
 """Keys of values by names of the study, which may be those of `TEXTS`."""
 
@@ -121,6 +123,13 @@ def _no_text(content: object, where: str = "") -> str:
         if key not in BY_NAME and (found_below := _no_text(value, place)):
             return found_below
     return ""
+
+
+def seen_of(content: Mapping[str, Any]) -> dict[str, SeenRange]:
+    """Return what the runs of a certificate have seen of each measured context, by its name."""
+    ends = ("low", "high", "mean")
+    found = content.get("seen", {}).items()
+    return {name: SeenRange(*(float(seen[end]) for end in ends)) for name, seen in found}
 
 
 def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:

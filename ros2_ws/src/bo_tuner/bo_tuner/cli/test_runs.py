@@ -88,6 +88,9 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         table.add_row(name, metric.unit, *cells, limit, count)
         if beyond:
             notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+        if name in study.measured:
+            # Equal runs may well have another wind.
+            continue
         if text := spread(name, values, [abs(item.limit) for item in limits]):
             notes.append(text)
     plain_console().print(table)

@@ -69,7 +69,9 @@ def searches_of(
 ) -> WorstCaseSearches:
     """Make the searches for all worst-case constraints; parameters as in `SearchRule`."""
     searches = [
-        ConstraintSearch(constraint, rule(study, constraint, proposal, trials, evaluations))
+        ConstraintSearch(
+            constraint, rule(study, constraint, proposal, trials, evaluations), study.measured
+        )
         for constraint in study.worst_case_constraints
     ]
     return WorstCaseSearches(searches, evaluations)

@@ -66,6 +66,17 @@ class ContextProcess(Fitted, Protocol):
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
 
+    def averaged(self, rows: Array) -> "ContextProcess":
+        """Return the process of the mean over the last columns of the context.
+
+        Its contexts are without these columns, and its noise is that of a run with any of the rows.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (r, w)
+            Values of the last w columns, which are equally probable.
+        """
+
 
 class ContextProcesses(Protocol):
     """A kind of such processes, which makes them of observations."""

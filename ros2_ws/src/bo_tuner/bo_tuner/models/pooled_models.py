@@ -1,7 +1,10 @@
 """Models of all evaluations, pooled in processes over parameter set and context.
 
 One process for the objective and one for each limited metric, with local noise. Evaluations of a
-trial that failed are data as far as they are complete, and not to fail is one more limit.
+trial that failed are data as far as they are complete, and not to fail is one more limit. Measured
+contexts are further columns beside the contexts. An expectation or a probability is one over them,
+too; a worst case is one over the contexts alone, of the mean over what was measured. Whether runs
+fail is learnt without them, since a run that fails has not measured any.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +14,7 @@ import numpy as np
 
 from bo_tuner.models.compression import Compression
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
+from bo_tuner.models.covariates import ROWS, Covariates, measured_in
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
 from bo_tuner.models.observations import searched_contexts
@@ -113,13 +117,14 @@ class PooledModels:
         fitting = Fitting(study, trials, rng, start)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers = fitting.outliers(complete) if complete else frozenset()
+        covariates = Covariates.of(study, trials)
         objective: ExpectedObjective | None = None
         constraints: dict[str, PooledResponse] = {}
         if complete:
             # A failed trial's complete evaluations tell of the contexts that they were in.
             kept = [t for t in trials if t.number not in outliers]
-            objective = self._objective(fitting, kept)
-            constraints = self._constraints(fitting, kept)
+            objective = self._objective(fitting, kept, covariates)
+            constraints = self._constraints(fitting, kept, covariates)
         crashes = self._crashes(fitting, trials)
         outlying = None
         if complete:
@@ -128,43 +133,63 @@ class PooledModels:
             objective, constraints, crashes, outlying, outliers, fitting.models, crashes=crashes
         )
 
-    def _objective(self, fitting: Fitting, trials: Sequence[Trial]) -> ExpectedObjective:
+    def _objective(
+        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
+    ) -> ExpectedObjective:
         """Return the model of the cost."""
         objective, contexts = fitting.study.objective, fitting.study.context_space()
-        x, c, y = fitting.joint_observations(trials, objective.metric)
+        x, c, y = _observations(fitting, trials, covariates, objective.metric)
         process = fitting.process(self.processes, OBJECTIVE, x, c, objective.to_cost(y))
         drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
-        return ExpectedObjective(process, contexts.to_cube(drawn), objective)
+        over = covariates.beside(contexts.to_cube(drawn))
+        return ExpectedObjective(process, over, objective)
 
-    def _constraints(self, fitting: Fitting, trials: Sequence[Trial]) -> dict[str, PooledResponse]:
+    def _constraints(
+        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
+    ) -> dict[str, PooledResponse]:
         """Return the limits, with the models of their responses, by name."""
         found: dict[str, PooledResponse] = {}
         for chance in fitting.study.chance_constraints:
-            found[chance.name] = self._over_contexts(fitting, trials, chance)
+            found[chance.name] = self._over_contexts(fitting, trials, covariates, chance)
         for worst in fitting.study.worst_case_constraints:
-            found[worst.name] = self._every_context(fitting, trials, worst)
+            found[worst.name] = self._every_context(fitting, trials, covariates, worst)
         return found
 
     def _every_context(
-        self, fitting: Fitting, trials: Sequence[Trial], worst: Constraint
+        self,
+        fitting: Fitting,
+        trials: Sequence[Trial],
+        covariates: Covariates,
+        worst: Constraint,
     ) -> EveryContext:
-        process, scale = self._limited(fitting, trials, worst)
+        process, scale = self._limited(fitting, trials, covariates, worst)
+        if fitting.study.measured:
+            process = process.averaged(covariates.rows(ROWS))
         # The searches have looked where no corner is, and may have found the worst context there.
         candidates = fitting.study.context_space().candidates(self.looked(trials))
         return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign, scale)
 
     def _over_contexts(
-        self, fitting: Fitting, trials: Sequence[Trial], chance: Constraint
+        self,
+        fitting: Fitting,
+        trials: Sequence[Trial],
+        covariates: Covariates,
+        chance: Constraint,
     ) -> OverContexts:
-        process, scale = self._limited(fitting, trials, chance)
+        process, scale = self._limited(fitting, trials, covariates, chance)
         contexts = fitting.study.context_space()
         drawn = contexts.to_cube(contexts.draw_stratified(CHANCE_OVER, np.random.default_rng(0)))
-        return OverContexts(process, chance.limit, drawn, chance.level, chance.sign, scale)
+        over = covariates.beside(drawn)
+        return OverContexts(process, chance.limit, over, chance.level, chance.sign, scale)
 
     def _limited(
-        self, fitting: Fitting, trials: Sequence[Trial], constraint: Constraint
+        self,
+        fitting: Fitting,
+        trials: Sequence[Trial],
+        covariates: Covariates,
+        constraint: Constraint,
     ) -> tuple[ContextProcess, Compression]:
-        x, c, y = fitting.joint_observations(trials, constraint.metric)
+        x, c, y = _observations(fitting, trials, covariates, constraint.metric)
         scale = self.scale(y, constraint.limit, constraint.sign)
         return fitting.process(self.processes, constraint.name, x, c, scale.apply(y)), scale
 
@@ -190,3 +215,13 @@ class PooledModels:
             rng=fitting.rng,
             start=fitting.kept(FAILURES),
         )
+
+
+def _observations(
+    fitting: Fitting, trials: Sequence[Trial], covariates: Covariates, metric: str
+) -> tuple[Array, Array, Array]:
+    """Return as `joint_observations`, the contexts (N, e + w) with those that are measured."""
+    x, c, y = fitting.joint_observations(trials, metric)
+    if fitting.study.measured:
+        c = np.hstack([c, covariates.unit(measured_in(fitting.study, trials))])
+    return x, c, y

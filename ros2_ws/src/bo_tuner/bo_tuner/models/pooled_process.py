@@ -13,6 +13,9 @@ divided by its expectation, are averaged with a kernel around a place (Fan and Y
 is that of the local noise variance to the common one, and the process is conditioned once more with
 the local variances (one step of Kersting and others 2007).
 
+The mean over values of the last context columns, which nobody knows ahead, is a process of the same
+form: as the kernel is a product, its factor of these columns is replaced by the mean of it.
+
 Notation: d tuned parameters, e context variables; n distinct joint points z = (x, c) with r_i
 observations each, of p distinct parameter sets; b points of the basis, of q distinct parameter
 sets; m parameter sets and k contexts in a query.
@@ -28,7 +31,7 @@ O'Hagan (1991). Bayes-Hermite quadrature. Journal of Statistical Planning and In
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, Self, TypeVar
 
@@ -128,6 +131,9 @@ class PooledProcess:
         Of the kernel around a place whose noise is estimated, see `PooledProcesses`.
     warnings : tuple of str
         Numerical problems, one line each.
+    over : ndarray, shape (r, w), or None
+        Values of the last w context columns that it is the mean over, see `averaged`; the e context
+        variables of a query are then those before.
     """
 
     hyperparameters: Hyperparameters
@@ -140,6 +146,7 @@ class PooledProcess:
     posterior: Posterior
     width: float
     warnings: tuple[str, ...] = ()
+    over: Array | None = None
 
     @classmethod
     def fit(
@@ -265,6 +272,10 @@ class PooledProcess:
             (*warnings, *posterior.warnings),
         )
 
+    def averaged(self, rows: Array) -> Self:
+        """Return the process of the mean over rows (r, w) of the last w context columns."""
+        return replace(self, over=rows)
+
     @property
     def scale(self) -> float:
         """Standard deviation of the responses."""
@@ -344,19 +355,38 @@ class PooledProcess:
             As in `variances`.
         """
         near, (squares, degrees) = self._near(x), self._noise_across(contexts)
-        return self._noise(
+        variance, total = self._noise(
             np.einsum("ij,ij->i", near, squares.T[which]),
             np.einsum("ij,ij->i", near, degrees.T[which]),
         )
+        if self.over is None:
+            return variance, total
+        return variance + self._spread(x, contexts)[np.arange(len(x)), which], total
 
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
         near, (squares, degrees) = self._near(x), self._noise_across(contexts)
-        return self._noise(near @ squares, near @ degrees)
+        variance, total = self._noise(near @ squares, near @ degrees)
+        if self.over is None:
+            return variance, total
+        return variance + self._spread(x, contexts), total
 
     def _noise(self, squares: Array, degrees: Array) -> tuple[Array, Array]:
         total = degrees + PRIOR_DEGREES
         return self.noise_variance * (squares + PRIOR_DEGREES) / total, total
+
+    def _spread(self, x: Array, contexts: Array) -> Array:
+        """Return the variance (m, k) of the mean response over the rows of `over`."""
+        rows = np.empty((0, 0)) if self.over is None else self.over
+        joint = [np.repeat(contexts, len(rows), axis=0), np.tile(rows, (len(contexts), 1))]
+        means = self._of_rows.means(x, np.hstack(joint))
+        spread: Array = means.reshape(len(x), len(contexts), len(rows)).var(axis=2)
+        return spread
+
+    @cached_property
+    def _of_rows(self) -> Self:
+        """The process that it is the mean of."""
+        return replace(self, over=None)
 
     def _variance(self, prior: float | Array, reduction: Array) -> Array:
         found: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
@@ -364,7 +394,15 @@ class PooledProcess:
 
     @property
     def _prior_variance(self) -> float:
-        return self.hyperparameters.signal**2 + MEAN_SD**2
+        return self.hyperparameters.signal**2 * self._between_rows + MEAN_SD**2
+
+    @cached_property
+    def _between_rows(self) -> float:
+        """Mean of k(r, r') of all pairs of rows of `over`; 1 without it."""
+        if self.over is None:
+            return 1.0
+        scales = self._context_scales[-self.over.shape[1] :]
+        return float(correlation(self.over, self.over, scales).mean())
 
     @cached_property
     def _basis_sets(self) -> ParameterSets:
@@ -393,14 +431,36 @@ class PooledProcess:
 
         def compute(contexts: Array) -> ContextReduction:
             basis = self.posterior.basis[:, self.columns :]
-            across = correlation(basis, contexts, self._context_scales)
+            across = self._across(basis, contexts, self._context_scales)
             return ContextReduction(self.posterior, self._basis_sets, across, self._prior_variance)
 
         return self._known.reduction.of(contexts, compute)
 
     def _between(self, contexts: Array) -> Array:
         """Return k(c, c) of all pairs of contexts (k, e), shape (k, k)."""
-        return self._known.between.of(contexts, lambda c: correlation(c, c, self._context_scales))
+
+        def compute(contexts: Array) -> Array:
+            scales = self._context_scales[: contexts.shape[1]]
+            return correlation(contexts, contexts, scales) * self._between_rows
+
+        return self._known.between.of(contexts, compute)
+
+    def _across(self, own: Array, contexts: Array, scales: Array) -> Array:
+        """Return k of own (n, e + w) with contexts (k, e), shape (n, k), as the mean over `over`.
+
+        Parameters
+        ----------
+        own, contexts
+            Without `over`, both have all columns.
+        scales : ndarray, shape (e + w,)
+            Of the columns.
+        """
+        if self.over is None:
+            return correlation(own, contexts, scales)
+        e = contexts.shape[1]
+        measured = correlation(own[:, e:], self.over, scales[e:]).mean(axis=1)
+        found: Array = correlation(own[:, :e], contexts, scales[:e]) * measured[:, None]
+        return found
 
     def _near(self, x: Array) -> Array:
         """Return the weight in the noise at x (m, d) of the sets of the data, shape (m, p)."""
@@ -417,7 +477,7 @@ class PooledProcess:
 
         def compute(contexts: Array) -> tuple[Array, Array]:
             own = self.data.x[:, self.columns :]
-            across = correlation(own, contexts, np.full(own.shape[1], self.width))
+            across = self._across(own, contexts, np.full(own.shape[1], self.width))
             sums = self._data_sets.sum
             return sums(across * self.squares[:, None]), sums(across * self.degrees[:, None])
 

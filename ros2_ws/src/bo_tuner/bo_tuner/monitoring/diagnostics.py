@@ -94,7 +94,8 @@ def surrogate(study: Study, now: Snapshot) -> Status:
         message = last.warnings[0] if last.warnings else "no model yet"
         return Status(SURROGATE, level, message, _text(values))
     space = study.search_space()
-    names = Coding(space.levels).names([*space.names, *study.context_space().columns])
+    columns = [*space.names, *study.context_space().columns, *study.measured]
+    names = Coding(space.levels).names(columns)
     for model, phi in last.hyperparameters.items():
         found = Hyperparameters.from_log(np.array(phi))
         scales = zip(names, found.length_scales.tolist(), strict=False)

@@ -10,7 +10,10 @@ MOST_SHOWN = 3
 OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder", "guard")
 """Sections that say how much is run, and from where: all data of a run are those of a study that
 differs there."""
-JUDGED = ("objective", "further_objectives", "constraints", "metrics", "signals", "order", "where")
+JUDGED = (
+    *("objective", "further_objectives", "constraints", "metrics", "measured", "signals"),
+    *("order", "where"),
+)
 """Sections that say what is made of an evaluation, not how it is run."""
 SAME_PARAMETER = ("node", "parameter", "type")
 SAME_CONTEXT = ("node", "parameter", "type")

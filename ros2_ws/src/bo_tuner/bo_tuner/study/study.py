@@ -23,6 +23,7 @@ from bo_tuner.study.constraint import (
 )
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.measured import check_measured, measured_names
 from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
@@ -51,6 +52,7 @@ MOST = {
     "nodes": maxima.NODES,
     "parameters": maxima.PARAMETERS,
     "contexts": maxima.CONTEXTS,
+    "measured": maxima.CONTEXTS,
     "signals": maxima.SIGNALS,
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
@@ -96,6 +98,9 @@ class Study:
         the compromise between them, while the limits hold as with one.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
+    measured : tuple of str
+        Metrics that tell in what surroundings a run was, such as its mean wind: contexts that
+        nobody sets. They must not depend on the parameters, and have no limit.
     constraints : mapping from str to Constraint
         Limits on metrics. One with two limits becomes two constraints.
     certificate : CertificateRequirement
@@ -137,6 +142,7 @@ class Study:
     guard: Guarding = field(default_factory=Guarding)
     further_objectives: tuple[Objective, ...] = ()
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
+    measured: tuple[str, ...] = ()
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
@@ -182,6 +188,10 @@ class Study:
         for name, constraint in self.constraints.items():
             with findings.under("constraints", name):
                 check_constraint(constraint, self.metrics)
+        with findings.under():
+            check_measured(
+                self.measured, self.metrics, self.contexts, self.objectives, self.constraints
+            )
         if has_nodes:
             with findings.under():
                 self._check_sets(findings)
@@ -204,6 +214,10 @@ class Study:
         with findings.under():
             order = _order(self.order)
         object.__setattr__(self, "order", order)
+        measured: tuple[str, ...] = ()
+        with findings.under():
+            measured = measured_names(self.measured)
+        object.__setattr__(self, "measured", measured)
         where: tuple[str, ...] = ()
         with findings.under("where"):
             where = _where(self.where)
@@ -274,6 +288,11 @@ class Study:
     def relative_metrics(self) -> dict[str, RelativeMetric]:
         """Metrics for which the default is run beside each evaluation, by name."""
         return {k: m for k, m in self.metrics.items() if isinstance(m, RelativeMetric)}
+
+    @property
+    def responses(self) -> list[str]:
+        """Names of the metrics that may depend on the parameters: all but the measured contexts."""
+        return [name for name in self.metrics if name not in self.measured]
 
     @property
     def needs_folder(self) -> bool:

@@ -162,7 +162,7 @@ def _responses(
     """Yield each response by its name, with its evaluations and values (n,) in them."""
     complete = [evaluation for evaluation in known if evaluation.outcome.complete]
     failed = np.array([float(not evaluation.outcome.complete) for evaluation in known])
-    for name in study.metrics:
+    for name in study.responses:
         values = np.array([evaluation.outcome.metrics[name] for evaluation in complete])
         yield name, complete, _without_outliers(values)
     if failed.any():

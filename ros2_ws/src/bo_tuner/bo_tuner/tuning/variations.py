@@ -234,7 +234,7 @@ def order_of_runs(study: Study, planned: Plan, default_runs: int) -> list[int | 
 
 def judge(study: Study, planned: Plan, runs: Runs) -> dict[str, Found]:
     """Return what the runs tell of each parameter that was tried, by its name."""
-    level = test_level(study, len(study.metrics))
+    level = test_level(study, len(study.responses))
     at_once = [
         evaluation
         for place, variation in enumerate(planned.variations)
@@ -263,7 +263,7 @@ def _singly(study: Study, planned: Plan, runs: Runs, name: str, level: float) ->
     counts = [len(base), *map(len, groups.values())]
     factor = np.repeat(np.eye(len(counts)), counts, axis=0)[:, 1:]
     each = {}
-    for metric in study.metrics:
+    for metric in study.responses:
         y = _values([base, *groups.values()], metric)
         found = _tested(y, np.ones((len(y), 1)), factor, np.eye(len(groups)), level)
         each[metric] = (found, [*groups, *own][found.contrast])
@@ -298,7 +298,7 @@ def _screened(
         return _tested(values, rest, points[which][:, [own]], contrasts, level)
 
     complete = np.array([evaluation.outcome.complete for evaluation in done], dtype=bool)
-    each = {m: (tested(_values([_complete(done)], m), complete), upper) for m in study.metrics}
+    each = {m: (tested(_values([_complete(done)], m), complete), upper) for m in study.responses}
     if not complete.all():
         failed = (~complete).astype(np.float64)
         each[FAILURES] = (tested(failed, np.ones_like(complete)), upper)

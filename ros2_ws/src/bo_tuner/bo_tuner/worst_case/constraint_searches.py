@@ -16,13 +16,22 @@ class ConstraintSearch:
 
     The search maximizes. For a lower limit it is told the negative of the metric, and its limit is
     the negative of the constraint's.
+
+    Attributes
+    ----------
+    constraint, search
+        The two.
+    measured
+        Metrics that are measured contexts, which it is told beside the context.
     """
 
     constraint: Constraint
     search: WorstCaseSearch
+    measured: tuple[str, ...] = ()
 
     def tell(self, context: Context, metrics: Mapping[str, float]) -> None:
         """Add an evaluation: its context and metrics."""
+        context = {**context, **{name: metrics[name] for name in self.measured}}
         self.search.tell(context, self.constraint.sign * metrics[self.constraint.metric])
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:

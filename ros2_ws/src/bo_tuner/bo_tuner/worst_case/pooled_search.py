@@ -1,11 +1,12 @@
 """Stage two with one process over parameter set and context, whose noise is local."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.context_process import ContextProcess
+from bo_tuner.models.covariates import ROWS, Covariates
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
@@ -40,6 +41,9 @@ class PooledSearch:
         Say which kind of process, and on which scale.
     until_clear
         Whether the search ends when the decision is clear.
+    measured
+        By name of a measured context its values (n,) in these evaluations. Further ones are told
+        with the context. The worst case is that of the mean over them.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class PooledSearch:
         *,
         models: PooledModels,
         until_clear: bool,
+        measured: Mapping[str, Array] | None = None,
     ) -> None:
         self._space = space
         self._limit = limit
@@ -69,6 +74,7 @@ class PooledSearch:
         self._coding = coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
+        self._measured = dict(measured or {})
         self._process: ContextProcess | None = None
         self._observed: list[float] = []
         self._asked = 0
@@ -77,6 +83,8 @@ class PooledSearch:
         """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._point])
         self._c = np.vstack([self._c, self._space.cube_of([context])])
+        for name, values in self._measured.items():
+            self._measured[name] = np.append(values, float(context[name]))
         self._compression = self._compression.including(value)
         self._y = np.append(self._y, self._compression.apply(value))
         self._observed.append(value)
@@ -109,15 +117,24 @@ class PooledSearch:
 
     def _fit(self, rng: np.random.Generator) -> ContextProcess:
         if self._process is None:
-            if self._hyperparameters is None:
-                self._process = self._processes.fit(
-                    self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
-                )
-            else:
-                self._process = self._processes.condition(
-                    self._hyperparameters, self._x, self._c, self._y, coding=self._coding
-                )
+            self._process = self._fitted(rng)
         return self._process
+
+    def _fitted(self, rng: np.random.Generator) -> ContextProcess:
+        if not self._measured:
+            return self._fitted_to(self._c, rng)
+        covariates = Covariates(np.column_stack(list(self._measured.values())))
+        c = np.hstack([self._c, covariates.unit(covariates.seen)])
+        return self._fitted_to(c, rng).averaged(covariates.rows(ROWS))
+
+    def _fitted_to(self, c: Array, rng: np.random.Generator) -> ContextProcess:
+        if self._hyperparameters is None:
+            return self._processes.fit(
+                self._x, c, self._y, coding=self._coding, rng=rng, priors=PRIORS
+            )
+        return self._processes.condition(
+            self._hyperparameters, self._x, c, self._y, coding=self._coding
+        )
 
     def _quantile(self, process: ContextProcess, c: Array) -> tuple[Array, Array]:
         points = np.tile(self._point, (len(c), 1))

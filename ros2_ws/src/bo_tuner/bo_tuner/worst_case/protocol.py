@@ -15,7 +15,7 @@ class WorstCaseSearch(Protocol):
     """
 
     def tell(self, context: Context, value: float) -> None:
-        """Add an evaluation: its context and the constrained metric."""
+        """Add an evaluation: its context, with the measured ones, and the constrained metric."""
 
     def done(self, rng: np.random.Generator) -> bool:
         """Return whether the search has ended."""

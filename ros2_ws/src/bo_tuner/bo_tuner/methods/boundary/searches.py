@@ -7,6 +7,7 @@ import numpy as np
 
 from bo_tuner.methods.searches import SearchRule
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.covariates import measured_in
 from bo_tuner.models.observations import joint_observations
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
@@ -57,6 +58,7 @@ class Pooled(SearchRule):
             proposal.hyperparameters.get(constraint.name) or None,
             models=self.models,
             until_clear=proposal.protocol is None,
+            measured=dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
         )
 
     def unusable(self, unsearched: Sequence[str]) -> str:

@@ -69,6 +69,12 @@ class PaperMethod(Method):
         """Of the trials, by the surrogates."""
         return Ranking(self.models)
 
+    def problem(self, study: Study) -> str:
+        """Refuse measured contexts, for which the models of trials have no column."""
+        if not study.measured:
+            return ""
+        return f"knows nothing of what is measured, and the study measures '{study.measured[0]}'"
+
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
         if self.stage_one is not None:

@@ -12,6 +12,7 @@ from bo_tuner.certificate.store import (
     is_of,
     latest_certificate,
     read_certificate,
+    seen_of,
 )
 from bo_tuner.certificate.table import (
     certificate_rows,
@@ -22,6 +23,7 @@ from bo_tuner.certificate.table import (
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.verdict.verdict import PASS
@@ -118,6 +120,7 @@ def _section(study: Study, content: Mapping[str, Any], path: PurePath) -> Sectio
             *map(str, content["reasons"]),
             *earlier_in_words(content),
             *([f"Search for the worst context: {searched}."] if searched else []),
+            *seen_in_words(study.metrics, seen_of(content)),
             *map(str, content["warnings"]),
             f"Details are in {path}, the evaluations in {path.stem}_evaluations.csv beside it.",
         ],

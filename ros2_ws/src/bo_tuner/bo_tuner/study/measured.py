@@ -1,0 +1,115 @@
+"""Measured contexts: metrics that tell in what surroundings a run was, and that nobody sets."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.errors import StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metrics import COMPUTED, RelativeMetric, StudyMetric
+from bo_tuner.study.parts import Objective
+from bo_tuner.text import shown
+from bo_tuner.trials import Evaluation
+
+
+def measured_names(value: object) -> tuple[str, ...]:
+    """Return the names of measured contexts in a study, each once."""
+    expected = "a list of metrics"
+    names = [
+        checks.text(item, "measured", index)
+        for index, item in enumerate(checks.sequence(value, expected, "measured"))
+    ]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise StudyError(f"'{name}' is there twice", ("measured", index))
+    return tuple(names)
+
+
+def check_measured(
+    measured: Sequence[str],
+    metrics: Mapping[str, StudyMetric],
+    contexts: Collection[str],
+    objectives: Iterable[Objective],
+    constraints: Mapping[str, Constraint],
+) -> None:
+    """Refuse measured contexts that no run measures, or that the study sets, optimizes or limits.
+
+    Raises
+    ------
+    StudyError
+        With the key path in the study file.
+    """
+    for index, name in enumerate(measured):
+        path = ("measured", index)
+        checks.reference(name, "metric", metrics, *path)
+        if isinstance(metrics[name], COMPUTED):
+            raise StudyError(
+                f"metric '{name}' is computed from others; expected one of a run", path
+            )
+        if name in contexts:
+            raise StudyError(
+                f"'{name}' is also a context, which is set; expected another name", path
+            )
+        if any(_of(metrics, objective.metric) == name for objective in objectives):
+            raise StudyError(f"'{name}' is the objective; what is measured is not optimized", path)
+        for constraint in constraints.values():
+            if _of(metrics, constraint.metric) == name:
+                raise StudyError(
+                    f"constraints.{constraint.name} limits '{name}'; what is measured depends on "
+                    "no parameter, and is not limited",
+                    path,
+                )
+
+
+def _of(metrics: Mapping[str, StudyMetric], name: str) -> str:
+    """Return the metric that one relative to the default is of, or else itself."""
+    metric = metrics.get(name)
+    return metric.relative if isinstance(metric, RelativeMetric) else name
+
+
+@dataclass(frozen=True)
+class SeenRange:
+    """What runs have seen of a measured context.
+
+    Attributes
+    ----------
+    low, high, mean
+        Over the runs, in its unit.
+    """
+
+    low: float
+    high: float
+    mean: float
+
+
+def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[str, SeenRange]:
+    """Return by name what the complete evaluations have seen; empty if there are none."""
+    rows = values_in(measured, evaluations)
+    if not len(rows):
+        return {}
+    ranges = zip(measured, rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), strict=True)
+    return {
+        name: SeenRange(float(low), float(high), float(mean)) for name, low, high, mean in ranges
+    }
+
+
+def seen_in_words(
+    metrics: Mapping[str, StudyMetric], seen: Mapping[str, SeenRange]
+) -> Iterator[str]:
+    """Yield a sentence on each measured context: its range, and that nothing is claimed beyond."""
+    for name, found in seen.items():
+        ends = f"{shown(found.low)} and {shown(found.high)} {metrics[name].unit}".rstrip()
+        yield (
+            f"{name} was between {ends} in these runs (mean {shown(found.mean)}); nothing is "
+            "claimed beyond."
+        )
+
+
+def values_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> Array:
+    """Return the values (n, w) of w measured contexts in the n complete evaluations."""
+    complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
+    rows = [[metrics[name] for name in measured] for metrics in complete]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(measured))
