@@ -14,8 +14,8 @@ from waiting import DEADLINE, wait_until
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(4 * DEADLINE)]
 
 ROOT = Path(__file__).parents[2]
-NOT_HERE = ("ros2 ", "source ~")
-"""What needs an installation of ROS 2."""
+NOT_HERE = ("ros2 ", "source ~", "make interfaces")
+"""What needs an installation of ROS 2, or a C++ compiler (`.ci/run` has that)."""
 LONG = ("validate ", "apply ")
 """What has tests of its own, and takes the result of a long run."""
 

@@ -115,7 +115,7 @@ class TestNetwork:
         """The plant, started as the tuner starts it, is there before the open controller."""
         with monkeypatch.context() as isolated:
             for name in NETWORK:
-                isolated.delenv(name)
+                isolated.delenv(name, raising=False)
             for name, value in isolated_environment(int(os.environ["ROS_DOMAIN_ID"])).items():
                 isolated.setenv(name, value)
             start_node("milling_plant")

@@ -139,7 +139,7 @@ def test_what_the_node_says_that_it_does_not_take(refusal, step, complaint):
         (setting(1.0, "gain"), "set.parameter: 'gain' of node 'servo' is set by parameters.gain"),
         (setting(1, node="serv"), "set.node: there is no node 'serv'; did you mean 'servo'?"),
         (setting({}), "set.value: expected a number, text, true, false or a list of these"),
-        (setting(1, "a b"), "set.parameter: expected a ROS parameter name"),
+        (setting(1, "a b"), "set.parameter: expected a parameter name"),
         ({"set": {"node": "servo", "parameter": "count"}}, "set.value: missing"),
     ],
 )

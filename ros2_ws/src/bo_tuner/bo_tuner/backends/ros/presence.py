@@ -10,12 +10,11 @@ from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.parameters.events import PARAMETER_EVENTS
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.services import meet
+from bo_tuner.backends.ros.publishers import NAME_TIMEOUT
 from bo_tuner.backends.ros.trigger import of_node
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode, full_name
 from bo_tuner.study.study import Study
 
-NAME_TIMEOUT = 1.0
-"""Time [s] that the graph has to tell which node a new publisher belongs to."""
 
 
 class Presence:

@@ -12,6 +12,8 @@ from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
 from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import Signal
 
+NAME_TIMEOUT = 1.0
+"""Time [s] that the graph has to tell which node a new publisher belongs to."""
 LOOK = 0.1
 """Time [s] between two looks at the graph, which takes longer than a message."""
 
@@ -139,7 +141,13 @@ def expected_publishers(
             ("publisher",),
         )
     # One that was only just found may not have its name yet.
-    wait(lambda: all(info.node_name != UNKNOWN_NODE for info in publishers.now()))
+    deadline = time.monotonic() + NAME_TIMEOUT
+
+    def are_named() -> bool:
+        named = all(info.node_name != UNKNOWN_NODE for info in publishers.now())
+        return named or time.monotonic() > deadline
+
+    wait(are_named)
     if mixed := publishers.mixed(spec):
         raise StudyError(
             f"{mixed} ({publishers.names()}), whose messages would mix; name one of them by "
