@@ -16,7 +16,6 @@ from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode,
 from bo_tuner.study.study import Study
 
 
-
 class Presence:
     """Tells of the nodes of a study what the graph says of them.
 
