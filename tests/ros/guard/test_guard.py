@@ -297,7 +297,7 @@ def test_a_guard_that_is_stopped_keeps_nobody_from_watching_the_machine(tuner, r
         assert (said["state"], said["reason"].split(" at ")[0]) == ("failed", "aborted"), said
 
         def ended():
-            """Whether it has ended: a run that is aborted at once does not tell of the guard yet."""
+            """Whether it has ended: a run that is aborted at once does not look at the guard."""
             if not made.said:
                 made.evaluate()
                 wait_until(lambda: made.said, "what came of a run", None)
