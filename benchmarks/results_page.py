@@ -32,6 +32,7 @@ SECTIONS = (
     ("web_overhead.json", "Cost of the live page", cost.web),
     ("time_left.json", "Time left", cost.time_left),
     ("band_coverage.json", "Bands and bounds of a certificate", answers.coverage),
+    ("parameter_effects.json", "What a parameter moves", answers.effects),
     ("stop_advice.json", "The advice to stop", answers.stop),
     ("unchanged_system.json", "A system that knows nothing of the tuner", cost.unchanged),
     ("node_starts.json", "A node that starts with its values", cost.node_starts),

@@ -149,6 +149,40 @@ def _interval(count: Result) -> str:
     return f"{count['low']:.1%} … {count['high']:.1%}"
 
 
+def effects(result: Result) -> list[str]:
+    """Lay out how often it is wrong which parameters were seen to move a metric."""
+    trials = [
+        [
+            case["problem"],
+            case["trials"],
+            f"{case['noise']:g}",
+            f"{case['false alarms of a run']:.1%}",
+            f"{case['smallest effect seen']:.1%}",
+        ]
+        for case in result["trials"]
+    ]
+    check = [
+        [
+            case["design"],
+            case["runs"],
+            f"{case['false alarms of a test']:.2%} at a level of {case['level']:.2%}",
+            f"{case['smallest effect seen']:.1%}",
+            f"{case['smallest effect in noise']:.1f}",
+        ]
+        for case in result["check"]
+    ]
+    return [
+        f"Closed forms, {result['seeds']} seeds each, with a parameter that does nothing: how "
+        f"often it is said to move something, at most {result['error']:.0%} being meant for all "
+        "parameters of a run together, and how often the smallest effect that *would have been "
+        f"seen* is seen, {result['power']:.0%} being meant. From the trials of a run, of an "
+        "imitation of an optimizer:",
+        markdown(["problem", "trials", "noise", "false alarms", "smallest effect seen"], trials),
+        "In the runs of `tune --check`, and that effect in standard deviations of a run:",
+        markdown(["design", "runs", "false alarms", "seen", "effect"], check),
+    ]
+
+
 def stop(result: Result) -> list[str]:
     """Compare what the advice to stop expected with what the trials after it gained."""
     rows = []
