@@ -39,7 +39,7 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
-.PHONY: help setup interfaces tune quadrotor cessna benchmark test lint types format check colcon clean
+.PHONY: help setup interfaces tune quadrotor cessna benchmark site test lint types format check colcon clean
 .NOTPARALLEL:
 
 help:
@@ -50,6 +50,7 @@ help:
 	@echo 'make cessna     tune a Cessna 172: JSBSim and its autopilot (docs/examples.md)'
 	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
 	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'
+	@echo 'make site       the documents as a site in $(VENV)/site, with search and Python reference'
 	@echo 'make check      lint, types and tests'
 	@echo 'make lint       ruff and import-linter'
 	@echo 'make types      mypy'
@@ -82,6 +83,10 @@ quadrotor cessna: setup $(VENV)/.examples
 benchmark: setup $(VENV)/.benchmarks
 	$(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
 		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
+
+site: setup $(VENV)/.site-tools
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs $(VENV)/site
+	@echo 'the site is $(VENV)/site/README.html'
 
 test: setup $(VENV)/.dev $(VENV)/.examples
 	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal $(ARGS)
@@ -148,6 +153,11 @@ $(VENV)/.dev: requirements/dev.txt requirements/$(DISTRO)/dev.txt $(CONSTRAINTS)
 	@touch $@
 
 $(VENV)/.interfaces: requirements/$(DISTRO)/interfaces.txt $(CONSTRAINTS) $(VENV)/.runtime
+	$(INSTALL) --requirement $<
+	@$(CONSISTENT)
+	@touch $@
+
+$(VENV)/.site-tools: requirements/site.txt $(CONSTRAINTS) $(VENV)/.runtime
 	$(INSTALL) --requirement $<
 	@$(CONSISTENT)
 	@touch $@

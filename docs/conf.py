@@ -1,0 +1,65 @@
+"""The documents as a site, by Sphinx: `make site`. Its pages ask for nothing from elsewhere."""
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+
+project = "bo_tuner"
+html_title = "Robust tuning of ROS 2 controllers"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+root_doc = "README"
+exclude_patterns = ["records", "figures"]
+html_theme = "furo"
+html_copy_source = False
+html_show_sphinx = False
+myst_enable_extensions = ["attrs_inline"]
+# As GitHub makes them: the links in the documents are to these.
+myst_heading_anchors = 4
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_default_options = {"members": True, "undoc-members": True, "show-inheritance": True}
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+nitpicky = False
+# Lexers do not know all of console sessions with output.
+suppress_warnings = ["misc.highlighting_failure", "myst.xref_ambiguous"]
+
+# The documents by what a reader is after (diataxis.fr), in the order of the side bar.
+CONTENTS = {
+    "Tutorials": ["tutorial_first_run", "tutorial_unchanged_system", "tutorial_your_own_node"],
+    "How to": [
+        "live", "deploy", "guard", "procedure", "systems", "campaigns", "security",
+        "troubleshooting",
+    ],
+    "Reference": ["commands", "study_file", "interfaces", "python_reference"],
+    "Explanation": [
+        "method", "certificate", "architecture", "examples", "results", "fronts", "performance",
+    ],
+}  # fmt: skip
+
+ROOT = Path(__file__).resolve().parent.parent
+_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((\.\./[^)\s]+)\)")
+
+
+def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
+    """Name the files of the repository that are linked to, which the site does not have."""
+
+    def named(match: re.Match[str]) -> str:
+        text, target = match.groups()
+        path = target.removeprefix("../").split("#")[0]
+        if not (ROOT / path).exists():
+            raise ExtensionError(f"{document}: links to {target}, which is not there")
+        return text if path in text else f"{text} (`{path}`)"
+
+    source[0] = _LINK.sub(named, source[0])
+    if document == root_doc:
+        for caption, names in CONTENTS.items():
+            entries = "\n".join(names)
+            source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{entries}\n```\n"
+
+
+def setup(app: Sphinx) -> None:
+    """Register what differs between the documents and the pages."""
+    app.connect("source-read", _name_files)
