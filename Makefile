@@ -39,7 +39,7 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
-.PHONY: help setup interfaces tune quadrotor cessna benchmark site test lint types format check colcon clean
+.PHONY: help setup interfaces tune quadrotor cessna benchmark site dist test lint types format check colcon clean
 .NOTPARALLEL:
 
 help:
@@ -51,6 +51,7 @@ help:
 	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
 	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'
 	@echo 'make site       the documents as a site in $(VENV)/site, with search and Python reference'
+	@echo 'make dist       wheels and source distributions in dist/, checked'
 	@echo 'make check      lint, types and tests'
 	@echo 'make lint       ruff and import-linter'
 	@echo 'make types      mypy'
@@ -88,6 +89,13 @@ site: setup $(VENV)/.site-tools
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs $(VENV)/site
 	@echo 'the site is $(VENV)/site/README.html'
 
+# Each is built from its source distribution, so that this is known to be whole.
+dist: $(VENV)/.dist-tools
+	@rm -rf dist
+	@for package in $(PACKAGES); do $(BIN)/python -m build --outdir dist ros2_ws/src/$$package >$(VENV)/dist.log 2>&1 \
+		|| { tail -n 20 $(VENV)/dist.log >&2; exit 1; }; done
+	$(BIN)/twine check --strict dist/*
+
 test: setup $(VENV)/.dev $(VENV)/.examples
 	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal $(ARGS)
 
@@ -109,7 +117,7 @@ check: lint types test
 colcon: $(VENV)/.colcon
 
 clean:
-	rm -rf .venv .venv-* ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf dist .venv .venv-* ros2_ws/build ros2_ws/install ros2_ws/log
 	rm -rf .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache .coverage
 
 $(VENV)/.created:
@@ -157,7 +165,7 @@ $(VENV)/.interfaces: requirements/$(DISTRO)/interfaces.txt $(CONSTRAINTS) $(VENV
 	@$(CONSISTENT)
 	@touch $@
 
-$(VENV)/.site-tools: requirements/site.txt $(CONSTRAINTS) $(VENV)/.runtime
+$(VENV)/.site-tools $(VENV)/.dist-tools: $(VENV)/.%-tools: requirements/%.txt $(CONSTRAINTS) $(VENV)/.runtime
 	$(INSTALL) --requirement $<
 	@$(CONSISTENT)
 	@touch $@

@@ -113,11 +113,7 @@ def test_package_xml_is_format_3_and_complete(package):
 
 
 def test_versions_agree():
-    versions = {
-        version
-        for package in EXECUTABLES
-        for version in (manifest(package).findtext("version"), setup_keyword(package, "version"))
-    }
+    versions = {manifest(package).findtext("version") for package in EXECUTABLES}
     assert len(versions) == 1
     assert {metadata.version(package) for package in EXECUTABLES} == versions
 
@@ -134,6 +130,27 @@ def test_imports_are_declared(package):
     assert names - {None} <= pip_names(package)
 
 
+def ros_dependencies(package):
+    other = {"launch", "launch_ros", *EXECUTABLES}
+    return {key for key in dependencies(package) if not key.startswith("python3-")} - other
+
+
+@pytest.mark.parametrize("missing", sorted(ros_dependencies("bo_tuner")))
+def test_a_command_without_ros_says_what_to_install(missing):
+    program = (
+        f"import sys; sys.modules['{missing}'] = None\n"
+        "from bo_tuner.cli.executables import tune\n"
+        "sys.argv = ['tune', '--help']\ntune()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    if done.returncode == 0:
+        # It is imported later, if at all.
+        return
+    assert done.returncode == 1
+    assert f"({missing} is missing)" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
 @every_package
 def test_import_contract_covers_each_ros_dependency(package):
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -142,9 +159,7 @@ def test_import_contract_covers_each_ros_dependency(package):
         for contract in settings["tool"]["importlinter"]["contracts"]
         if contract["id"] == "ros"
     )
-    other = {"launch", "launch_ros", *EXECUTABLES}
-    ros = {key for key in dependencies(package) if not key.startswith("python3-")} - other
-    assert ros <= protected
+    assert ros_dependencies(package) <= protected
 
 
 @every_package
@@ -159,7 +174,7 @@ def test_requirements_are_installed_by_make_and_pinned(package):
         return set(requirements(path))
 
     assert pip_names(package) <= names("runtime.txt")
-    for path in ("runtime.txt", "dev.txt", "colcon.txt"):
+    for path in ("runtime.txt", "dev.txt", "colcon.txt", "dist.txt", "site.txt"):
         assert names(path) <= names("constraints.txt")
 
 

@@ -1,6 +1,7 @@
 import os
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
@@ -29,13 +30,15 @@ def commit():
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=ElementTree.parse("package.xml").findtext("version"),
     description="Bayesian optimization of the parameters of ROS 2 nodes",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     maintainer="bo_tuner maintainers",
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["report/templates/*"]},
+    package_data={NAME: ["py.typed", "report/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -43,8 +46,8 @@ setup(
         *shared("config"),
         *shared("launch"),
     ],
-    # rclpy and the message packages are named in package.xml only: with a ROS installation they
-    # are system packages, which pip does not see.
+    # rclpy and the message packages are no requirement: with a ROS installation they are system
+    # packages, which pip does not see. Without one they are an extra.
     python_requires=">=3.11",
     install_requires=[
         "Jinja2>=3.1,<4",
@@ -60,7 +63,11 @@ setup(
         "threadpoolctl>=3,<4",
         "tornado>=6.4,<7",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={
+        "jazzy": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
+        "test": ["pytest"],
+    },
     keywords=[f"commit-{commit()}"],
     entry_points={
         "console_scripts": [f"{command} = {NAME}.cli.executables:{command}" for command in COMMANDS]

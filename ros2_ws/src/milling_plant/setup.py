@@ -1,4 +1,5 @@
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
@@ -16,12 +17,15 @@ def shared(folder):
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=ElementTree.parse("package.xml").findtext("version"),
     description="Simulated feed axis of a milling machine, as a ROS 2 node",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     maintainer="bo_tuner maintainers",
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -29,14 +33,18 @@ setup(
         *shared("config"),
         *shared("launch"),
     ],
-    # rclpy and the message packages are named in package.xml only: with a ROS installation they
-    # are system packages, which pip does not see.
+    # rclpy and the message packages are no requirement: with a ROS installation they are system
+    # packages, which pip does not see. Without one they are an extra.
     python_requires=">=3.11",
     install_requires=[
         "numpy>=1.26,<3",
         "scipy>=1.11,<2",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={
+        "jazzy": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
+        "test": ["pytest"],
+    },
     entry_points={"console_scripts": ["milling_plant = milling_plant.__main__:main"]},
     zip_safe=False,
 )

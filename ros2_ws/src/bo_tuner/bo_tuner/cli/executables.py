@@ -6,8 +6,15 @@ import sys
 from functools import partial
 from typing import NoReturn
 
+from bo_tuner.cli.exit_codes import EXIT_FAULT
 from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import SIGNALS, Interruption
+
+ROS = (
+    "action_msgs", "builtin_interfaces", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces",
+    "rclpy", "rosgraph_msgs", "rosidl_parser", "std_msgs", "std_srvs",
+)  # fmt: skip
+"""What ROS installs; no requirement of the package, which is of use as a library without it."""
 
 COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply", "guard")
 
@@ -19,7 +26,19 @@ def run(module: str, argv: list[str]) -> NoReturn:
     # This import takes a second or two, in which Ctrl-C must not end in a traceback. The threads
     # that libraries start meanwhile are to leave signals to this one: it may hold one back.
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    command = importlib.import_module(module)
+    try:
+        command = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        root = str(error.name).partition(".")[0]
+        if root not in ROS:
+            raise
+        print(
+            f"error: ROS 2 is not installed here ({root} is missing): source an installation "
+            "(source /opt/ros/jazzy/setup.bash), or install its wheels (pip install "
+            "'bo_tuner[jazzy]')",
+            file=sys.stderr,
+        )
+        sys.exit(EXIT_FAULT)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     sys.exit(command.run(argv, interruption))
 
