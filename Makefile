@@ -39,7 +39,8 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
-.PHONY: help setup interfaces tune quadrotor cessna benchmark site dist test lint types format check colcon clean
+.PHONY: help setup interfaces tune quadrotor cessna benchmark performance site dist test test-all lint \
+	types format check colcon clean
 .NOTPARALLEL:
 
 help:
@@ -48,11 +49,13 @@ help:
 	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
 	@echo 'make quadrotor  tune a quadrotor in wind: RotorPy and its controller (docs/examples.md)'
 	@echo 'make cessna     tune a Cessna 172: JSBSim and its autopilot (docs/examples.md)'
-	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
+	@echo 'make test       run the tests but the slow ones (ARGS="-k kalman" and so on; a path in it: all of that)'
+	@echo 'make test-all   run all tests'
 	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'
+	@echo 'make performance  make docs/performance.md, after scripts of benchmarks/ that ARGS names'
 	@echo 'make site       the documents as a site in $(VENV)/site, with search and Python reference'
 	@echo 'make dist       wheels and source distributions in dist/, checked'
-	@echo 'make check      lint, types and tests'
+	@echo 'make check      lint, types and make test'
 	@echo 'make lint       ruff and import-linter'
 	@echo 'make types      mypy'
 	@echo 'make format     reformat the code'
@@ -83,7 +86,10 @@ quadrotor cessna: setup $(VENV)/.examples
 
 benchmark: setup $(VENV)/.benchmarks
 	$(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
-		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
+		--output docs --records benchmarks/results --publish docs/records --jobs $(JOBS) $(ARGS)
+
+performance: setup $(VENV)/.dev $(VENV)/.benchmarks
+	$(CHECK_ENV) $(BIN)/python benchmarks/performance.py $(ARGS)
 
 site: setup $(VENV)/.site-tools
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs $(VENV)/site
@@ -97,7 +103,10 @@ dist: $(VENV)/.dist-tools
 	$(BIN)/twine check --strict dist/*
 
 test: setup $(VENV)/.dev $(VENV)/.examples
-	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal $(ARGS)
+	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal $(SLOW) $(ARGS)
+
+test-all: SLOW := --slow
+test-all: test
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -24,6 +24,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -96,13 +97,16 @@ class Observer:
 
     def first(self, what: str, since: float) -> float:
         """Wait for something after a time; returns its time [s]."""
-        times = self._crossed if what == "crossed" else self._times[what]
         deadline = time.monotonic() + LONGEST
-        while not (found := [t for t in list(times) if t > since]):
+        while not (found := [t for t in self.heard(what) if t > since]):
             if time.monotonic() > deadline:
                 return float("inf")
             time.sleep(0.0005)
         return found[0]
+
+    def heard(self, what: str) -> list[float]:
+        """Return the times [s] at which something was heard so far."""
+        return list(self._crossed if what == "crossed" else self._times[what])
 
     def is_alone(self) -> bool:
         """Whether nobody is known any more who may send a set-point."""
@@ -150,7 +154,9 @@ def work(kind: str, folder: str) -> None:
     index = 0
     while True:
         parameters = {"kp": 2.0, "ki": 0.0, "kd": 0.1}
-        backend.outcome(Evaluation(0, index, Stage.DRAWN, parameters, {}, index))
+        outcome = backend.outcome(Evaluation(0, index, Stage.DRAWN, parameters, {}, index))
+        if index == 0 and kind != BLIND and not outcome.complete:
+            raise SystemExit(f"error: {outcome.reason}")
         index += 1
 
 
@@ -165,9 +171,8 @@ def full_runs(repetitions: int, observer: Observer, rng: np.random.Generator) ->
                 observer.forget()
                 tuner = spawn.Process(target=work, args=(kind, folder), daemon=True)
                 tuner.start()
-                began = observer.first("start", 0.0)
-                # Of the second run: the first one has what belongs to the start.
-                began = observer.first("start", began)
+                # The first run has what belongs to the start; for a blind tuner it is the last one.
+                began = start_of(1 if kind == BLIND else 2, observer, tuner)
                 if kind == BLIND:
                     event = observer.first("crossed", began)
                 else:
@@ -184,7 +189,8 @@ def full_runs(repetitions: int, observer: Observer, rng: np.random.Generator) ->
                 tuner.join()
                 wait_for_guards(folder)
                 # One that was killed is in the graph until its lease ends.
-                wait_for(observer.is_alone)
+                if not wait_for(observer.is_alone):
+                    raise SystemExit("error: a tuner that was killed is in the graph still")
         found[kind] = {
             "faults": repetitions,
             "unsafe": unsafe,
@@ -192,6 +198,20 @@ def full_runs(repetitions: int, observer: Observer, rng: np.random.Generator) ->
             "safe": {"median": statistics.median(safe), "worst": max(safe)},
         }
     return found
+
+
+def start_of(run: int, observer: Observer, tuner: BaseProcess) -> float:
+    """Wait for a run of a tuner, from 1 on; return its start [s], or end the script without one."""
+
+    def begun() -> int:
+        return len(observer.heard("start"))
+
+    if wait_for(lambda: begun() >= run or not tuner.is_alive()) and begun() >= run:
+        return observer.heard("start")[run - 1]
+    state = "goes on" if tuner.is_alive() else f"ended with exit code {tuner.exitcode}"
+    raise SystemExit(
+        f"error: {begun()} of {run} runs began within {LONGEST:g} s; the tuner {state}"
+    )
 
 
 def wait_for_guards(folder: str) -> None:

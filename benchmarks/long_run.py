@@ -5,7 +5,10 @@ they mean, and neither nodes nor proposals take time. The last trials are run by
 of any interrupted run, with a page that a browser and a client look at.
 """
 
+import http.client
+import json
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -17,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from common import BENCHMARKS, check_end, events, start_tuning
-from web_overhead import ADDRESS, Follower
 
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
@@ -34,9 +36,49 @@ from bo_tuner.tuning.loop import Tuning
 sys.path.append(str(BENCHMARKS.parent / "tests" / "browser"))
 from chromium import Chromium
 
+ADDRESS = re.compile(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]+)")
+TRIALS = re.compile(r">(\d+) trials<")
 ALGORITHM = "II"
 ROWS = "document.querySelectorAll('#trials tbody tr').length"
 ANSWERED = "document.querySelector('#answer h2') !== null"
+
+
+class Follower(threading.Thread):
+    """Asks for what is new until the page is gone; notes when it has what of each trial."""
+
+    def __init__(self, port: int, token: str) -> None:
+        super().__init__(daemon=True)
+        self.state: dict[int, float] = {}
+        self.section: dict[int, float] = {}
+        self._port, self._token = port, token
+
+    def delays(self, times: Mapping[int, float]) -> dict[str, list[float]]:
+        """How long after its event the client had each trial: in the state, and in the table."""
+        return {
+            f"delay_of_{name}": [had[trial] - at for trial, at in times.items() if trial in had]
+            for name, had in (("state", self.state), ("table", self.section))
+        }
+
+    def run(self) -> None:
+        """Ask until the page is complete or gone."""
+        version = -1
+        while True:
+            connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=60.0)
+            try:
+                connection.request("GET", f"/state?after={version}&token={self._token}")
+                answer = json.loads(connection.getresponse().read())
+            except (OSError, http.client.HTTPException):
+                return
+            finally:
+                connection.close()
+            arrived = time.time()
+            version = answer["version"]
+            if answer["now"].get("trials"):
+                self.state.setdefault(answer["now"]["trials"], arrived)
+            if found := TRIALS.search(answer["sections"].get("trials", "")):
+                self.section.setdefault(int(found[1]), arrived)
+            if answer["complete"]:
+                return
 
 
 class Formula:

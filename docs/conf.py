@@ -35,7 +35,7 @@ CONTENTS = {
     ],
     "Reference": ["commands", "study_file", "interfaces", "python_reference"],
     "Explanation": [
-        "method", "certificate", "architecture", "examples", "results", "fronts", "performance",
+        "method", "certificate", "architecture", "examples", "results", "performance",
     ],
 }  # fmt: skip
 

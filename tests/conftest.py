@@ -43,6 +43,35 @@ _HANDLERS = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, sign
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
 
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the slow tests, too")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # What is named by its path is run whole.
+    if config.args_source is config.ArgsSource.ARGS:
+        config.option.slow = True
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    if not config.option.slow:
+        terminalreporter.write_line(
+            "Without the slow tests: `make test-all` runs them, too, and so does naming a path."
+        )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the slow tests, unless they are asked for."""
+    if config.option.slow:
+        return
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    items[:] = [item for item in items if not item.get_closest_marker("slow")]
+    config.hook.pytest_deselected(items=slow)
+
+
 settings.register_profile(
     "repeatable",
     deadline=None,

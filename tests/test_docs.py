@@ -165,7 +165,7 @@ def takes(parser, arguments):
 
 
 def check_make(arguments):
-    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for argument in arguments:
         if argument.startswith("ARGS="):
             if "tune" in arguments:
@@ -346,6 +346,7 @@ def nodes_of_example(folder, monkeypatch, *scripts):
         lock.close()
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     study = load_study(EXAMPLE / "study.yaml").replace(
@@ -371,6 +372,7 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
         assert {name: metrics[name] for name in found} == found
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
     scripts = [UNCHANGED / "motor_node.py", UNCHANGED / "pid_node.py"]
@@ -407,6 +409,7 @@ def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
         assert metrics["effort"] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_first_study_of_the_unchanged_system_passes_the_check(tmp_path, monkeypatch):
     """By the tutorial's own command, and by what the nodes suggest: both are the same study."""

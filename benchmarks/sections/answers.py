@@ -1,4 +1,4 @@
-"""Sections on what answers are worth: certificates, ablations, bands, and the advice to stop."""
+"""Sections on what answers are worth: certificates, ablations, bands, and effects."""
 
 from sections.layout import Result, origin
 
@@ -41,28 +41,6 @@ def certificates(result: Result) -> list[str]:
             ],
             rows,
         ),
-    ]
-
-
-def repeated(result: Result) -> list[str]:
-    """How often a violation that an attempt has found is passed by a later one."""
-    rows = [
-        [
-            title,
-            f"{sum(run['passed'] == 1 for run in runs)} of {len(runs)}",
-            f"{sum(run['passed'] is not None for run in runs)} of {len(runs)}",
-        ]
-        for title, runs in result["runs"].items()
-    ]
-    runs = next(iter(result["runs"].values()))
-    met = sum(run["met"] for run in runs)
-    return [
-        "Parameter sets that break a limit on a mean by 20 % in a narrow bump inside the context "
-        "box, certified until they pass, at most three times: each attempt as if nothing was known "
-        "of those before it, as it was once, and with what they have found. No search within a "
-        f"budget finds every bump: the first ones met {met} of {len(runs)}, where the widths on "
-        f"the certificate promise {sum(run['probability'] for run in runs):.1f}.",
-        markdown(["attempts", "PASS at first", "PASS within three"], rows),
     ]
 
 
@@ -120,7 +98,7 @@ def coverage(result: Result) -> list[str]:
         for name, p in summary["passed"].items()
     ]
     return [
-        f"{len(result['cases'])} random metrics of one to three context variables with known "
+        f"{result['cases']} random metrics of one to three context variables with known "
         "truth: samples of stationary processes, polynomials, kinks, resonances and "
         "saturation, half of them with noise that depends on the context. How often a 90 % "
         "band holds the truth, from all evaluations of a certificate and from few (25 draws "
@@ -181,34 +159,3 @@ def effects(result: Result) -> list[str]:
         "In the runs of `tune --check`, and that effect in standard deviations of a run:",
         markdown(["design", "runs", "false alarms", "seen", "effect"], check),
     ]
-
-
-def stop(result: Result) -> list[str]:
-    """Compare what the advice to stop expected with what the trials after it gained."""
-    rows = []
-    for name, s in result["summary"].items():
-        if s["advised"]:
-            rows.append(
-                [
-                    name,
-                    f"{s['advised']} of {s['runs']}",
-                    f"{s['trials']:g} of {result['trials']}",
-                    f"{s['expected']:.4f}",
-                    f"{s['realized']:.4f} ({s['largest_realized']:.4f})",
-                    f"{s['noise']:.4f}",
-                    f"{s['within_expected']} of {s['advised']}",
-                    f"{s['feasible_stopped']} / {s['feasible_whole']}",
-                ]
-            )
-    return [
-            f"The problem `{result['problem']}`, whose optimum costs {result['optimum']:.4f}. "
-            "Realized is the difference of the true costs of both answers, the one at the advice "
-            "and the one after all trials; medians, and in brackets the largest.",
-            markdown(
-                [
-                    "algorithm", "advised", "after trials", "gain expected", "gain realized",
-                    "standard error", "realized within expected", "truly feasible, stopped / whole",
-                ],
-                rows,
-            ),
-    ]  # fmt: skip

@@ -6,15 +6,6 @@ from sections.layout import Result
 
 from tuning_benchmark.pages.tables import markdown
 
-LIVE_PARTS = {
-    "calls": "status, terminal, publishing",
-    "advice": "stop advice",
-    "incumbent": "ranking after each trial",
-    "node_thread": "thread of the ROS node",
-    "display_thread": "thread of the terminal",
-}
-"""What `live_overhead.py` measures."""
-
 RIVALS = {"Optuna": 3.0, "BoTorch": 10.0}
 """How many times the time of a proposal a rival's is to be, at least."""
 
@@ -91,41 +82,6 @@ def recording(result: Result) -> list[str]:
     return [
         f"Time of a cut with recording over one without: median {result['ratio_median']:.2f}, "
         f"quartiles {low:.2f} to {high:.2f}; {result['missing_messages']} messages missing.",
-    ]
-
-
-def live(result: Result) -> list[str]:
-    """Cost of live monitoring."""
-    rows = [[LIVE_PARTS[part], f"{share:.2%}"] for part, share in result["shares"].items()]
-    return [
-        f"Part of the time of a run over ROS with {result['trials']} trials: "
-        f"{result['share']:.1%}.",
-        markdown(["part", "share"], rows),
-    ]
-
-
-def web(result: Result) -> list[str]:
-    """Cost of the live page, and how soon it shows a trial."""
-    rows = [
-        [
-            f"cost {how}",
-            f"{result[f'cost_by_{key}']:.1%} ± {result[f'standard_error_by_{key}']:.1%}",
-        ]
-        for how, key in (("by the clock", "clock"), ("in processor time of the run", "processor"))
-    ]
-    rows += [
-        [f"{what} after a trial", f"{delay['median']:.2f} s, at most {delay['largest']:.2f} s"]
-        for what, delay in (
-            ("state", result["delay_of_state"]),
-            ("table", result["delay_of_table"]),
-        )
-    ]
-    return [
-        f"{len(result['pairs'])} pairs of runs in process with {result['trials']} trials of "
-        f"the study `{result['study']}`, with `--web` and a reader that follows it, and "
-        "without; mean and its standard error. The load average was "
-        f"{min(result['load_average']):.1f} to {max(result['load_average']):.1f}.",
-        markdown(["", ""], rows),
     ]
 
 

@@ -48,6 +48,17 @@ def command_kill(result: Result) -> list[str]:
     ]
 
 
+def integrity(result: Result) -> list[str]:
+    """Wrong rows and undetected changes, while others set parameters."""
+    counts = ", ".join(f"{count} {state}" for state, count in result["evaluations"].items())
+    return [
+        f"{result['changes']} times somebody else sets one of {result['parameters_changed']} "
+        f"parameters of the nodes during evaluations ({counts}): {result['undetected_changes']} "
+        f"changes undetected, {result['wrong_rows']} complete evaluations that differ from those "
+        "without a change."
+    ]
+
+
 def guard(result: Result) -> list[str]:
     """How soon a guard has the machine safe, and what it costs."""
     rows = [

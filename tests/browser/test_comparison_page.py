@@ -7,6 +7,8 @@ from bo_tuner.report.comparison import comparison
 from bo_tuner.report.page import write_comparison
 from bo_tuner.storage.record import read_run
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def page(feed_axis_run, tmp_path_factory):

@@ -7,6 +7,8 @@ from report_runs import axis_study
 
 from bo_tuner.study.study_file import study_from_mapping
 
+pytestmark = pytest.mark.slow
+
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 

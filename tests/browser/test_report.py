@@ -10,6 +10,8 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Stage
 from bo_tuner.web.runs import Runs
 
+pytestmark = pytest.mark.slow
+
 DRAWN = "document.documentElement.dataset.drawn === 'all'"
 INK = """
     getComputedStyle(document.querySelector('.plot .xtitle')).fill.match(/[0-9]+/g)

@@ -73,6 +73,7 @@ def test_an_aircraft_that_cannot_fly_level_is_refused_in_a_line(module_of):
         aircraft.Aircraft(aircraft.Conditions(airspeed=5.0))
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_node_flies_what_the_judge_flies(backend_of, module_of):
     """In still air: one delay of the set-points explains all metrics of a flight.
@@ -122,6 +123,7 @@ def test_ultimate_gain_and_period_of_two_lags_and_an_integrator(module_of):
         assert period == pytest.approx(2 * math.pi * math.sqrt(first * second))
 
 
+@pytest.mark.slow
 def test_the_linear_aircraft_rolls_and_climbs_as_the_flown_one(module_of):
     """A step of a command, seen a second later, in still air.
 

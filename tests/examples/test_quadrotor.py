@@ -25,6 +25,7 @@ def backend(backend_of):
     return backend_of("quadrotor", ("end: {after: 4.0}", f"end: {{after: {DURATION}}}"))
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_nodes_fly_what_the_judge_flies(backend, module, monkeypatch):
     """Overshoot and effort to the last digit, in wind and with a payload; a crash is a crash."""

@@ -106,6 +106,7 @@ def test_results_of_anybody(early, late):
     contracts.check_results(early, late)
 
 
+@pytest.mark.slow
 def test_mutated_records(tmp_path):
     """Values of other types under checksums that fit; benchmarks/fuzz.py reads 5,000."""
     whole = records.make_whole_run(tmp_path / "whole")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from waiting import DEADLINE, wait_until
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(4 * DEADLINE)]
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(4 * DEADLINE), pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 NOT_HERE = ("ros2 ", "source ~", "make interfaces")

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 from functools import partial
 
@@ -95,8 +96,28 @@ def test_the_page_has_tables_and_figures(whole):
     folder, tables = whole
     assert "A valley" in tables
     page = (folder / "results.md").read_text()
-    assert "figures/convergence-valley.png" in page
-    assert (folder / "figures" / "convergence-valley.png").stat().st_size > 1000
+    assert "figures/convergence-valley.svg" in page
+    assert (folder / "figures" / "convergence-valley.svg").stat().st_size > 1000
+
+
+def test_published_records_make_the_same_tables_and_are_linked(benchmark, whole, tmp_path):
+    shutil.copy(whole[0] / "closed.jsonl", tmp_path / "closed.jsonl")
+    fronts = {
+        "runs": 2,
+        "provenance": {"commit": "c0ffee", "machine": "m", "versions": []},
+        "problems": {},
+    }
+    (tmp_path / "fronts.json").write_text(json.dumps(fronts))
+    published = tmp_path / "published"
+    given = ("--page-only", "--records", tmp_path, "--publish", published)
+    code, tables, err = finish(benchmark("out", *given))
+    assert (code, tables) == (0, whole[1]), err
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "(../published/closed.jsonl)" in page
+    assert "## Pareto fronts" in page
+    assert "(../published/fronts.json)" in page
+    code, tables, err = finish(benchmark("again", "--page-only", "--records", published))
+    assert (code, tables) == (0, whole[1]), err
 
 
 def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, whole, tmp_path):
@@ -239,7 +260,7 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, whole, tmp_path):
     assert "1 of 1" in tables
     page = (tmp_path / "out" / "results.md").read_text()
     assert "1 run of each row" in page
-    assert re.search(r"- valley: \d+ runs took [\d.]+ minutes, summed over the processes", page)
+    assert "(closed.jsonl)" in page
     assert "**Not on record yet**: 1 of 2 runs of valley." in page
 
     # As published records are, to those who have another version of the code or of a library.

@@ -1,14 +1,16 @@
-"""The comparison of Pareto fronts: equal budgets, the same initial design, a page of its record."""
+"""The comparison of Pareto fronts: equal budgets, the same design, a section of the page."""
 
 import json
 
 import pytest
+from markdown_tables import columns_of
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark import fronts
+from tuning_benchmark.pages.fronts import section
 from tuning_benchmark.peers.adapter import peer_method
 from tuning_benchmark.problems.two_objectives import TwoObjectives
 
@@ -38,23 +40,36 @@ def test_a_run_repeats_itself():
     assert 0.0 < first.volume <= first.seen <= 1.0
 
 
-def test_record_and_page(tmp_path, monkeypatch):
+def test_record_and_section(tmp_path, monkeypatch):
     monkeypatch.setattr(fronts, "PARAMETERS", (2,))
     monkeypatch.setattr(fronts, "OURS", ("II",))
     whole = TwoObjectives.study
     monkeypatch.setattr(TwoObjectives, "study", lambda problem: whole(problem).replace(trials=12))
-    pages, records = tmp_path / "new" / "pages", tmp_path / "new" / "records"
-    where = ["--output", str(pages), "--records", str(records)]
-    fronts.main(["--runs", "2", *where])
+    records = tmp_path / "new" / "records"
+    fronts.main(["--runs", "2", "--records", str(records)])
     record = json.loads((records / "fronts.json").read_text())
     assert set(record["problems"]["2"]) == {"II", "NSGA-II", "TPE"}
     assert all(len(runs) == 2 for runs in record["problems"]["2"].values())
     assert any(text.startswith("optuna ") for text in record["provenance"]["versions"])
-    page = (pages / "fronts.md").read_text()
-    assert page.count("| Optuna ") == 2
-    (pages / "fronts.md").unlink()
-    fronts.main(["--page-only", *where])
-    assert (pages / "fronts.md").read_text() == page
+    text = section(record, "records/fronts.json").text
+    assert text.count("| Optuna ") == 2
+    assert "seeds 1 to 2" in text
+
+
+def test_fronts_are_compared_with_those_of_algorithm_iv():
+    def runs(volumes):
+        shared = {"seen": 1.0, "points": 3, "violating": 0, "trials": 40, "evaluations": 200}
+        return [shared | {"seed": k, "volume": v} for k, v in enumerate(volumes, start=1)]
+
+    record = {
+        "runs": 2,
+        "provenance": {"commit": "c0ffee", "machine": "m", "versions": ["optuna 5"]},
+        "problems": {"2": {"IV": runs([0.9, 0.8]), "TPE": runs([0.7, 0.6])}},
+    }
+    text = section(record, "fronts.json").text
+    table = "\n".join(line for line in text.splitlines() if line.startswith("|"))
+    ours, peer = (columns_of(table, row)["Algorithm IV minus it"] for row in (0, 1))
+    assert (ours, peer) == ("", "0.200 ± 0.000")
 
 
 def test_the_help_names_modules_on_one_line():

@@ -55,6 +55,7 @@ def test_false_alarms_and_what_is_seen(function, count, noise, live):
     assert (hits[list(live)] >= 0.95 * SEEDS).all()
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_smallest_size_is_seen():
     """A slope as large as what was visible without it, in the same points and noise of its own."""
     level, seen, sizes = 0.05, 0, []

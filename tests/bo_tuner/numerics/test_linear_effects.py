@@ -54,6 +54,7 @@ def test_with_many_runs_the_smallest_effect_is_the_textbooks():
     assert by_groups(y, [n, n]).visible == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     # Both values are compared with the same base, so that the least visible effect is one with a

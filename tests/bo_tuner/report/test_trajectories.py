@@ -61,14 +61,9 @@ def test_signals_without_a_value_are_told(section_of, name):
     assert "of the same length, at least one value each" in section.lead
 
 
-def test_an_object_that_cannot_be_had_is_told(monkeypatch, tuned, analysis):
-    monkeypatch.setattr(sys, "path", [p for p in sys.path if "axis" not in p])
-    monkeypatch.delitem(sys.modules, "report_objects", raising=False)
-    module = tuned.path.parents[1] / "report_objects.py"
-    hidden = module.rename(module.with_suffix(".hidden"))
-    try:
-        section = trajectories(analysis)
-    finally:
-        hidden.rename(module)
+def test_an_object_that_cannot_be_had_is_told(monkeypatch, analysis):
+    # Wherever it lies: runs of other tests leave folders with such a module on the path.
+    monkeypatch.setitem(sys.modules, "report_objects", None)
+    section = trajectories(analysis)
     assert section.figures == ()
     assert "cannot load report_objects:Traced" in section.lead

@@ -147,6 +147,7 @@ def test_false_alarms(count, function_backend):
     assert alarms <= runs * ERROR + 3.0 * np.sqrt(runs * ERROR * (1.0 - ERROR))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 10])
 def test_an_effect_of_the_smallest_size_would_have_been_seen(count, function_backend):
     """What the runs say would have been seen is, in other runs of the same noise."""

@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 NAMESPACE = ("-r", "__ns:=/disturbed")
 SHORT = {"reference_levels": [0.5, 0.8], "samples_per_level": 25, "seed": 7}

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from milling_plant.cut import MillingPlant
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 SHORT = {"reference_levels": [0.5], "samples_per_level": 4, "seed": 1}
 any_text = st.text(max_size=30) | st.sampled_from(["x_axis", "x" * 100_000])

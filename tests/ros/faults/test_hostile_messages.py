@@ -21,7 +21,7 @@ from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
 from mpc_controller.settings import ControllerSettings
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PERIOD = 20_000_000
 NANOSECONDS = 1_000_000_000

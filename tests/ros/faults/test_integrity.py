@@ -173,6 +173,7 @@ class TestForeignChanges:
         assert attach().run().metrics
 
 
+@pytest.mark.slow
 class TestTwins:
     @pytest.mark.parametrize("package", PACKAGES)
     def test_at_the_start(self, attach, start_node, peer, package):
@@ -269,6 +270,7 @@ class TestOthers:
         assert str(to_value(ParameterValue(type=42))) == "of unknown type 42"
 
 
+@pytest.mark.slow
 def test_nodes_with_more_threads_in_their_environment(peer, tmp_path, monkeypatch):
     """With two threads OpenBLAS sums the products of these horizons in another order."""
     monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)

@@ -14,7 +14,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import EvaluationState
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PACKAGES = ("milling_plant", "mpc_controller")
 

@@ -24,7 +24,7 @@ from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 # What the tuner sets by itself.
 OWN = ("ROS_DOMAIN_ID", *PROFILE_VARIABLES, "ROS_AUTOMATIC_DISCOVERY_RANGE")

@@ -13,7 +13,7 @@ from waiting import DEADLINE
 
 from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES, isolated_environment
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 OTHER_MACHINE = """\
 import json

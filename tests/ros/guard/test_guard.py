@@ -196,6 +196,7 @@ def test_a_tuner_that_is_killed(tuner, system, in_run):
     assert act["problems"] == []
 
 
+@pytest.mark.slow
 def test_a_tuner_that_is_killed_before_the_first_run(tuner, system):
     made = tuner(in_run=False)
     system.set_gain(0.9)
@@ -203,6 +204,7 @@ def test_a_tuner_that_is_killed_before_the_first_run(tuner, system):
     wait_until(lambda: is_safe(system), "a safe machine")
 
 
+@pytest.mark.slow
 def test_a_tuner_that_is_stopped_and_lives_again_waits_for_somebody(long_lease, tuner, system):
     made = tuner()
     made.process.send_signal(signal.SIGSTOP)
@@ -259,6 +261,7 @@ PULSE = {
 }
 
 
+@pytest.mark.slow
 def test_an_abort_condition_that_holds_in_a_single_message(tuner, ros_environment):
     with at_work(Pulse) as sensor:
         made = tuner("blind", **PULSE)
@@ -267,6 +270,7 @@ def test_an_abort_condition_that_holds_in_a_single_message(tuner, ros_environmen
         assert made.acts[0]["reason"].startswith("the abort condition holds")
 
 
+@pytest.mark.slow
 def test_the_time_in_a_condition_is_that_of_the_simulation(tuner, ros_environment):
     """Here it passes ten times slower than that of the machine."""
     with at_work(Simulation) as simulation:
@@ -283,6 +287,7 @@ def test_the_time_in_a_condition_is_that_of_the_simulation(tuner, ros_environmen
         assert (said["state"], made.acts) == ("complete", []), said
 
 
+@pytest.mark.slow
 def test_a_guard_that_is_stopped_keeps_nobody_from_watching_the_machine(tuner, ros_environment):
     """Nothing is heard of it then, and meanwhile the tuner itself aborts the run.
 
@@ -311,6 +316,7 @@ def test_a_guard_that_is_stopped_keeps_nobody_from_watching_the_machine(tuner, r
         assert made.guards == []
 
 
+@pytest.mark.slow
 def test_an_act_while_the_tuner_waits_for_a_node_is_not_forgotten(long_lease, tuner, system):
     """Whoever waits for a node has many reasons why it is not there; this is not one of them."""
     made = tuner("waiting")
@@ -327,6 +333,7 @@ def test_an_act_while_the_tuner_waits_for_a_node_is_not_forgotten(long_lease, tu
     assert made.expect("state") == "lost"
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_the_guard_from_nothing(tuner, system, tmp_path):
     folder = tmp_path / "log0"
     folder.mkdir()
@@ -337,6 +344,7 @@ def test_a_full_disk_keeps_the_guard_from_nothing(tuner, system, tmp_path):
     wait_until(lambda: made.acts, "the record")
 
 
+@pytest.mark.slow
 def test_an_abort_condition_that_the_tuner_judges_late(tuner, system):
     """It would have done the same, so nobody has to look before it goes on."""
     made = tuner("slow")
@@ -349,6 +357,7 @@ def test_an_abort_condition_that_the_tuner_judges_late(tuner, system):
     made.process.kill()
 
 
+@pytest.mark.slow
 def test_a_tuner_that_was_stopped_until_ros_had_forgotten_it(tuner, system, peer):
     """It goes on where the middleware lets it, or ends; it does not wait for what never comes."""
     made = tuner()
@@ -380,6 +389,7 @@ def test_a_guard_that_dies_ends_the_run_with_the_machine_safe(tuner, system):
     assert is_safe(system)
 
 
+@pytest.mark.slow
 def test_a_guard_that_is_asked_to_end_leaves_the_machine_safe(tuner, system):
     made = tuner()
     (guard,) = made.guards
@@ -391,6 +401,7 @@ def test_a_guard_that_is_asked_to_end_leaves_the_machine_safe(tuner, system):
     assert [act["reason"] for act in made.acts] == ["the guard was asked to end"]
 
 
+@pytest.mark.slow
 def test_a_terminal_that_goes_away_is_none_of_the_guards(tuner, system):
     made = tuner()
     (guard,) = made.guards
@@ -401,6 +412,7 @@ def test_a_terminal_that_goes_away_is_none_of_the_guards(tuner, system):
     wait_until(lambda: is_safe(system), "a safe machine")
 
 
+@pytest.mark.slow
 def test_a_node_that_refuses_is_tried_until_it_does_not(tuner, system):
     made = tuner()
     system.refusal = "the key is out"
@@ -412,6 +424,7 @@ def test_a_node_that_refuses_is_tried_until_it_does_not(tuner, system):
     wait_until(lambda: gain(system) == SAFE, "safe values")
 
 
+@pytest.mark.slow
 def test_a_node_that_hangs_is_safe_once_it_answers(tuner, system):
     made = tuner()
     system.hang = 3.0
@@ -419,6 +432,7 @@ def test_a_node_that_hangs_is_safe_once_it_answers(tuner, system):
     wait_until(lambda: is_safe(system), "a safe machine")
 
 
+@pytest.mark.slow
 def test_without_after_there_is_nothing_to_stop_but_values_to_set(tuner, system):
     run = {**guarded_tuner.GUARDED["run"], "after": [], "abort_when": ""}
     made = tuner(run=run)
@@ -427,6 +441,7 @@ def test_without_after_there_is_nothing_to_stop_but_values_to_set(tuner, system)
     assert system.setpoint == 1.0
 
 
+@pytest.mark.slow
 def test_a_condition_that_cannot_be_known_stops_nothing(tuner, system):
     run = {**guarded_tuner.GUARDED["run"], "end": {"when": "t > 0.3"}}
     run["abort_when"] = "log(-1 - abs(angle)) > 0"
@@ -435,6 +450,7 @@ def test_a_condition_that_cannot_be_known_stops_nothing(tuner, system):
     assert made.acts == []
 
 
+@pytest.mark.slow
 def test_a_stop_message_that_nobody_hears(tuner, system):
     step = {
         "publish": {"topic": "nobody", "message": {"data": 0.0}, "type": "std_msgs/msg/Float64"}
@@ -448,6 +464,7 @@ def test_a_stop_message_that_nobody_hears(tuner, system):
     assert gain(system) == 0.5
 
 
+@pytest.mark.slow
 def test_an_apply_that_is_killed_gives_back_what_the_node_had(system, tmp_path):
     """It is killed while the node is about to take the value."""
     made = study(run={"before": []}, budget=INITIAL)
@@ -475,6 +492,7 @@ def test_an_apply_that_is_killed_gives_back_what_the_node_had(system, tmp_path):
     assert record.trials[1].parameters["gain"] != 0.375
 
 
+@pytest.mark.slow
 def test_a_check_that_is_killed_leaves_the_machine_safe(system, tmp_path):
     changes = guarded_tuner.GUARDED
     (tmp_path / "servo.yaml").write_text(study_to_yaml(study(**changes)))
@@ -485,6 +503,7 @@ def test_a_check_that_is_killed_leaves_the_machine_safe(system, tmp_path):
     wait_until(lambda: is_safe(system), "a safe machine")
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_says_so_when_it_goes_on(system, tmp_path):
     """Of the guard's act the record tells, the terminal and the report."""
     changes = guarded_tuner.GUARDED | {"budget": INITIAL | {"trials": 3, "validation_draws": 2}}
@@ -507,6 +526,7 @@ def test_a_run_that_was_killed_says_so_when_it_goes_on(system, tmp_path):
     assert "the guard has stopped the machine" in (runs / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_waits_until_somebody_lets_it_go_on(
     long_lease, system, peer, tmp_path
 ):
@@ -582,6 +602,7 @@ def standing(ros_environment, tmp_path):
         guard.process.stdout.close()
 
 
+@pytest.mark.slow
 def test_a_guard_near_the_machine_is_found_and_outlives_tuners(tuner, system, standing):
     guard = standing()
     guard.ready()
@@ -600,6 +621,7 @@ def test_a_guard_of_another_study_is_refused(tuner, standing):
     assert made.expect("error").startswith("the guard of /servo is one of study servo, with other")
 
 
+@pytest.mark.slow
 def test_two_guards_of_one_node_are_refused(system, standing):
     standing().ready()
     second = standing()
@@ -610,6 +632,7 @@ def test_two_guards_of_one_node_are_refused(system, standing):
     )
 
 
+@pytest.mark.slow
 def test_a_second_guard_is_refused_also_while_the_first_waits_for_the_node(standing):
     """Started at the same time: one of them stays."""
     guards = [standing(), standing()]
@@ -618,6 +641,7 @@ def test_a_second_guard_is_refused_also_while_the_first_waits_for_the_node(stand
     assert "error: /servo has a guard already, of study servo; end that one first\n" in lines
 
 
+@pytest.mark.slow
 def test_a_guard_whose_output_nobody_reads_acts_all_the_same(tuner, system, standing):
     guard = standing()
     guard.ready()
@@ -629,6 +653,7 @@ def test_a_guard_whose_output_nobody_reads_acts_all_the_same(tuner, system, stan
     assert guard.process.poll() is None
 
 
+@pytest.mark.slow
 def test_a_guard_that_does_not_hear_the_tuner_keeps_the_run_from_beginning(tuner, peer):
     """As over a network that carries messages one way only."""
     plan = Plan.of(study(**guarded_tuner.GUARDED))
@@ -640,6 +665,7 @@ def test_a_guard_that_does_not_hear_the_tuner_keeps_the_run_from_beginning(tuner
     assert made.expect("error").startswith("the guard of the nodes does not hear this tuner")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text", ["", "[", "7", '{"guard": 7}', str(State([], 1, {}, "servo", 5, stands="yes"))]
 )

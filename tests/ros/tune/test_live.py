@@ -12,7 +12,7 @@ from waiting import count_in
 
 from bo_tuner.package_files import config_directory
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 CONFIG = config_directory()
 HEADLINES = ("objective", "best_objective", "probability_feasible", "worst_case")

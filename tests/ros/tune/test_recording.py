@@ -149,6 +149,7 @@ def killed_with_a_bag_in_the_making(command):
     return partial_bags(bags)
 
 
+@pytest.mark.slow
 def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, tmp_path):
     # The kill may come after the end of that bag, and before the first notes of the next.
     for attempt in range(10):
@@ -171,6 +172,7 @@ def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, tmp_path):
     assert whole > 0
 
 
+@pytest.mark.slow
 def test_a_failed_trial_is_kept(tune):
     """Every trial fails: what the tuner sees of it is all there is."""
     command = tune(
@@ -184,6 +186,7 @@ def test_a_failed_trial_is_kept(tune):
         assert "reason" in data
 
 
+@pytest.mark.slow
 def test_an_unwritable_folder_ends_the_recording_only(tune):
     command = tune(study=small_study(3), AMENT_PREFIX_PATH="")
     command.wait_for(lambda: (command.run_folder / "bags").is_dir(), "the folder of bags")

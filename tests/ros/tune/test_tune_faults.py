@@ -9,7 +9,7 @@ from waiting import count_in
 
 from bo_tuner.trials import EvaluationState, TrialState
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 class TestBadInput:

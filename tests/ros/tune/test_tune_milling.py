@@ -98,6 +98,7 @@ class TestRun:
 
 
 class TestRecovery:
+    @pytest.mark.slow
     def test_killed_nodes_are_replaced(self, tune):
         """Each in turn; the evaluation at hand is lost, with the reason, and run again."""
         command = tune(study=small_study(6), AMENT_PREFIX_PATH="")
@@ -110,6 +111,7 @@ class TestRecovery:
         assert lost == [f"{name} was ended by SIGKILL" for name in NODES[::-1]]
         assert [trial.ending for trial in command.trials()] == ["complete"] * 6
 
+    @pytest.mark.slow
     def test_a_frozen_controller_is_replaced(self, tune):
         """The plant misses its command and fails the cut, but it is the controller that is lost."""
         command = tune(
@@ -122,6 +124,7 @@ class TestRecovery:
         (lost,) = command.lost()
         assert lost.outcome.reason.startswith("mpc_controller does not answer ")
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("signum", "code"),
         [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
@@ -137,6 +140,7 @@ class TestRecovery:
         assert (command.run_folder / "trials.csv").exists()
 
 
+@pytest.mark.slow
 def test_attached_to_nodes_that_run(tune, start_node, peer):
     for node in NODES:
         start_node(node)

@@ -12,7 +12,7 @@ from bo_tuner.backends.ros.suspension import LONGEST
 from bo_tuner.study.study_file import load_study, study_to_mapping
 from bo_tuner.trials import EvaluationState
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 NODES = ("milling_plant", "mpc_controller")
 SET = {

@@ -1,4 +1,3 @@
-import hashlib
 import platform
 import subprocess
 import sys
@@ -91,13 +90,6 @@ def test_commit_tells_whether_it_holds_the_code(toolbox):
     (toolbox / "near.py").write_text(FILES["near.py"] + "# changed\n")
     forget()
     assert provenance.commit(["toolbox.root"]) == f"{head} with 1 changed files"
-
-
-def test_blob_is_the_name_that_git_gives(toolbox):
-    git(toolbox, "init", "--quiet")
-    named = git(toolbox, "hash-object", "root.py")
-    assert provenance._blob(toolbox / "root.py") == named
-    assert hashlib.sha1(b"blob 0\0").hexdigest() == provenance._blob(toolbox / "unused.py")
 
 
 def test_commit_is_unknown_without_a_repository(toolbox, tmp_path, monkeypatch):

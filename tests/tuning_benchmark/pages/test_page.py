@@ -2,62 +2,98 @@
 
 import dataclasses
 
+import pytest
+from markdown_tables import columns_of
+
 from tuning_benchmark.experiments.experiment import Cost, Experiment, Row
 from tuning_benchmark.pages import page
 
 
-def test_the_page_begins_with_what_was_found(make_case, record, answer):
-    rows = {name: Row(name=name, algorithm="IV") for name in "ABC"}
-    case = make_case(rows=rows, runs=2)
-    kept, broken = answer(), answer()
+@pytest.fixture
+def campaign(make_case, record, answer):
+    """Function that makes a campaign of one case, whose rows all have the same answers."""
+
+    def make(rows, runs=1, **fields):
+        case = make_case(rows=rows, runs=runs, **fields)
+        done = {f"run/c/{n}/{s}": record(answer()) for n in rows for s in range(1, runs + 1)}
+        experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
+        return page.Campaign(experiment, done, argument="./e.yaml", records="records/e.jsonl")
+
+    return make
+
+
+def rows_named(names):
+    return {name: Row(name=name, algorithm="IV") for name in names}
+
+
+def test_a_question_begins_with_what_was_found(campaign, record, answer):
+    made = campaign(rows_named("ABC"), runs=2)
+    kept, broken, better = answer(), answer(), answer()
     broken["truth"] = broken["truth"] | {"feasible": False}
-    better = answer()
     better["truth"] = better["truth"] | {"objective": 0.5 * kept["truth"]["objective"]}
     answers = {"A": [kept, kept], "B": [better, better], "C": [kept, broken]}
-    done = {
-        f"run/c/{name}/{seed}": record(answers[name][seed - 1]) for name in rows for seed in (1, 2)
-    }
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
-    text = page.markdown(page.sections(experiment, done), "Results", "Introduction.")
+    for name, two in answers.items():
+        made.done.update({f"run/c/{name}/{seed + 1}": record(two[seed]) for seed in (0, 1)})
     best, common = better["truth"]["objective"], kept["truth"]["objective"]
-    assert text.splitlines()[4] == (
-        f"- {case.title}: B, 2 of 2 answers truly feasible, mean objective {best:.4g}; next "
-        f"A, 2 of 2 answers truly feasible, mean objective {common:.4g}; fewest feasible: C, "
-        "1 of 2."
+    assert page.sections(made)[0].text.splitlines()[0] == (
+        f"B, 2 of 2 answers truly feasible, mean objective {best:.4g}; next A, 2 of 2 answers "
+        f"truly feasible, mean objective {common:.4g}; fewest feasible: C, 1 of 2."
     )
 
 
-def test_a_page_tells_protocols_and_marks_remarks(make_case, record, answer):
+def test_a_question_has_one_table_and_its_origin(campaign):
+    (section,) = page.sections(campaign(rows_named("AB"), runs=2))
+    assert sum(line.startswith("| ---") for line in section.text.splitlines()) == 1
+    assert section.text.splitlines()[-1] == (
+        "*`benchmark --experiment ./e.yaml`, commit c0ffee, seeds 1 to 2, m, 2026-01-01, "
+        "[records](records/e.jsonl).*"
+    )
+
+
+@pytest.mark.parametrize(("names", "drawn"), [("A", 0), ("AB", 1), ("ABCDE", 1), ("ABCDEF", 0)])
+def test_a_figure_compares_as_many_rows_as_can_be_told_apart(campaign, names, drawn):
+    (section,) = page.sections(campaign(rows_named(names)))
+    assert len(section.figures) == section.text.count("![") == drawn
+
+
+def test_a_page_tells_protocols_and_remarks(campaign, answer):
     rows = {
         "A": Row(name="A", algorithm="IV"),
         "drawn": Row(name="drawn", optimizer="valley:Draws", protocol="random", contexts=3),
         "lent": Row(name="lent", optimizer="valley:Draws"),
     }
-    case = make_case(rows=rows, runs=1, remarks="So it is.")
-    done = {f"run/c/{name}/1": record(answer()) for name in rows}
-    done["run/c/lent/1"]["result"]["ranked"] = {"trial": 1, "truth": answer()["truth"]}
-
-    def text(case):
-        experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
-        return page.sections(experiment, done)[0].text
-
-    whole = text(case)
-    assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in whole
-    assert "*Worst case*: the trial is evaluated as in Algorithm IV" in whole
-    assert "Remarks on the published campaign, written by hand:\n\nSo it is." in whole
-    assert "This separates the search from the final" in whole
-    alone = text(make_case(rows={"A": rows["A"]}, runs=1))
-    for words in ("*Random*", "*Worst case*", "Remarks", "separates"):
-        assert words not in alone
+    (whole,) = page.sections(campaign(rows, remarks="So it is."))
+    assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in whole.text
+    assert "*Worst case*: the trial is evaluated as in Algorithm IV" in whole.text
+    assert "\n\nSo it is.\n\n" in whole.text
+    (alone,) = page.sections(campaign({"A": rows["A"]}))
+    for words in ("*Random*", "*Worst case*"):
+        assert words not in alone.text
 
 
-def test_every_task_that_failed_is_listed_once(make_case, record, answer):
-    case = make_case(rows={"A": Row(name="A", algorithm="IV")}, runs=2)
+def test_what_the_paper_says_is_beside_what_came_out(campaign):
+    rows = {"A": Row(name="A", algorithm="IV", published={"runs": 10, "objective": 0.25})}
+    (section,) = page.sections(campaign(rows))
+    table = "\n".join(line for line in section.text.splitlines() if line.startswith("|"))
+    cells = columns_of(table)
+    assert cells["validated objective, paper"] == "0.25"
+    assert cells["validated objective, here"] == "1.0000"
+
+
+def test_every_task_that_failed_is_listed_once(campaign, record):
+    made = campaign(rows_named("A"), runs=2)
     failed = record(None) | {"failed": "ValueError: odd", "result": None}
     names = ["run/c/A/2", "cost/2/1"]
-    done = {"run/c/A/1": record(answer())} | dict.fromkeys(names, failed)
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
-    experiment = dataclasses.replace(experiment, cost=Cost(dimensions=(2,), seeds=1))
-    text = page.markdown(page.sections(experiment, done), "Results", "Introduction.")
+    made.done.update(dict.fromkeys(names, failed))
+    experiment = dataclasses.replace(made.experiment, cost=Cost(dimensions=(2,), seeds=1))
+    made = dataclasses.replace(made, experiment=experiment)
+    text = page.markdown(page.sections(made), [made], "Results", "Introduction.")
     for name in names:
         assert text.count(f"- {name}: ValueError: odd") == 1
+
+
+def test_the_tables_have_the_choice_of_our_rule_among_the_trials_of_others(campaign, answer):
+    made = campaign({"lent": Row(name="lent", optimizer="valley:Draws")})
+    made.done["run/c/lent/1"]["result"]["ranked"] = {"trial": 1, "truth": answer()["truth"]}
+    text = page.numbers(made.experiment, made.done)
+    assert "Algorithm IV's choice, truly feasible" in text

@@ -1,5 +1,7 @@
 """``benchmark``: a campaign of many runs, judged by the truth, as one results page."""
 
+import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +20,9 @@ from tuning_benchmark.campaign.tasks import Task, tasks_of
 from tuning_benchmark.experiments import plugins
 from tuning_benchmark.experiments.experiment import Experiment
 from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
-from tuning_benchmark.pages import page
+from tuning_benchmark.pages import fronts, page
 from tuning_benchmark.pages.partial import on_record
+from tuning_benchmark.pages.published import publish
 
 DESCRIPTION = """\
 Run the algorithms of the paper, or other optimizers, many times on a study,
@@ -85,6 +88,13 @@ def make_parser() -> Parser:
         "tcp://host:port; workers need one thread each and the same packages",
     )
     parser.add_argument(
+        "--publish",
+        type=Path,
+        metavar="DIR",
+        help="write the records there, too, reduced to what the page and its tables show; the page "
+        "links to these",
+    )
+    parser.add_argument(
         "--page-only",
         action="store_true",
         help="write the page from the records so far, from any version of the code",
@@ -103,7 +113,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if arguments.cluster and (not found or scheme not in ("dask", "tcp")):
         parser.error("--cluster: expected dask://host:port or tcp://host:port")
     folder = arguments.records or arguments.output
-    experiments = [load_experiment(name) for name in arguments.experiment or ["paper"]]
+    chosen = arguments.experiment or ["paper"]
+    experiments = [load_experiment(name) for name in chosen]
     names = [experiment.name for experiment in experiments]
     for name in names:
         if names.count(name) > 1:
@@ -132,7 +143,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             except Interrupted:
                 _tell(f"finished tasks are on record in {folder}; the same command resumes")
                 raise
-    return _write(experiments, records, arguments.output)
+    campaigns = []
+    shown = arguments.publish or folder
+    for whole, name, recorded in zip(experiments, chosen, records, strict=True):
+        experiment, missing = on_record(whole, recorded.done)
+        path = shown / f"{experiment.name}.jsonl"
+        if arguments.publish:
+            publish(experiment, recorded.done, path)
+        link = _link(path, arguments.output)
+        campaigns.append(page.Campaign(experiment, recorded.done, missing, name, link))
+    return _write(campaigns, _fronts(folder, shown, arguments.output), arguments.output)
 
 
 def _check_plugins(experiment: Experiment) -> None:
@@ -172,19 +192,38 @@ def _carry_out(
         )
 
 
-def _write(experiments: Sequence[Experiment], records: Sequence[Records], output: Path) -> int:
+def _link(path: Path, output: Path) -> str:
+    """Return a path relative to the page."""
+    return Path(os.path.relpath(path, output)).as_posix()
+
+
+def _fronts(folder: Path, shown: Path, output: Path) -> list[page.Section]:
+    """Lay out the comparison of Pareto fronts, if its record is beside the others."""
+    path = folder / fronts.RECORD
+    if not path.exists():
+        return []
+    text = path.read_text(encoding="utf-8")
+    if shown != folder:
+        write_atomically(shown / fronts.RECORD, text)
+    return [fronts.section(json.loads(text), _link(shown / fronts.RECORD, output))]
+
+
+def _write(
+    campaigns: Sequence[page.Campaign], further: Sequence[page.Section], output: Path
+) -> int:
     parts = []
     failed: dict[str, str] = {}
-    for whole, recorded in zip(experiments, records, strict=True):
-        experiment, missing = on_record(whole, recorded.done)
-        parts += page.sections(experiment, recorded.done, missing)
-        failed |= {k: r["failed"] for k, r in recorded.done.items() if r["failed"]}
-        print(page.numbers(experiment, recorded.done))
+    for campaign in campaigns:
+        parts += page.sections(campaign)
+        failed |= {k: r["failed"] for k, r in campaign.done.items() if r["failed"]}
+        print(page.numbers(campaign.experiment, campaign.done))
     for part in parts:
         for figure in part.figures:
-            write_figure(figure, output / page.FOLDER)
-    first = experiments[0]
-    text = page.markdown(parts, first.title or first.name, first.description)
+            write_figure(figure, output / page.FOLDER, [page.FORMAT])
+    first = campaigns[0].experiment
+    text = page.markdown(
+        [*parts, *further], campaigns, first.title or first.name, first.description
+    )
     _tell(f"page: {write_atomically(output / PAGE, text)}")
     for name, reason in failed.items():
         _tell(f"{name} failed: {reason}")

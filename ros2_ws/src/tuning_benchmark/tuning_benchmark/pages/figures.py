@@ -27,7 +27,7 @@ from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
 from tuning_benchmark.pages.tables import costs
 
 COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION)
-"""Of the rows in one panel; with more rows than these, each has a panel of its own."""
+"""Of the rows; more than these are not told apart in one panel."""
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT, Dash.DASHED)
 
 STEPS = 120
@@ -38,9 +38,6 @@ QUARTILES = (25, 50, 75)
 HEADROOM = 1.15
 SETTLED = 0.25
 """Part of the budget after which a line must fit into its panel; before, incumbents are poor."""
-
-COLUMNS = (3, 4)
-"""Of panels of single rows; that which leaves the fewest places empty is taken."""
 
 
 def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | None) -> Figure:
@@ -64,43 +61,27 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
     medians = [_medians(row) for row in found]
     y = Axis(label=label, unit=unit, limits=_limits(medians, case.study.objective.scale == LOG))
     x = Axis(label="evaluations", limits=(0.0, float(evaluations[-1])))
-    many = len(summaries) > len(COLORS)
-    reading = (
-        "median and quartiles of the true objective of the incumbent, the solution that a run "
-        "predicts to be its best feasible one, over the runs where it is truly feasible"
-    )
-    if many:
-        # With the fewest gaps in its line.
-        compared = max(range(len(found)), key=lambda k: sum(map(len, found[k])))
-        panels = _panels_of_rows(summaries, evaluations, medians, compared, x, y)
-        columns = min(COLUMNS, key=lambda count: (-len(panels) % count, -count))
-        caption = (
-            f"Each row by itself: {reading}; dashed, the median of "
-            f"{summaries[compared].row.name} for comparison. The title counts the runs whose "
-            "incumbent is truly feasible in the end."
-        )
-    else:
-        shares = [np.array([len(values) / case.runs for values in row]) for row in found]
-        panels = _panels_of_all(summaries, evaluations, medians, shares, x, y)
-        columns = 2
-        caption = f"Left: {reading}. Right: share of the runs whose incumbent is truly feasible."
+    shares = [np.array([len(values) / case.runs for values in row]) for row in found]
     return Figure(
         name=f"convergence-{case.name}",
         title=f"Incumbents, {case.title}",
         caption=(
-            f"{caption} What lies beyond the axis is poorer. The truth is over "
+            "Left: median and quartiles of the true objective of the incumbent, the solution that "
+            "a run predicts to be its best feasible one, over the runs where it is truly feasible. "
+            "Right: share of the runs whose incumbent is truly feasible. What lies beyond the axis "
+            "is poorer. The truth is over "
             f"{Effort().drawn} drawn contexts, not over 25 draws as in the paper; the chance "
             f"constraints of incumbents are judged by {FEW_REAL_EVALUATIONS} evaluations on the "
             f"real objects, those of answers by {Effort().real_evaluations}."
         ),
         alternative="Lines that fall towards the optimum; the table below has the numbers.",
-        panels=panels,
-        columns=columns,
-        panel_height=220 if many else 320,
+        panels=_panels(summaries, evaluations, medians, shares, x, y),
+        columns=2,
+        panel_height=320,
     )
 
 
-def _panels_of_all(
+def _panels(
     summaries: Sequence[RowSummary],
     evaluations: Array,
     medians: Sequence[Array],
@@ -121,36 +102,6 @@ def _panels_of_all(
         Panel(x=x, y=y, elements=quality),
         Panel(x=x, y=Axis(label="runs truly feasible", limits=(0.0, 1.05)), elements=feasible),
     ]
-
-
-def _panels_of_rows(
-    summaries: Sequence[RowSummary],
-    evaluations: Array,
-    medians: Sequence[Array],
-    compared: int,
-    x: Axis,
-    y: Axis,
-) -> list[Panel]:
-    """Draw each row in a panel of its own, beside the one with index `compared`."""
-    reference = Line(
-        x=evaluations,
-        y=medians[compared][1],
-        name=summaries[compared].row.name,
-        color=Color.INK,
-        dash=Dash.DASHED,
-    )
-    panels = []
-    for s, (low, middle, high) in zip(summaries, medians, strict=True):
-        elements: list[Element] = [
-            Band(x=evaluations, lower=low, upper=high, color=Color.BLUE),
-            Line(x=evaluations, y=middle, name="the row of the title", color=Color.BLUE),
-        ]
-        if s is not summaries[compared]:
-            elements.append(reference)
-        ends = feasible_at(s.results.values(), int(evaluations[-1]))
-        title = f"{s.row.name}: {len(ends)} of {len(s.results)}"
-        panels.append(Panel(x=x, y=y, elements=elements, title=title))
-    return panels
 
 
 def _limits(medians: Sequence[Array], logarithmic: bool) -> tuple[float, float] | None:

@@ -52,7 +52,7 @@ def in_brief(case: Case, summaries: Sequence[RowSummary]) -> str:
         key=lambda s: (-s.feasible.value, sign * s.objective.value if s.objective.count else 0.0),
     )
     best, *others = order
-    said = f"{case.title}: {_answers(best)}"
+    said = _answers(best)
     if others:
         said += f"; next {_answers(others[0])}"
     last = order[-1]

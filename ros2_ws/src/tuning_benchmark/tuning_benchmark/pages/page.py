@@ -1,6 +1,9 @@
-"""The results page of a campaign: Markdown with its figures beside it."""
+"""The results page of a campaign: Markdown with its figures beside it.
 
-from collections.abc import Mapping, Sequence
+One table for each question; what else is known of a case is in `numbers`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
@@ -14,6 +17,8 @@ from tuning_benchmark.experiments.experiment import (
 )
 from tuning_benchmark.experiments.task_names import (
     CALIBRATION,
+    cost_task,
+    point_task,
     run_task,
     surrogates_task,
     truth_task,
@@ -22,48 +27,51 @@ from tuning_benchmark.pages import figures, findings, tables
 from tuning_benchmark.pages.field_figure import field_figure
 from tuning_benchmark.pages.summary import Record, RowSummary, summarize
 
-FOLDER = "figures"
+FOLDER, FORMAT = "figures", "svg"
+COMMIT_DIGITS = 10
 
 LEGEND = """\
-How to read the tables. *Held in validation*: the run called its answer feasible, and 25 fresh
-draws showed no violation. *Truly feasible*: in each context of a grid over the whole box the limit
-is kept by the mean over noise, or by a single run with the limit's probability where the case has
-one and its remarks do not say otherwise, and evaluations on the real objects satisfy the chance
-constraints.
-*Validated objective* and *validated - training* are over all answers; training is the mean of the
-answer's evaluations during tuning. The *true objective* is the mean over 600 drawn contexts.
-*Narrow*: one step of an integer worsens the objective, or exceeds the limit, by more than a fifth.
-In brackets: 95 % confidence intervals, Clopper-Pearson for shares, Student's t for means.
-Differences between rows are taken between runs with the same seed, which share their initial
-samples and their validation draws. *Compatible*: Fisher's exact test finds no difference between
-the paper's counts and ours (p at least 0.05), which does not prove them equal. Differences below
-0.005 in the paper are not judged.
-"""
-
-REMARKS = "Remarks on the published campaign, written by hand:"
-
-CHOICES = """\
-The choice of Algorithm IV's rule (the posterior mean of its surrogates, without its checks) among
-the same trials, beside the choice of each optimizer. This separates the search from the final
-choice. The table counts the truly feasible choices and gives their mean true objective:
+How to read the tables. *Truly feasible*: in each context of a grid over the whole box the limit is
+kept by the mean over noise, or by a single run with the limit's probability where the case has one
+and its remarks do not say otherwise, and evaluations on the real objects satisfy the chance
+constraints. *Held*: the run called its answer feasible, and 25 fresh draws showed no violation.
+*Objective*: true mean over 600 drawn contexts, of the truly feasible answers. *Regret at equal
+margin*: their distance to the lowest objective of any parameter set whose worst case is as large as
+the answer's own, so that an answer is not blamed for its margin; the frontier of a grid is known
+between few points only, and an answer may lie below it. *Within the limit*: share of runs in the
+answer's worst context, mean and lowest over all answers. *Near*: runs whose incumbent was truly
+feasible and within 5 % of the optimum for good, and the median of the evaluations until then; a run
+that never was counts as longer than any other. *Evaluations*: mean of the trials + checks.
+*Against*: the seeds with a truly feasible answer in this row only : in the first row only, with the
+exact test of McNemar (1947), and the difference of the objective where both have one; runs with the
+same seed share their initial samples and their validation draws. In brackets: 95 % confidence
+intervals, Clopper-Pearson for shares, Student's t for means.
 """
 
 
-FAIR = """\
-Against what is known of the optimum. *Regret at equal margin*: distance of the truly feasible
-answers to the lowest objective of any parameter set whose worst case is as large as the answer's
-own, so that an answer is not blamed for its margin; it needs the frontier of the problem. That of
-a grid is known between few points, and an answer may lie below it.
-*Realized probability*: share of runs within the limit in the answer's worst context, mean and
-lowest over all answers. *Near*: evaluations until the incumbent was truly feasible and within 5 %
-of the optimum for good; the median counts a run that never was as longer than any other.
-"""
+@dataclass(frozen=True)
+class Campaign:
+    """An experiment with what is on record of it.
 
-PAIRED = """\
-Compared pairwise, by seed, with the first row: the runs in which only one of both has a truly
-feasible answer, with the exact test of McNemar (1947), and the differences where both have one,
-first mean and interval of the true objective, then of the regret at equal margin:
-"""
+    Attributes
+    ----------
+    experiment
+        As far as it is on record.
+    done
+        Its records by task.
+    missing
+        What is not on record yet, in words.
+    argument
+        How the option ``--experiment`` names it.
+    records
+        Path of the file of its records, relative to the page.
+    """
+
+    experiment: Experiment
+    done: Mapping[str, Record]
+    missing: Sequence[str] = ()
+    argument: str = ""
+    records: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,44 +86,42 @@ class Section:
         What stands below, in Markdown; the figures are linked in it.
     figures
         Files beside the page.
-    brief
-        What was found, in a line for the head of the page; empty if nothing was.
     """
 
     title: str
     text: str
     figures: tuple[Figure, ...] = ()
-    brief: str = ""
 
 
-def sections(
-    experiment: Experiment, done: Mapping[str, Record], missing: Sequence[str] = ()
-) -> list[Section]:
-    """Lay out a campaign; `missing` lists what is not on record yet."""
+def sections(campaign: Campaign) -> list[Section]:
+    """Lay out a campaign: a section for each question, with its origin at the end."""
+    experiment, done = campaign.experiment, campaign.done
     parts = []
     for case in experiment.cases.values():
         summaries = summaries_of(experiment, case, done)
-        parts.append(_case(experiment, case, summaries, done))
+        parts.append(_case(campaign, case, summaries))
         if case.points:
-            text = _points(case, summaries, done)
-            title = f"{case.title}: the best parameter sets and their neighbours"
-            parts.append(Section(title, text))
+            parts.append(_points(campaign, case))
         if case.surrogates is not None:
-            parts.append(_fields(case, case.surrogates, done))
+            parts.append(_fields(campaign, case, case.surrogates))
     if experiment.calibration is not None and not done[CALIBRATION]["failed"]:
         figure, text = figures.calibration(experiment.calibration, done[CALIBRATION]["result"])
-        parts.append(
-            Section(
-                "The model of the computing time",
-                _with(text, figure) if figure else text,
-                (figure,) if figure else (),
-            )
-        )
+        text = _with(text, figure) if figure else text
+        text = f"{text}\n\n{_origin(campaign, [done[CALIBRATION]])}"
+        parts.append(Section("The model of the computing time", text, (figure,) if figure else ()))
     if experiment.cost is not None:
-        figure, text = figures.cost_scaling(experiment.cost, done)
-        text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment.cost, done)}"
+        cost = experiment.cost
+        figure, text = figures.cost_scaling(cost, done)
+        seeds = range(1, cost.seeds + 1)
+        measured = [done[cost_task(d, seed)] for d in cost.dimensions for seed in seeds]
+        text = "\n\n".join(
+            [
+                _with(text, figure),
+                tables.cost_table(cost, done),
+                _origin(campaign, measured, cost.seeds),
+            ]
+        )
         parts.append(Section("Cost of a run", text, (figure,)))
-    parts.append(Section(f"Provenance of {experiment.name}", provenance(experiment, done, missing)))
     return parts
 
 
@@ -127,68 +133,78 @@ def summaries_of(
     return [summarize(case, row, done, optimum) for row in case.rows.values()]
 
 
-def markdown(parts: Sequence[Section], title: str, introduction: str) -> str:
+def markdown(
+    parts: Sequence[Section], campaigns: Sequence[Campaign], title: str, introduction: str
+) -> str:
     """Text of the page."""
-    brief = [f"- {part.brief}" for part in parts if part.brief]
-    text = [f"# {title}"]
-    if brief:
-        text += ["What was found, case by case:", "\n".join(brief)]
-    text += [introduction.strip(), LEGEND.strip()]
+    text = [f"# {title}", introduction.strip(), LEGEND.strip()]
     for part in parts:
         text += [f"## {part.title}", part.text.strip()]
+    text.append("## Provenance")
+    for campaign in campaigns:
+        text += [f"Experiment `{campaign.experiment.name}`:", provenance(campaign)]
     return "\n\n".join(text) + "\n"
 
 
 def numbers(experiment: Experiment, done: Mapping[str, Record]) -> str:
-    """Tables of all cases, without measured times: the same whenever the campaign is repeated."""
+    """All tables of all cases, without measured times: the same if the campaign is repeated."""
     text = []
     for case in experiment.cases.values():
         summaries = summaries_of(experiment, case, done)
-        text += [case.title, tables.comparison_table(case, summaries)]
-        text.append(tables.convergence_table(case, summaries))
+        said = findings.beside_the_paper(case, summaries) + findings.beside_others(case, summaries)
+        text += [
+            case.title,
+            tables.comparison_table(case, summaries),
+            tables.published_table(summaries),
+            tables.fair_table(case, summaries),
+            tables.paired_table(case, summaries),
+            tables.ranked_table(case, summaries),
+            tables.convergence_table(case, summaries),
+            "\n".join(f"- {sentence}" for sentence in said),
+        ]
         if case.points:
             text.append(tables.neighbourhood_table(case, summaries, done))
-    return "\n\n".join(text)
+    return "\n\n".join(part for part in text if part)
 
 
-def _case(
-    experiment: Experiment,
-    case: Case,
-    summaries: Sequence[RowSummary],
-    done: Mapping[str, Record],
-) -> Section:
-    study, optimum = case.study, experiment.optimum(case.study)
+def _case(campaign: Campaign, case: Case, summaries: Sequence[RowSummary]) -> Section:
+    study, optimum = case.study, campaign.experiment.optimum(case.study)
     initial = case.initial_trials or study.budget.initial_trials
     text = [
+        findings.in_brief(case, summaries),
         f"{case.runs} {'run' if case.runs == 1 else 'runs'} of each row on the study "
-        f"`{study.name}`; runs with the same seed share their {initial} initial samples. A run "
-        f"ends with the trial that reaches {case.evaluations} evaluations{_exceptions(case)}; "
-        f"{_kept(case)}.",
+        f"`{study.name}`, from {initial} initial samples. A run ends with the trial that reaches "
+        f"{case.evaluations} evaluations{_exceptions(case)}; {_kept(case)}.",
         *_protocols(case),
-        tables.comparison_table(case, summaries),
+        tables.overview_table(case, summaries),
     ]
-    ranked = tables.ranked_table(case, summaries)
-    if ranked:
-        text += [CHOICES.strip(), ranked]
-    published = tables.published_table(summaries)
-    if published:
-        text += ["The paper's numbers beside ours:", published]
-    fair = tables.fair_table(case, summaries)
-    paired = tables.paired_table(case, summaries)
-    text += [FAIR.strip(), fair] if fair else []
-    text += [PAIRED.strip(), paired] if paired else []
-    said = findings.beside_the_paper(case, summaries) + findings.beside_others(case, summaries)
-    if said:
-        text.append("\n".join(f"- {sentence}" for sentence in said))
     if case.remarks:
-        text += [REMARKS, case.remarks.strip()]
-    figure = figures.convergence(case, summaries, None if optimum is None else optimum.objective)
-    text += [
-        _with("Truly feasible incumbents during the runs, and their objective:", figure),
-        tables.convergence_table(case, summaries),
+        text.append(case.remarks.strip())
+    drawn: tuple[Figure, ...] = ()
+    # A single row is compared with nothing, and more than these are not told apart.
+    if 1 < len(summaries) <= len(figures.COLORS):
+        drawn = (
+            figures.convergence(case, summaries, None if optimum is None else optimum.objective),
+        )
+        text.append(_with("", *drawn))
+    text.append(_origin(campaign, _runs(case, campaign.done), case.runs))
+    return Section(case.title, "\n\n".join(text), drawn)
+
+
+def _origin(campaign: Campaign, records: Iterable[Record], seeds: int = 0) -> str:
+    """Say where figures come from: command, commit, seeds, machine and days, and their records."""
+    abouts = [record["about"] for record in records]
+    commits, machines = ({str(about[key]) for about in abouts} for key in ("commit", "machine"))
+    days = sorted({about["date"][:10] for about in abouts})
+    parts = [
+        f"`benchmark --experiment {campaign.argument}`",
+        f"commit {', '.join(sorted(commit[:COMMIT_DIGITS] for commit in commits))}",
+        *([f"seeds 1 to {seeds}"] if seeds > 1 else ["seed 1"] if seeds else []),
+        "; ".join(sorted(machines)),
+        " to ".join(dict.fromkeys((days[0], days[-1]))),
+        f"[records]({campaign.records})",
     ]
-    brief = findings.in_brief(case, summaries)
-    return Section(case.title, "\n\n".join(text), (figure,), brief)
+    return f"*{', '.join(parts)}.*"
 
 
 def _protocols(case: Case) -> list[str]:
@@ -209,14 +225,17 @@ def _protocols(case: Case) -> list[str]:
             "*Worst case*: the trial is evaluated as in Algorithm IV, in drawn contexts and then "
             "by our search for the worst context."
         )
-    return [" ".join(text)]
+    return [" ".join(text)] if text else []
 
 
-def _points(case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]) -> str:
-    """Lay out the judged parameter sets, compared with the paper."""
-    table = tables.neighbourhood_table(case, summaries, done)
+def _points(campaign: Campaign, case: Case) -> Section:
+    """Lay out the parameter sets that the experiment asks for, compared with the paper."""
+    done = campaign.done
+    judged = [done[point_task(case.name, name)] for name in case.points]
     said = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
-    return f"{table}\n\n{said}".strip()
+    table = tables.neighbourhood_table(case, (), done, neighbours=False)
+    parts = [part for part in (table, said, _origin(campaign, judged)) if part]
+    return Section(f"{case.title}: single parameter sets", "\n\n".join(parts))
 
 
 def _kept(case: Case) -> str:
@@ -236,7 +255,8 @@ def _exceptions(case: Case) -> str:
     return f" ({', '.join(other)})" if other else ""
 
 
-def _fields(case: Case, figure: SurrogateFigure, done: Mapping[str, Record]) -> Section:
+def _fields(campaign: Campaign, case: Case, figure: SurrogateFigure) -> Section:
+    done = campaign.done
     title = f"{case.title}: final surrogates and the truth"
     columns = [done[truth_task(case.name, first)] for first in figure.axes(case.study)[0]]
     record = done[surrogates_task(case.name)]
@@ -244,19 +264,19 @@ def _fields(case: Case, figure: SurrogateFigure, done: Mapping[str, Record]) -> 
     if failed:
         return Section(title, f"No figure: {failed[0]}")
     drawn = field_figure(case, figure, record["result"], [c["result"] for c in columns])
-    return Section(title, _with("", drawn), (drawn,))
+    origin = _origin(campaign, [record, *columns])
+    return Section(title, f"{_with('', drawn)}\n\n{origin}", (drawn,))
 
 
 def _with(text: str, figure: Figure) -> str:
     """Put a figure below a text."""
-    link = f"![{figure.title}]({FOLDER}/{figure.name}.png)"
+    link = f"![{figure.title}]({FOLDER}/{figure.name}.{FORMAT})"
     return f"{text}\n\n{link}\n\n*{figure.caption}*".strip()
 
 
-def provenance(
-    experiment: Experiment, done: Mapping[str, Record], missing: Sequence[str] = ()
-) -> str:
-    """List commits, machines, seeds and durations, what is missing and what failed."""
+def provenance(campaign: Campaign) -> str:
+    """List durations and versions of a campaign, what is missing and what failed."""
+    experiment, done = campaign.experiment, campaign.done
     lines = []
     runs = {name: _runs(case, done) for name, case in experiment.cases.items()}
     results = [r["result"] for records in runs.values() for r in records if r["result"]]
@@ -264,7 +284,6 @@ def provenance(
     in_evaluations = sum(result["seconds"]["cuts"] for result in results)
     optimizer = sum(result["seconds"]["optimizer"] for result in results)
     wall = sum(record["wall_seconds"] for record in done.values())
-    seeds = {case.name: case.runs for case in experiment.cases.values()}
     if in_evaluations > 0.0:
         lines.append(
             f"- {len(results)} runs with {evaluations} evaluations of the trials: "
@@ -272,17 +291,10 @@ def provenance(
             f"took {optimizer / (optimizer + in_evaluations):.0%} of the runs' processor time. "
             f"All tasks: {wall / 60.0:.1f} minutes on one core, with judging."
         )
-    lines += [f"- {_duration(name, records)}" for name, records in runs.items()]
-    lines.append(f"- Seeds: {', '.join(f'{name} 1 to {n}' for name, n in seeds.items())}.")
-    for key, words in (("commit", "Commit"), ("machine", "Machine")):
-        values = sorted({str(record["about"][key]) for record in done.values()})
-        lines.append(f"- {words}: {'; '.join(values)}.")
     versions = {v for record in done.values() for v in record["about"]["versions"].split(", ")}
     lines.append(f"- Versions: {', '.join(sorted(versions, key=str.lower))}.")
-    dates = sorted(record["about"]["date"] for record in done.values())
-    lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
-    if missing:
-        lines.append(f"- **Not on record yet**: {', '.join(missing)}.")
+    if campaign.missing:
+        lines.append(f"- **Not on record yet**: {', '.join(campaign.missing)}.")
     failed = {name: record["failed"] for name, record in done.items() if record["failed"]}
     if failed:
         lines.append("- **Failed tasks**; a run that failed counts as infeasible:")
@@ -294,13 +306,3 @@ def _runs(case: Case, done: Mapping[str, Record]) -> list[Record]:
     """Collect the records of the runs of a case."""
     seeds = range(1, case.runs + 1)
     return [done[run_task(case.name, row, seed)] for row in case.rows for seed in seeds]
-
-
-def _duration(name: str, runs: Sequence[Record]) -> str:
-    """Sum up how long the runs of a case took, independent of the number of processes."""
-    walls = [run["wall_seconds"] for run in runs]
-    return (
-        f"{name}: {len(runs)} {'run' if len(runs) == 1 else 'runs'} took "
-        f"{sum(walls) / 60.0:.1f} minutes, summed over the processes, with evaluations, checks "
-        f"and judging; the longest {max(walls):.0f} s."
-    )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from tuning_benchmark.experiments.experiment import Case, Cost
 from tuning_benchmark.experiments.task_names import cost_task, point_task
 from tuning_benchmark.pages.statistics import Mean, Share, difference, mcnemar, mean
 from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at, is_narrow
+
+Columns = dict[str, Callable[[RowSummary], str]]
+"""Headings of a table of rows, and what a row shows below each."""
 
 MARKS = 4
 """Number of equal parts of the budget after which the convergence table has a column."""
@@ -24,6 +28,63 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Lay out a Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def overview_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Lay out what matters of a case in one table, without columns of which nothing is known."""
+    first = summaries[0]
+    columns: Columns = {
+        "row": lambda s: s.row.name,
+        "truly feasible": lambda s: _share(s.feasible),
+        "objective": lambda s: _mean(s.objective),
+    }
+    if any(s.distance is not None for s in summaries):
+        columns["above the optimum [%]"] = lambda s: _mean(s.distance or mean([]), digits=1)
+    if any(s.regrets for s in summaries):
+        columns["regret at equal margin [%]"] = lambda s: _mean(
+            mean(list(s.regrets.values())), digits=1
+        )
+    if any(s.kept for s in summaries):
+        columns["within the limit"] = _kept
+    if any(s.distance is not None for s in summaries):
+        columns["near"] = lambda s: f"{_near(s)} of {case.runs}, {_until_near(s)}"
+    columns["evaluations"] = _evaluations
+    published = _published(summaries)
+    columns |= published or {"held": lambda s: f"{s.validated.count} of {case.runs}"}
+    if len(summaries) > 1 and not published:
+        columns[f"against {first.row.name}"] = lambda s: "" if s is first else _against(s, first)
+    return markdown(list(columns), [[shown(s) for shown in columns.values()] for s in summaries])
+
+
+def _against(s: RowSummary, first: RowSummary) -> str:
+    """Compare a row with the first one by the runs with the same seed."""
+    change = difference(s.feasible_objectives, first.feasible_objectives)
+    counts = _counts(s, first)
+    return f"{counts}, {_mean(change, signed=True)}" if change.count else counts
+
+
+def _counts(s: RowSummary, first: RowSummary) -> str:
+    """Count the seeds with a feasible answer in one of two rows only, with McNemar's test."""
+    theirs, mine = s.feasible_objectives.keys(), first.feasible_objectives.keys()
+    only, only_first = len(theirs - mine), len(mine - theirs)
+    return f"{only} : {only_first} (p = {mcnemar(only, only_first):.2g})"
+
+
+def _near(s: RowSummary) -> int:
+    """Count the runs that were near the optimum for good."""
+    return int(sum(np.isfinite(list(s.reached.values()))))
+
+
+def _until_near(s: RowSummary) -> str:
+    """Lay out the median of the evaluations until runs were near the optimum for good."""
+    median = float(np.median(list(s.reached.values()))) if s.reached else np.inf
+    return f"{median:.0f}" if np.isfinite(median) else "never"
+
+
+def _kept(s: RowSummary) -> str:
+    """Lay out the share of runs within the limit in the answers' worst contexts."""
+    kept = list(s.kept.values())
+    return f"{np.mean(kept):.3f}, lowest {min(kept):.3f}" if kept else "not judged"
 
 
 def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
@@ -61,18 +122,14 @@ def fair_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     ]  # fmt: skip
     rows = []
     for s in summaries:
-        near = sorted(s.reached.values())
-        count = sum(np.isfinite(near))
-        median = float(np.median(near)) if near else np.inf
-        kept = list(s.kept.values())
         rows.append(
             [
                 s.row.name,
                 _share(s.feasible),
                 _mean(mean(list(s.regrets.values())), digits=1),
-                f"{np.mean(kept):.3f}, lowest {min(kept):.3f}" if kept else "not judged",
-                f"{count} of {case.runs}" if s.distance else "",
-                (f"{median:.0f}" if np.isfinite(median) else "never") if s.distance else "",
+                _kept(s),
+                f"{_near(s)} of {case.runs}" if s.distance else "",
+                _until_near(s) if s.distance else "",
             ]
         )
     return markdown(header, rows)
@@ -83,19 +140,15 @@ def paired_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     if len(summaries) < 2:
         return ""
     first, *others = summaries
-    mine = first.feasible_objectives
-    rows = []
-    for s in others:
-        theirs = s.feasible_objectives
-        only, only_first = len(theirs.keys() - mine.keys()), len(mine.keys() - theirs.keys())
-        rows.append(
-            [
-                s.row.name,
-                f"{only} : {only_first} (p = {mcnemar(only, only_first):.2g})",
-                _mean(difference(theirs, mine), signed=True),
-                _mean(difference(s.regrets, first.regrets), digits=1, signed=True),
-            ]
-        )
+    rows = [
+        [
+            s.row.name,
+            _counts(s, first),
+            _mean(difference(s.feasible_objectives, first.feasible_objectives), signed=True),
+            _mean(difference(s.regrets, first.regrets), digits=1, signed=True),
+        ]
+        for s in others
+    ]
     header = [
         f"row less {first.row.name}", f"feasible only in the row : only in {first.row.name}",
         "objective", "regret at equal margin [%]",
@@ -106,26 +159,26 @@ def paired_table(case: Case, summaries: Sequence[RowSummary]) -> str:
 def published_table(summaries: Sequence[RowSummary]) -> str:
     """Lay out the paper's numbers beside ours; empty if the experiment quotes none."""
     quoted = [s for s in summaries if s.row.published]
-    if not quoted:
-        return ""
-    columns: dict[str, tuple[str, Callable[[RowSummary], str]]] = {
-        "feasible": ("feasible", lambda s: _share(s.validated)),
-        "objective": ("objective", lambda s: _mean(s.validation)),
+    columns = _published(quoted)
+    header = ["row", *columns]
+    rows = [[s.row.name, *(shown(s) for shown in columns.values())] for s in quoted]
+    return markdown(header, rows) if quoted else ""
+
+
+def _published(summaries: Sequence[RowSummary]) -> Columns:
+    """Return the columns of what the paper says of rows, each followed by ours."""
+    ours: dict[str, tuple[str, Callable[[RowSummary], str]]] = {
+        "feasible": ("held", lambda s: _share(s.validated)),
+        "objective": ("validated objective", lambda s: _mean(s.validation)),
         "difference": ("validated - training", lambda s: _mean(s.difference, signed=True)),
-        "best": ("best", lambda s: _number(s.best)),
+        "best": ("best validated", lambda s: _number(s.best)),
     }
-    used = [key for key in columns if any(key in s.row.published for s in quoted)]
-    header = ["row"]
-    for key in used:
-        header += [f"{columns[key][0]}, paper", "here"]
-    rows = []
-    for s in quoted:
-        line = [s.row.name]
-        for key in used:
-            value = s.row.published.get(key)
-            line += ["" if value is None else _printed(s, key), columns[key][1](s)]
-        rows.append(line)
-    return markdown(header, rows)
+    columns: Columns = {}
+    for key, (name, shown) in ours.items():
+        if any(key in s.row.published for s in summaries):
+            columns[f"{name}, paper"] = partial(_printed, key=key)
+            columns[f"{name}, here"] = shown
+    return columns
 
 
 def convergence_table(case: Case, summaries: Sequence[RowSummary]) -> str:
@@ -159,9 +212,12 @@ def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
 
 
 def neighbourhood_table(
-    case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
+    case: Case,
+    summaries: Sequence[RowSummary],
+    done: Mapping[str, Record],
+    neighbours: bool = True,
 ) -> str:
-    """Lay out the best parameter sets and their neighbours, each with a verdict (Table 3)."""
+    """Lay out the best parameter sets, and perhaps their neighbours, with verdicts (Table 3)."""
     study = case.study
     worst = next(iter(study.worst_case_constraints), None)
     names = study.search_space().names
@@ -178,7 +234,7 @@ def neighbourhood_table(
                 _quoted(judged.published),
             ]
         )
-        for neighbour in entry["neighbours"] if judged.listed else ():
+        for neighbour in entry["neighbours"] if neighbours and judged.listed else ():
             rows.append(
                 [
                     "",
@@ -247,8 +303,10 @@ def _evaluations(s: RowSummary) -> str:
 
 
 def _printed(s: RowSummary, key: str) -> str:
-    """Lay out a number of the paper."""
-    value, runs = s.row.published[key], s.row.published.get("runs")
+    """Lay out a number of the paper; empty if it has none for the row."""
+    value, runs = s.row.published.get(key), s.row.published.get("runs")
+    if value is None:
+        return ""
     if key != "feasible":
         return f"{value:g}"
     return f"{value:.0%}" if runs is None else f"{value:.0%} of {runs:g}"

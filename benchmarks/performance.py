@@ -1,0 +1,101 @@
+"""Measure what the tuner costs, survives and is worth, and write docs/performance.md.
+
+    python benchmarks/performance.py                       list the scripts, and write the page
+    python benchmarks/performance.py recording time_left   run these before; `all` runs every one
+
+Each script writes a file in benchmarks/results, with the commit, seeds and machine that it was
+obtained with, from which its section of the page is made; a file that is missing is left out. A
+script by itself has further options: see its --help.
+"""
+
+import argparse
+import ast
+import subprocess
+import sys
+
+from common import BENCHMARKS, RESULTS, read_result
+from sections import answers, cost, faults
+from sections.layout import origin
+
+PAGE = BENCHMARKS.parent / "docs" / "performance.md"
+
+INTRODUCTION = """\
+# Performance
+
+Written by `make performance` from the files in `benchmarks/results/`; each section names the script
+that measured it, its commit, seeds and machine. `make performance ARGS="recording"` measures again.
+What the tuner finds, beside the paper and beside other optimizers, is in `docs/results.md`.
+"""
+
+SECTIONS = {
+    "certificates": ("Certificates", answers.certificates),
+    "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
+    "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
+    "parameter_effects": ("What a parameter moves", answers.effects),
+    "suggestion_time": ("Time of a proposal", cost.suggestion),
+    "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),
+    "recording": ("Cost of recording", cost.recording),
+    "time_left": ("Time left", cost.time_left),
+    "unchanged_system": ("A system that knows nothing of the tuner", cost.unchanged),
+    "node_starts": ("A node that starts with its values", cost.node_starts),
+    "streams": ("References that stream", cost.streams),
+    "report": ("The report", cost.report),
+    "soak": ("Many cuts over ROS", faults.soak),
+    "kill_soak": ("Killed at random moments", faults.kill),
+    "command_kills": ("Commands killed, and begun again", faults.command_kill),
+    "integrity_soak": ("Parameters changed by others", faults.integrity),
+    "guard_faults": ("The guard", faults.guard),
+    "fuzz": ("Hostile input", faults.fuzz),
+}
+"""Of each script the heading of its section, and what makes the paragraphs."""
+
+ALL = "all"
+
+
+def description(script: str) -> str:
+    """Return the first line of a script's text."""
+    text = ast.get_docstring(ast.parse((BENCHMARKS / f"{script}.py").read_text(encoding="utf-8")))
+    return (text or "").partition("\n")[0]
+
+
+def write_page() -> None:
+    """Write the page from the result files."""
+    parts = [INTRODUCTION.strip()]
+    for script, (heading, paragraphs) in SECTIONS.items():
+        result = read_result(RESULTS / f"{script}.json")
+        if result is None:
+            continue
+        parts.append(f"## {heading}")
+        # The parts of a result that came about one by one tell it themselves.
+        if "provenance" in result:
+            parts.append(origin(result))
+        parts += paragraphs(result)
+    PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    print(f"wrote {PAGE}")
+
+
+def main() -> None:
+    """Run the scripts that are asked for, and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scripts", nargs="*", metavar="SCRIPT")
+    arguments = parser.parse_args()
+    if unknown := [name for name in arguments.scripts if name not in (*SECTIONS, ALL)]:
+        parser.error(f"unknown: {', '.join(unknown)}; there are {', '.join(SECTIONS)}, and {ALL}")
+    chosen = list(SECTIONS) if ALL in arguments.scripts else arguments.scripts
+    if not chosen:
+        for script in SECTIONS:
+            print(f"{script:18} {description(script)}")
+    failed = [
+        script
+        for script in chosen
+        if subprocess.run([sys.executable, BENCHMARKS / f"{script}.py"]).returncode
+    ]
+    write_page()
+    if failed:
+        sys.exit(f"error: failed: {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()
