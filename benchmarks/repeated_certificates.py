@@ -19,12 +19,12 @@ from common import provenance, result_parser, table, write_result
 from synthetic_responses import Response
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.earlier import refutation
-from bo_tuner.certificate.evidence import NOTHING, Earlier, Evidence
-from bo_tuner.certificate.judgement import judge
-from bo_tuner.certificate.search_width import distances
-from bo_tuner.certificate.sequential import spent
+from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.earlier import refutation
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
+from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.search_width import distances
+from bo_tuner.evidence.certificate.sequential import spent
 
 WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
 """Standard deviations of the bump in edges of the box, by the number of context variables."""

@@ -3,7 +3,12 @@
 import hashlib
 import json
 
-from bo_tuner.certificate.store import FORMAT, evaluations_path, next_path, parameters_sha256
+from bo_tuner.evidence.certificate.store import (
+    FORMAT,
+    evaluations_path,
+    next_path,
+    parameters_sha256,
+)
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import (

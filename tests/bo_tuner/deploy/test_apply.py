@@ -12,7 +12,6 @@ from draws_needed import draws_needed_without_event
 from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
 
-from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
 from bo_tuner.cli.deliverables import withdraw_result
 from bo_tuner.cli.streams import confirmed
@@ -24,6 +23,7 @@ from bo_tuner.deploy.apply import (
     set_values,
 )
 from bo_tuner.deploy.bundle import differences
+from bo_tuner.evidence.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 

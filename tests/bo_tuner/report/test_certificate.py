@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bo_tuner.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.sections.answer import answer

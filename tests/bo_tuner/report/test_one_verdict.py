@@ -16,11 +16,14 @@ from hypothesis import strategies as st
 from judged_runs import certify, default_trial, made
 from rich.console import Console
 
-from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
+from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.table import print_verdict
+from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
 from bo_tuner.monitoring.display import Result
@@ -34,9 +37,6 @@ from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import CHECKS
 from bo_tuner.tuning.validation import Validation
-from bo_tuner.verdict.next_steps import next_steps
-from bo_tuner.verdict.table import print_verdict
-from bo_tuner.verdict.verdict import FAIL, PASS, State, Status
 
 draws = st.lists(
     st.none() | st.tuples(st.floats(0.5, 2.0), st.floats(0.2, 1.05)), min_size=2, max_size=8
@@ -81,7 +81,7 @@ def test_every_screen_says_the_same(
     with pytest.MonkeyPatch.context() as patch:
         if enough:
             # So that a certificate of a few draws opens `apply`.
-            patch.setattr("bo_tuner.certificate.store.shortfall", lambda *_: "")
+            patch.setattr("bo_tuner.evidence.certificate.store.shortfall", lambda *_: "")
         compare_screens(tuned_run, folder, default, tuned, passed_check, certified)
 
 

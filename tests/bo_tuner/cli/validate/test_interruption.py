@@ -11,11 +11,11 @@ from validated_run import certificate
 from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.certificate import certificate as certificate_module
-from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.certificate.store import certificate_problem
-from bo_tuner.certificate.unfinished import Unfinished
 from bo_tuner.errors import OutputError, RunError
+from bo_tuner.evidence.certificate import certificate as certificate_module
+from bo_tuner.evidence.certificate.store import certificate_problem
+from bo_tuner.evidence.certificate.unfinished import Unfinished
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Outcome
 from bo_tuner.tuning.summary import with_summary

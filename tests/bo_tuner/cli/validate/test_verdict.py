@@ -9,8 +9,8 @@ import pytest
 from commands import run
 from validated_run import NEEDED, certificate
 
-from bo_tuner.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.cli import validate as validate_command
+from bo_tuner.evidence.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import with_summary

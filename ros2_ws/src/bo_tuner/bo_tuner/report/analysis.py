@@ -7,9 +7,10 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any, TypeVar
 
-from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
@@ -17,7 +18,6 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
-from bo_tuner.verdict.verdict import Verdict
 
 T = TypeVar("T")
 

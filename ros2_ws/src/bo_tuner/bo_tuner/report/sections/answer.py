@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bo_tuner.deploy.bundle import DEPLOY
+from bo_tuner.evidence.differences import CONFIDENCE, Change
+from bo_tuner.evidence.next_steps import Step, next_steps
+from bo_tuner.evidence.verdict import FAIL, PASS, Quantity, Status, Verdict
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.limits import Standing
-from bo_tuner.verdict.differences import CONFIDENCE, Change
-from bo_tuner.verdict.next_steps import Step, next_steps
-from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict
 
 FILES = (
     (BEST, "the tuned parameters"),

@@ -5,28 +5,28 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from bo_tuner.certificate.context_tolerance import ContextTolerance
-from bo_tuner.certificate.earlier import earlier_in_words
-from bo_tuner.certificate.store import (
+from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance
+from bo_tuner.evidence.certificate.earlier import earlier_in_words
+from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     is_of,
     latest_certificate,
     read_certificate,
     seen_of,
 )
-from bo_tuner.certificate.table import (
+from bo_tuner.evidence.certificate.table import (
     certificate_rows,
     gap_in_words,
     parameter_sets,
     search_in_words,
 )
-from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.verdict import PASS
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.verdict.verdict import PASS
 
 
 @dataclass(frozen=True)

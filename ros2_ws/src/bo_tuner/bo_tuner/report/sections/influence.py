@@ -5,6 +5,7 @@ from math import isinf
 
 import numpy as np
 
+from bo_tuner.evidence.effects import amount
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.gaussian_process import GaussianProcess
@@ -16,7 +17,6 @@ from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table
 from bo_tuner.trials import Trial, pooled
 from bo_tuner.tuning.effects import ERROR, ParameterEffects
-from bo_tuner.verdict.effects import amount
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bo_tuner.certificate.context_tolerance import (
+from bo_tuner.evidence.certificate.context_tolerance import (
     CREDIBLE,
     ContextTolerance,
     context_tolerances,
