@@ -14,13 +14,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
-from bo_tuner.study.constraint import (
-    CHANCE,
-    MODEL_NAMES,
-    OUTLIERS,
-    WORST_CASE,
-    Constraint,
-)
+from bo_tuner.study.constraint import MODEL_NAMES, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.measured import check_measured, measured_names
@@ -402,14 +396,14 @@ class Study:
         return any(spec.is_started for spec in self.nodes.values())
 
     @property
-    def chance_constraints(self) -> tuple[Constraint, ...]:
-        """Constraints that must hold with a probability."""
-        return tuple(item for item in self.constraints.values() if item.kind == CHANCE)
+    def drawn_constraints(self) -> tuple[Constraint, ...]:
+        """Constraints over the distribution of the contexts, which draws show."""
+        return tuple(c for c in self.constraints.values() if not c.rule.in_every_context)
 
     @property
     def worst_case_constraints(self) -> tuple[Constraint, ...]:
         """Constraints that must hold in every context."""
-        return tuple(item for item in self.constraints.values() if item.kind == WORST_CASE)
+        return tuple(c for c in self.constraints.values() if c.rule.in_every_context)
 
     def titled(self, constraint: Constraint, text: str) -> str:
         """Return a text on a constraint, with its name if another one limits the same side, too."""

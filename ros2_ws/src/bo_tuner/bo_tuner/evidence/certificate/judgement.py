@@ -3,13 +3,12 @@
 The burden of proof lies with the parameter set. A constraint counts as kept only if the evaluations
 show it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
 
-- A chance constraint (Eq. 3d) is shown to hold if the upper bound of the probability that a draw
-  violates it is at most 1 - probability.
-- A worst-case constraint (Eq. 3e) is shown to hold if it is in every candidate for the worst
-  context that a separate search finds: the upper bound of the mean over noise is within the limit,
-  with at least `LEAST_RUNS` runs behind it, or, for a limit on single runs, that of the probability
-  of a violation is at most 1 - probability.
-  Draws can only refute it: what holds in every context holds there.
+- A constraint over the contexts (Eq. 3d) is shown to hold by draws.
+- A constraint in every context (Eq. 3e) is shown to hold if it is in every candidate for the worst
+  context that a separate search finds. Draws can only refute it: what holds in every context holds
+  there.
+- What shows a limit in runs is said by its kind (`bo_tuner.study.limit_kinds`): the bound of the
+  probability of a violation is at most what is allowed, or that of the mean is within the limit.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
 Runs that were made before, in earlier certificates and in the tuning run, count against a PASS and
@@ -17,8 +16,8 @@ never for it: what the fresh ones show alone, all of them together must not cont
 held against draws, and runs in a context against those in the same context. This makes a PASS
 rarer, so every level stays valid, however the earlier runs were chosen.
 
-The bounds of `sequential` hold after every evaluation at once, so the evaluations end as soon as
-the verdict is clear, and going on cannot turn luck into a PASS.
+The bounds of `bo_tuner.numerics.sequential` hold after every evaluation at once, so the evaluations
+end as soon as the verdict is clear, and going on cannot turn luck into a PASS.
 
 PASS requires all of them. Such a test of a union of hypotheses, each at level α, has level α
 itself, whatever the dependence between them (Berger 1982): a constraint that in truth does not hold
@@ -31,6 +30,7 @@ Berger (1982). Multiparameter hypothesis testing and acceptance sampling. Techno
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,23 +45,12 @@ from bo_tuner.evidence.certificate.findings import (
     WorstContext,
 )
 from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_of
-from bo_tuner.evidence.certificate.sequential import (
-    draws_needed,
-    is_hopeless,
-    is_mean_refuted,
-    is_mean_shown,
-    is_refuted,
-    is_shown,
-    probability_bounds,
-)
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import EXPECTATION, SINGLE_RUN, WORST_CASE, Constraint
+from bo_tuner.numerics.sequential import probability_bounds
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limit_kinds.kind import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
-
-LEAST_RUNS = 30
-"""Runs behind a mean that counts as shown. The bound of a mean takes the noise for normal: a few
-runs that agree tell nothing of rare large values."""
 
 
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
@@ -71,9 +60,7 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     context takes as many runs in each, of which there are at most as many as draws.
     """
     needed = {
-        c.name: draws_needed(c.allowed, confidence)
-        for c in study.constraints.values()
-        if c.statistic == SINGLE_RUN
+        c.name: c.rule.runs_needed(confidence) for c in study.constraints.values() if c.rule.on_runs
     }
     if not needed:
         return 1, ""
@@ -136,21 +123,21 @@ def decide_draws(
     Returns
     -------
     bool or None
-        True if they show all chance constraints, and do not leave a worst-case constraint
+        True if they show all constraints over the contexts, and do not leave a worst-case one
         contradicted by earlier draws. False if a PASS is out of reach.
     """
     if _failed(drawn):
         return False if is_failed(drawn) else None
     undecided = contradicted = False
     for constraint in study.constraints.values():
-        events, values = _events(constraint, drawn), _values(drawn, constraint.metric)
-        if constraint.kind == WORST_CASE:
-            if _refuted(constraint, events, values, confidence):
+        rule, runs = constraint.rule, _drawn(constraint, drawn, earlier)
+        if rule.in_every_context:
+            if rule.is_refuted(runs, confidence):
                 return False
             contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif is_shown(events, constraint.allowed, confidence):
+        elif rule.is_shown(runs, confidence):
             contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif is_hopeless(events, most, constraint.allowed, confidence):
+        elif rule.is_hopeless(runs, most, confidence):
             return False
         else:
             undecided = True
@@ -183,16 +170,13 @@ def decide_context(
     repeated = evidence.repeated[place]
     if _failed(repeated):
         return False if is_failed(repeated) else None
-    events, values = _events(constraint, repeated), _values(repeated, constraint.metric)
-    if _refuted(constraint, events, values, confidence):
+    rule, runs = constraint.rule, _in_context(constraint, repeated, evidence)
+    if rule.is_refuted(runs, confidence):
         return False
-    if _shown(constraint, evidence, events, values, confidence):
+    if rule.is_shown(runs, confidence):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if _contradicted(constraint, earlier, repeated) else True
-    hopeless = constraint.statistic != EXPECTATION and is_hopeless(
-        events, most, constraint.allowed, confidence
-    )
-    return False if hopeless else None
+    return False if rule.is_hopeless(runs, most, confidence) else None
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
@@ -210,51 +194,28 @@ def is_refuted_by(
 
     A failed one is a violation of every constraint.
     """
-    events = _events(constraint, evaluations)
-    values = _values(evaluations, constraint.metric)
-    return bool(_failed(evaluations)) or _refuted(constraint, events, values, confidence)
+    return bool(_failed(evaluations)) or constraint.rule.is_refuted(
+        _runs(constraint, evaluations), confidence
+    )
 
 
 def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
-    values = _values(evidence.drawn, constraint.metric)
-    draws, violations = len(evidence.drawn), int(np.sum(constraint.violations(values)))
-    events = _events(constraint, evidence.drawn)
-    unit = study.metrics[constraint.metric].unit
+    rule, unit = constraint.rule, study.metrics[constraint.metric].unit
+    runs = _drawn(constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
-    if constraint.kind == WORST_CASE:
-        found = [
-            _worst_context(evaluations, constraint, evidence, confidence)
-            for evaluations in evidence.repeated
-        ]
-        # A context without a complete evaluation has no mean, and counts as the worst.
-        sign = constraint.sign
-        worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
-        refuting = [
-            context
-            for context, runs in zip(found, evidence.repeated, strict=True)
-            if _refuted(
-                constraint, _events(constraint, runs), _values(runs, constraint.metric), confidence
-            )
-        ]
-        told = refuting or _failed(evidence.evaluations)
-        if constraint.name in evidence.unseen and not told:
-            # Those that were run are the worst ones of other limits.
-            worst = ()
-        passed, reason = _worst_case(
-            constraint,
-            events,
-            worst,
-            unit,
-            refuted_by_draws=_refuted(constraint, events, values, confidence),
-            against=_said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn),
-            refuting=refuting,
-            unvisited=evidence.unvisited.get(constraint.name, 0),
+    against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
+    if rule.in_every_context:
+        worst, passed, reason = _in_every_context(
+            constraint, evidence, runs, unit, confidence, against
         )
     else:
-        against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
-        passed, reason = _chance(constraint, events, confidence, against)
+        shown = rule.is_shown(runs, confidence)
+        passed = shown and not against
+        said = rule.said_of_draws(runs, unit, confidence, passed=passed)
+        reason = against if shown and against else said
+    values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
@@ -262,12 +223,11 @@ def _judge(
         unit=unit,
         limit=constraint.limit,
         side=constraint.side,
-        statistic=constraint.statistic,
         allowed=constraint.allowed,
         draws=draws,
-        violations=violations,
+        violations=int(np.sum(constraint.violations(values))),
         failures=draws - len(values),
-        violation_bound=_bound(events, confidence),
+        violation_bound=_bound(runs.events, confidence),
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
@@ -276,20 +236,42 @@ def _judge(
     )
 
 
-def _chance(
-    constraint: Constraint, events: Sequence[bool], confidence: float, against: str
-) -> tuple[bool, str]:
-    allowed, draws = constraint.allowed, len(events)
-    passed = is_shown(events, allowed, confidence)
-    if passed and against:
-        return False, against
-    needed = draws_needed(allowed, confidence)
-    rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
-    return passed, (
-        f"{sum(events)} of {draws} draws violate the limit or fail{rule}: violation probability "
-        f"{'at most' if passed else 'may be'} "
-        f"{text.shown_beside(_bound(events, confidence), allowed)}, allowed {allowed:.4g}"
+def _in_every_context(
+    constraint: Constraint,
+    evidence: Evidence,
+    drawn: Runs,
+    unit: str,
+    confidence: float,
+    against: str,
+) -> tuple[tuple[WorstContext, ...], bool, str]:
+    """Return the contexts that may be the worst, whether the limit is shown, and why."""
+    found = [
+        _worst_context(evaluations, constraint, evidence, confidence)
+        for evaluations in evidence.repeated
+    ]
+    # A context without a complete evaluation has no mean, and counts as the worst.
+    sign = constraint.sign
+    worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+    refuting = [
+        context
+        for context, evaluations in zip(found, evidence.repeated, strict=True)
+        if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
+    ]
+    told = refuting or _failed(evidence.evaluations)
+    if constraint.name in evidence.unseen and not told:
+        # Those that were run are the worst ones of other limits.
+        worst = ()
+    passed, reason = _worst_case(
+        constraint,
+        drawn.events,
+        worst,
+        unit,
+        refuted_by_draws=constraint.rule.is_refuted(drawn, confidence),
+        against=against,
+        refuting=refuting,
+        unvisited=evidence.unvisited.get(constraint.name, 0),
     )
+    return worst, passed, reason
 
 
 def _worst_case(
@@ -323,61 +305,7 @@ def _worst_case(
     doubted = [w for w in worst if w.contradicted]
     if doubted and all(w.shown or w.contradicted for w in worst):
         return False, _said_of_both(constraint, doubted[0])
-    if constraint.statistic == EXPECTATION:
-        return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
-    top = max(worst, key=lambda w: w.violation_bound)
-    return passed, (
-        f"{_place(top, worst)}{top.beyond} of {top.evaluations} runs violate the limit: "
-        f"violation probability {'at most' if passed else 'may be'} "
-        f"{text.shown_beside(top.violation_bound, constraint.allowed)}, "
-        f"allowed {constraint.allowed:.4g}"
-    )
-
-
-def _said_of_mean(
-    constraint: Constraint,
-    worst: Sequence[WorstContext],
-    unit: str,
-    refuting: Sequence[WorstContext],
-    passed: bool,
-) -> str:
-    limit = f"limit {constraint.limit:g} {unit}".rstrip()
-    # The context with the largest mean need not have the largest bound.
-    top = max(worst, key=lambda w: constraint.sign * _mean_bound(constraint, w))
-    bound = _mean_bound(constraint, top)
-    if refuting and not np.isfinite(bound):
-        # It ends the evaluations before the bound of a mean has its runs.
-        by = refuting[0]
-        inside = text.values(by.context)
-        return (
-            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is "
-            f"{text.shown_beside(by.mean.value, constraint.limit)}, {limit}: "
-            f"{by.evaluations} evaluations show that it is not kept"
-        )
-    where = _place(top, worst)
-    if not np.isfinite(bound):
-        return f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
-    if not passed and not constraint.violations(bound):
-        return (
-            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts say too "
-            "little about the noise to show that the mean over it is within the limit"
-        )
-    says = "may be"
-    if passed:
-        says = "at most" if constraint.sign > 0.0 else "at least"
-    return f"mean over noise {where}{says} {text.shown_beside(bound, constraint.limit)}, {limit}"
-
-
-def _place(top: WorstContext, worst: Sequence[WorstContext]) -> str:
-    """Name a context among the worst ones, with a space at its end; empty if there is but one."""
-    context = text.values(top.context)
-    which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
-    return f"in {which} ({context}) " if context else ""
-
-
-def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:
-    """Return the confidence bound of a mean on the side of the limit."""
-    return worst.mean.upper if constraint.sign > 0.0 else worst.mean.lower
+    return passed, constraint.rule.said_of_contexts(worst, refuting, unit, passed=passed)
 
 
 def _worst_context(
@@ -386,20 +314,18 @@ def _worst_context(
     evidence: Evidence,
     confidence: float,
 ) -> WorstContext:
-    events, values = _events(constraint, evaluations), _values(evaluations, constraint.metric)
-    earlier = evidence.earlier.at(evaluations[0].context)
-    shown = len(values) == len(evaluations) and _shown(
-        constraint, evidence, events, values, confidence
-    )
+    runs = _in_context(constraint, evaluations, evidence)
+    earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
+    shown = len(values) == len(evaluations) and constraint.rule.is_shown(runs, confidence)
     contradicted = shown and _contradicted(constraint, earlier, evaluations)
     return WorstContext(
         context=dict(evaluations[0].context),
-        mean=mean_of(values, confidence, _least_runs(constraint, evidence, values)),
+        mean=mean_of(values, confidence, constraint.rule.runs_behind_bound(runs)),
         extreme=constraint.farthest(values),
         evaluations=len(values),
         beyond=int(np.sum(constraint.violations(values))),
         failures=len(evaluations) - len(values),
-        violation_bound=_bound(events, confidence),
+        violation_bound=_bound(runs.events, confidence),
         shown=shown and not contradicted,
         contradicted=contradicted,
         earlier=len(earlier),
@@ -413,21 +339,14 @@ def _contradicted(
     """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
     if not earlier:
         return False
-    found = _together(constraint, earlier, fresh)
-    if constraint.statistic == EXPECTATION:
-        return bool(constraint.violations(found))
-    return found > constraint.allowed
+    return constraint.rule.contradicts(_together(constraint, earlier, fresh))
 
 
 def _together(
     constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
 ) -> float:
-    """Return the mean of earlier and fresh runs, or the share of those beyond the limit."""
-    both = [*earlier, *fresh]
-    if constraint.statistic != EXPECTATION:
-        return float(np.mean(_events(constraint, both)))
-    values = _values(both, constraint.metric)
-    return float(values.mean()) if len(values) else float("nan")
+    """Return what is limited in earlier and fresh runs together."""
+    return constraint.rule.together(_runs(constraint, [*earlier, *fresh]))
 
 
 def _said_of_draws(
@@ -439,7 +358,7 @@ def _said_of_draws(
     if not _contradicted(constraint, earlier, fresh):
         return ""
     both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
-    return _said_together(constraint, both, _together(constraint, earlier, fresh))
+    return constraint.rule.said_together(both, _together(constraint, earlier, fresh))
 
 
 def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
@@ -447,84 +366,35 @@ def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
     where = f" in a context ({inside})" if inside else ""
     fresh = worst.evaluations + worst.failures
     both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
-    return _said_together(constraint, both, worst.together)
+    return constraint.rule.said_together(both, worst.together)
 
 
-def _said_together(constraint: Constraint, both: str, together: float) -> str:
-    if constraint.statistic == EXPECTATION:
-        found = text.shown_beside(together, constraint.limit)
-        return f"{both} together have a mean of {found}, limit {constraint.limit:g}"
-    found = text.shown_beside(together, constraint.allowed)
-    return (
-        f"{both} together violate the limit with a share of {found}, "
-        f"allowed {constraint.allowed:.4g}"
+def _drawn(constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier) -> Runs:
+    """Return draws as runs of which each stands for all contexts."""
+    values = _values(drawn, constraint.metric)
+    known = [*values, *earlier.extremes.get(constraint.metric, ())]
+    return Runs(_events(constraint, drawn), values, constraint.farthest(known), (values,))
+
+
+def _in_context(
+    constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
+) -> Runs:
+    """Return evaluations in one context as runs, with what is known of the parameter set."""
+    if constraint.rule.on_runs:
+        # Nothing else counts for a share of these.
+        return _runs(constraint, evaluations)
+    metric = constraint.metric
+    # Earlier ones as well.
+    known = [*_values(evidence.evaluations, metric), *evidence.earlier.extremes.get(metric, ())]
+    return replace(
+        _runs(constraint, evaluations),
+        farthest=constraint.farthest(known),
+        elsewhere=[_values(runs, metric) for runs in evidence.repeated],
     )
 
 
-def _shown(
-    constraint: Constraint,
-    evidence: Evidence,
-    events: Sequence[bool],
-    values: Array,
-    confidence: float,
-) -> bool:
-    if constraint.statistic != EXPECTATION:
-        return is_shown(events, constraint.allowed, confidence)
-    sign, least = constraint.sign, _least_runs(constraint, evidence, values)
-    return is_mean_shown(
-        sign * values, sign * constraint.limit, confidence, least
-    ) and _excludes_rare(constraint, evidence, values, confidence)
-
-
-def _least_runs(constraint: Constraint, evidence: Evidence, values: Array) -> int:
-    """Return the number of runs, of those with `values` in a context, that bound its mean first.
-
-    They are `LEAST_RUNS` once any run of the parameter set is beyond the limit, and the first one
-    that differs is among them. Before, runs in the other worst contexts count as well where the
-    noise is alike: there is some, or there is none.
-    """
-    if constraint.statistic != EXPECTATION:
-        # The mean decides nothing; its bound is there for information.
-        return 1
-    if constraint.violations(_farthest_known(constraint, evidence)):
-        return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
-    contexts = [_values(evaluations, constraint.metric) for evaluations in evidence.repeated]
-    alike = sum(len(v) for v in contexts if _are_equal(v) == _are_equal(values))
-    return max(1, LEAST_RUNS + len(values) - alike)
-
-
-def _excludes_rare(
-    constraint: Constraint, evidence: Evidence, values: Array, confidence: float
-) -> bool:
-    """Return whether runs in a context exclude that rare others take its mean beyond the limit.
-
-    If all runs are equal, their mean bounds nothing that does not occur among them. A mean beyond
-    the limit needs runs as far as the worst one known with the probability that is tested here.
-    """
-    worst = _farthest_known(constraint, evidence)
-    if not _are_equal(values) or not constraint.violations(worst):
-        return True
-    rare = float((constraint.limit - values[0]) / (worst - values[0]))
-    return is_shown([False] * len(values), rare, confidence)
-
-
-def _farthest_known(constraint: Constraint, evidence: Evidence) -> float:
-    """Return the value of all runs of the parameter set, earlier ones as well, that is farthest."""
-    own = _values(evidence.evaluations, constraint.metric)
-    return constraint.farthest([*own, *evidence.earlier.extremes.get(constraint.metric, ())])
-
-
-def _are_equal(values: Array) -> bool:
-    return len(values) > 0 and float(np.ptp(values)) == 0.0
-
-
-def _refuted(
-    constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
-) -> bool:
-    if constraint.statistic == EXPECTATION:
-        sign = constraint.sign
-        return is_mean_refuted(sign * values, sign * constraint.limit, confidence)
-    return is_refuted(events, constraint.allowed, confidence)
+def _runs(constraint: Constraint, evaluations: Sequence[Evaluation]) -> Runs:
+    return Runs(_events(constraint, evaluations), _values(evaluations, constraint.metric))
 
 
 def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[bool]:

@@ -10,7 +10,7 @@ from draws_needed import draws_needed_without_event, evidence_by_quadrature
 from markdown_tables import columns_of
 from scipy import integrate, optimize, stats
 
-from bo_tuner.evidence.certificate.sequential import (
+from bo_tuner.numerics.sequential import (
     draws_needed,
     is_hopeless,
     is_mean_refuted,
