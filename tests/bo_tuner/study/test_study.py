@@ -131,6 +131,16 @@ class TestReading:
             study.seed = 2
         assert pickle.loads(pickle.dumps(study)) == study
 
+    def test_its_spaces_are_made_once(self):
+        study = load_study("full")
+        assert study.search_space() is study.search_space()
+        assert study.context_space() is study.context_space()
+        # Another process, and a changed study, make their own.
+        again = pickle.loads(pickle.dumps(study))
+        assert again.context_space() is not study.context_space()
+        fewer = dataclasses.replace(study, contexts={})
+        assert fewer.context_space().names == ()
+
 
 class TestWriting:
     @pytest.mark.parametrize("name", ["benchmark", "full"])

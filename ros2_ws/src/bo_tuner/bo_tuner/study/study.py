@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -301,8 +302,17 @@ class Study:
             for node in self.nodes.values()
         ) or any(isinstance(metric, PythonMetric) for metric in self.metrics.values())
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is made of the fields: another process makes it again."""
+        return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
+        return self._search_space
+
+    @cached_property
+    def _search_space(self) -> SearchSpace:
+        # Studies that differ in other sections share it.
         return search_space(tuple(self.parameters.values()), self.order, self.where)
 
     @property
@@ -380,6 +390,10 @@ class Study:
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
+        return self._context_space
+
+    @cached_property
+    def _context_space(self) -> ContextSpace:
         return ContextSpace(
             {name: item.distribution for name, item in self.contexts.items()},
             [name for name, item in self.contexts.items() if item.type == INTEGER],

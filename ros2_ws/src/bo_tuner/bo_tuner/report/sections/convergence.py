@@ -331,7 +331,8 @@ def _incumbent_lines(
 
 def _default_line(analysis: Analysis) -> list[Element]:
     metric = analysis.study.objective.metric
-    values = [q.default for q in analysis.verdict.quantities if q.label == f"mean {metric}"]
+    found = analysis.verdict.quantities
+    values = [q.default for q in found if q.objective and q.metric == metric]
     if not values or math.isnan(values[0]):
         return []
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
