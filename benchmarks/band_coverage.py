@@ -28,9 +28,13 @@ from synthetic_responses import Response, largest, response
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.context_tolerance import ContextTolerance, Drift, context_tolerances
-from bo_tuner.certificate.judgement import judge
+from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.context_tolerance import (
+    ContextTolerance,
+    Drift,
+    context_tolerances,
+)
+from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome

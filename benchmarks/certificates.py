@@ -23,10 +23,10 @@ import numpy as np
 from common import BENCHMARKS, opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.judgement import judge
-from bo_tuner.certificate.sequential import spent
-from bo_tuner.certificate.store import required_draws
+from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from bo_tuner.tuning.driver import Driver

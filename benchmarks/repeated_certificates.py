@@ -19,12 +19,12 @@ from common import provenance, result_parser, table, write_result
 from synthetic_responses import Response
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.earlier import refutation
-from bo_tuner.certificate.evidence import NOTHING, Earlier, Evidence
-from bo_tuner.certificate.judgement import judge
-from bo_tuner.certificate.search_width import distances
-from bo_tuner.certificate.sequential import spent
+from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.earlier import refutation
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Findings
+from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.search_width import distances
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.tuning.driver import Driver
 
 WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
@@ -83,7 +83,7 @@ def bumps() -> Iterator[Bump]:
                 yield Bump(dimension, width, seed)
 
 
-def after(earlier: Earlier, evidence: Evidence, findings: Mapping[str, Any], k: int) -> Earlier:
+def after(earlier: Earlier, evidence: Evidence, findings: Findings, k: int) -> Earlier:
     """Return what is known after the k-th attempt, which failed."""
     failed = refutation(f"certificate {k:04d} was a FAIL", findings, evidence.evaluations)
     return Earlier(
@@ -109,8 +109,7 @@ def certify(bump: Bump, *, remembered: bool) -> dict[str, Any]:
         if findings.passed:
             return first | {"passed": attempt}
         if remembered:
-            content = asdict(findings) | {"reasons": findings.reasons}
-            earlier = after(earlier, evidence, content, attempt)
+            earlier = after(earlier, evidence, findings, attempt)
     return first | {"passed": None}
 
 

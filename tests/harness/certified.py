@@ -1,6 +1,6 @@
 """Evaluations for certificates, and the limits that they are held against."""
 
-from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.tuning.driver import Driver
 
 LIMIT = 1.0

@@ -5,8 +5,8 @@ import pytest
 from certified import collect
 from functions import FunctionBackend, failed
 
-from bo_tuner.certificate.judgement import judge
 from bo_tuner.errors import RunError
+from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.trials import (

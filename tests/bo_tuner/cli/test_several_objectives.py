@@ -12,13 +12,13 @@ import pytest
 from axis import node, write_study
 from commands import run
 
-from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.verdict import PASS
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
-from bo_tuner.verdict.verdict import PASS
 
 CHANCE = {"peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}}
 AXIS = {"node": "axis"}

@@ -12,7 +12,6 @@ from draws_needed import draws_needed_without_event
 from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
 
-from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
 from bo_tuner.cli.deliverables import withdraw_result
 from bo_tuner.cli.streams import confirmed
@@ -24,6 +23,7 @@ from bo_tuner.deploy.apply import (
     set_values,
 )
 from bo_tuner.deploy.bundle import differences
+from bo_tuner.evidence.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 
@@ -207,21 +207,24 @@ class TestCertificate:
         ("changes", "complaint"),
         [
             ({"verdict": "FAIL"}, "expected PASS, found FAIL"),
-            ({"verdict": None}, "expected PASS or FAIL, found nothing"),
-            ({"verdict": ["PASS"]}, "expected PASS or FAIL, found a list of 1"),
+            ({"verdict": None}, "verdict: expected PASS by its findings, found nothing"),
+            ({"verdict": ["PASS"]}, "expected PASS by its findings, found a list of 1"),
             ({"parameters": {"gain": 0.123}}, "no certificate of trial 1; run validate"),
-            ({"parameters": {"more": 1.0}}, "no certificate of trial 1; run validate"),
+            (
+                {"parameters": {"more": 1.0}},
+                "parameters: expected gain, found gain, more; run validate",
+            ),
             ({"parameters_sha256": "0" * 64}, "parameters do not match its digest"),
             ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
             ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not match its digest"),
             ({"draws": 999}, "made with 999 draws, the study requires 1000; run validate"),
-            ({"draws": "1000"}, "made with text '1000' draws"),
-            ({"draws": 1e9}, "made with 1000000000.0 draws"),
+            ({"draws": "1000"}, "draws: expected a whole number, found text '1000'"),
+            ({"draws": 1e9}, "draws: expected a whole number, found 1000000000.0"),
             ({"confidence": 0.94}, "has a confidence of 0.94, the study requires 0.95"),
-            ({"confidence": None}, "has a confidence of nothing"),
-            ({"confidence": float("nan")}, "has a confidence of nan"),
+            ({"confidence": None}, "has a confidence of nan, the study requires 0.95"),
+            ({"confidence": float("nan")}, "confidence: expected a finite number, found nan"),
             ({"provenance": {}}, "the code of bo_tuner has changed since"),
-            ({"provenance": 7}, "does not name the code"),
+            ({"provenance": 7}, "provenance: expected an object, found 7"),
             ({"format": 1}, "not a certificate of this version"),
         ],
     )

@@ -6,18 +6,18 @@ from pathlib import Path
 import pytest
 from terminals import console
 
-from bo_tuner.study.study_file import load_study
-from bo_tuner.verdict.limit_verdict import by_certificate
-from bo_tuner.verdict.observed import Observed
-from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.table import (
+from bo_tuner.evidence.limit_verdict import by_certificate
+from bo_tuner.evidence.observed import Observed
+from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.table import (
     print_line,
     print_next_steps,
     print_verdict,
     verdict_notes,
     verdict_table,
 )
-from bo_tuner.verdict.verdict import State, Verdict
+from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.study.study_file import load_study
 
 
 def text(of):

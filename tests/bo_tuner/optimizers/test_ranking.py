@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.optimizers import ranking

@@ -16,11 +16,14 @@ from hypothesis import strategies as st
 from judged_runs import certify, default_trial, made
 from rich.console import Console
 
-from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
+from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.table import print_verdict
+from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
 from bo_tuner.monitoring.display import Result
@@ -34,9 +37,6 @@ from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import CHECKS
 from bo_tuner.tuning.validation import Validation
-from bo_tuner.verdict.next_steps import next_steps
-from bo_tuner.verdict.table import print_verdict
-from bo_tuner.verdict.verdict import FAIL, PASS, State, Status
 
 draws = st.lists(
     st.none() | st.tuples(st.floats(0.5, 2.0), st.floats(0.2, 1.05)), min_size=2, max_size=8
@@ -53,8 +53,8 @@ def on_terminal(run, verdict):
 
 def on_page(run):
     analysis = Analysis(run)
-    found = analysis.certificate
-    return render(analysis, [] if found is None else [found.section])
+    found = analysis.certificate_section
+    return render(analysis, [] if found is None else [found])
 
 
 @pytest.fixture(scope="session")
@@ -81,7 +81,7 @@ def test_every_screen_says_the_same(
     with pytest.MonkeyPatch.context() as patch:
         if enough:
             # So that a certificate of a few draws opens `apply`.
-            patch.setattr("bo_tuner.certificate.store.shortfall", lambda *_: "")
+            patch.setattr("bo_tuner.evidence.certificate.store.shortfall", lambda *_: "")
         compare_screens(tuned_run, folder, default, tuned, passed_check, certified)
 
 
@@ -298,7 +298,7 @@ def test_a_certificate_that_cannot_be_read_does_not_hide_a_later_one(run):
     path = run.path / "certificates" / "0001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 3}))
     certify(run, draws, draws)
-    assert run_verdict(run).certificate == Analysis(run).certificate.content["verdict"]
+    assert run_verdict(run).certificate == Analysis(run).certificate.verdict
 
 
 def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run):
@@ -354,6 +354,6 @@ def test_the_robustness_of_a_certificate_is_that_of_the_report(run):
     certificate = certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
     analysis = Analysis(read_run(run.path))
     found = parameter_sensitivity(run.study, certificate.tuned.parameters, analysis.models)
-    assert certificate.sensitivity == found
+    assert certificate.parameter_sensitivity == found
     (candidate,) = [c for c in analysis.ranked if c.trial.number == certificate.trial]
-    assert certificate.gaps[0].predicted == candidate.objective
+    assert certificate.training_gaps[0].predicted == candidate.objective

@@ -8,8 +8,8 @@ import pytest
 from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.errors import BackendError, RunError
+from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
 from bo_tuner.plans import BatchPlan, Plan, Run, Runs

@@ -9,7 +9,8 @@ from functions import NODE, failed, make_study
 from report_runs import run_axis
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.evidence.effects import effects_in_words, file_notes
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
 from bo_tuner.report.sections.influence import influence
@@ -19,7 +20,6 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, Trial, TrialState
 from bo_tuner.tuning.effects import ERROR, FAILURES, ParameterEffects, effects_in
 from bo_tuner.tuning.summary import summary_from_record
-from bo_tuner.verdict.effects import effects_in_words, file_notes
 
 GAIN = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
 LAW = NODE | {"type": "string", "choices": ["a", "b", "c"], "default": "b"}

@@ -16,6 +16,10 @@ import pytest
 import scipy.stats
 from answering import recommend
 
+from bo_tuner.evidence.differences import Change
+from bo_tuner.evidence.limit_verdict import by_certificate
+from bo_tuner.evidence.observed import Observed
+from bo_tuner.evidence.quantities import quantities
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.optimizers.base import ACQUISITION
@@ -23,10 +27,6 @@ from bo_tuner.trials import ESTIMATING
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.verdict.differences import Change
-from bo_tuner.verdict.limit_verdict import by_certificate
-from bo_tuner.verdict.observed import Observed
-from bo_tuner.verdict.quantities import quantities
 from tuning_benchmark.problems.two_objectives import hypervolume
 
 NODE = {"node": "axis"}

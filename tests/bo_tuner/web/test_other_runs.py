@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run

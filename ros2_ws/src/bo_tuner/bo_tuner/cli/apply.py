@@ -12,7 +12,6 @@ from rich.table import Table
 
 from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.parameters.note import said_of_killed
-from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
     guarded,
@@ -45,6 +44,7 @@ from bo_tuner.deploy.bundle import (
 )
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
+from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically

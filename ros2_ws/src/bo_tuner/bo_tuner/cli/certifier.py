@@ -9,13 +9,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
-from bo_tuner.certificate.certification import DRAWS, Certification, Subject, most_evaluations
-from bo_tuner.certificate.earlier import earlier_evidence
-from bo_tuner.certificate.sequential import spent
-from bo_tuner.certificate.unfinished import Unfinished
 from bo_tuner.cli.common import opened
+from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.certification import (
+    DRAWS,
+    Certification,
+    Subject,
+    most_evaluations,
+)
+from bo_tuner.evidence.certificate.earlier import earlier_evidence
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.text import counted

@@ -20,14 +20,14 @@ from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.certificate.certification import Subject, most_evaluations
-from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.parameter_runs import duration, tell_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
+from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import METHODS, default_method
 from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved

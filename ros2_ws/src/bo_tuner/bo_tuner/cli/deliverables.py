@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import DEPLOY, withdraw_bundle, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, REPORT, SUMMARY, write_json

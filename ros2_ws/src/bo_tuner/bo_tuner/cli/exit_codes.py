@@ -1,6 +1,6 @@
 """What the commands return to the shell."""
 
-from bo_tuner.verdict.verdict import State, Verdict
+from bo_tuner.evidence.verdict import State, Verdict
 
 EXIT_OK = 0
 EXIT_FAULT = 1

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from bo_tuner.cli.streams import say_error
+from bo_tuner.evidence.effects import amount, listed, not_seen, proposals
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
@@ -21,7 +22,6 @@ from bo_tuner.tuning.variations import (
     order_of_runs,
     plan,
 )
-from bo_tuner.verdict.effects import amount, listed, not_seen, proposals
 
 
 def try_parameters(

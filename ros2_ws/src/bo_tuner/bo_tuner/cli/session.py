@@ -10,11 +10,13 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
-from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
+from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.control import RunControl
@@ -58,8 +60,6 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
-from bo_tuner.verdict.effects import file_notes
-from bo_tuner.verdict.verdict import Verdict
 from bo_tuner.web.address import Address
 from bo_tuner.web.live_page import LivePage
 

@@ -12,17 +12,6 @@ from pathlib import Path
 from rich.console import Console
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.certificate.judgement import most_draws_needed
-from bo_tuner.certificate.run_verdict import certified, run_verdict
-from bo_tuner.certificate.sequential import spent
-from bo_tuner.certificate.store import (
-    latest_certificate,
-    read_certificate,
-    required_draws,
-    shortfall,
-)
-from bo_tuner.certificate.table import certificate_lines, certificate_table
-from bo_tuner.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.cli.certifier import Certifier
 from bo_tuner.cli.common import (
     Parser,
@@ -40,8 +29,22 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
+from bo_tuner.evidence.certificate.judgement import most_draws_needed
+from bo_tuner.evidence.certificate.store import (
+    latest_certificate,
+    read_certificate,
+    required_draws,
+    shortfall,
+)
+from bo_tuner.evidence.certificate.table import certificate_lines, certificate_table
+from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
+from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.run_verdict import certified, run_verdict
+from bo_tuner.evidence.table import print_next_steps, print_verdict
+from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
@@ -50,9 +53,6 @@ from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.verdict.effects import file_notes
-from bo_tuner.verdict.table import print_next_steps, print_verdict
-from bo_tuner.verdict.verdict import Verdict
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it in fresh draws of context and noise,
@@ -338,11 +338,11 @@ def _not_the_result(verdict: Verdict) -> str:
 
 
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
-    out, content = plain_console(), read_certificate(path)
-    print_verdict(out, study, verdict, content["parameters"])
+    out, certificate = plain_console(), read_certificate(path, study)
+    print_verdict(out, study, verdict, certificate.parameters)
     out.print()
-    out.print(certificate_table(study, content))
-    for line in certificate_lines(study, content):
+    out.print(certificate_table(study, certificate))
+    for line in certificate_lines(study, certificate):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")

@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.evidence.certificate.store import evaluations_path, latest_certificate
+from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
@@ -23,7 +24,6 @@ from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.verdict.effects import file_notes
 
 DEPLOY = "deploy"
 PARAMETERS = "parameters.yaml"

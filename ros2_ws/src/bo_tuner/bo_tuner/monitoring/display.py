@@ -9,13 +9,13 @@ from typing import Any, Self
 from rich.console import Console
 from rich.text import Text
 
+from bo_tuner.evidence.table import print_next_steps, print_verdict
+from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
 from bo_tuner.study.study import Study
 from bo_tuner.text import printable
 from bo_tuner.trials import Value
 from bo_tuner.tuning.observer import RunObserver
-from bo_tuner.verdict.table import print_next_steps, print_verdict
-from bo_tuner.verdict.verdict import Verdict
 
 
 class Output(StrEnum):

@@ -9,6 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column
 from rich.text import Text
 
+from bo_tuner.evidence.table import print_line
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.status import RunStatus
@@ -17,7 +18,6 @@ from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
-from bo_tuner.verdict.table import print_line
 
 NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.time_left import TimeLeft
@@ -20,7 +21,6 @@ from bo_tuner.trials import (
     count_trials,
 )
 from bo_tuner.tuning.observer import RunObserver
-from bo_tuner.verdict.verdict import Verdict
 
 
 @dataclass(frozen=True)

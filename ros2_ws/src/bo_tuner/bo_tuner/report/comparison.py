@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.evidence.verdict import Quantity, Status
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
@@ -14,7 +15,6 @@ from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, s
 from bo_tuner.study.limits import tightest
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage, count_trials
-from bo_tuner.verdict.verdict import Quantity, Status
 
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
 COLORS = (Color.INK, Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE)

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bo_tuner.evidence.verdict import State
 from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
@@ -38,7 +39,6 @@ from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.text import printable
 from bo_tuner.trials import Trial
-from bo_tuner.verdict.verdict import State
 
 FORMATS = ("png", "svg")
 """Kinds of image files of a figure."""
@@ -48,7 +48,7 @@ def certificate(analysis: Analysis) -> Section | None:
     """Show the certificate; None without one."""
     if problem := analysis.certificate_problem:
         return Section(name="certificate", title="Certificate: not readable", lead=f"{problem}.")
-    return None if analysis.certificate is None else analysis.certificate.section
+    return analysis.certificate_section
 
 
 SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (

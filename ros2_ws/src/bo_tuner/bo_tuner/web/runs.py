@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bo_tuner.certificate.store import certificate_paths
 from bo_tuner.errors import BoTunerError
+from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.page import fill, render, sections

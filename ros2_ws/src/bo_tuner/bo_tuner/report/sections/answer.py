@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bo_tuner.deploy.bundle import DEPLOY
+from bo_tuner.evidence.differences import CONFIDENCE, Change
+from bo_tuner.evidence.next_steps import Step, next_steps
+from bo_tuner.evidence.verdict import Quantity, Status, Verdict
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.limits import Standing
-from bo_tuner.verdict.differences import CONFIDENCE, Change
-from bo_tuner.verdict.next_steps import Step, next_steps
-from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict
 
 FILES = (
     (BEST, "the tuned parameters"),
@@ -103,8 +103,7 @@ def _tiles(analysis: Analysis) -> list[Tile]:
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
     elif found is not None:
         scope = f"of trial {found.trial}, which is not the result"
-        value = PASS if found.passed else FAIL
-        tiles.insert(0, Tile("certificate", value, "", [scope], Status.WARNING))
+        tiles.insert(0, Tile("certificate", found.verdict, "", [scope], Status.WARNING))
     else:
         value = "not readable" if analysis.certificate_problem else "none yet"
         tiles.insert(0, Tile("certificate", value, "", ["run validate"], Status.OPEN))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bo_tuner.certificate.parameter_sensitivity import (
+from bo_tuner.evidence.certificate.parameter_sensitivity import (
     Neighbour,
     ParameterSensitivity,
     parameter_sensitivity,

@@ -1,0 +1,8 @@
+"""What is known of the result of a run: the verdict, which every screen and file shows.
+
+`differences` compares two parameter sets beyond chance; `limit_verdict` holds what was found of a
+limit, and `verdict` of the result, in numbers and in words; `quantities` derives the numbers from
+evaluations, `at_bounds` tells which parameters are at a bound, and `effects` which move nothing.
+`validated` makes the verdict by the validation of a run, and `run_verdict` by its certificate if it
+has one (`bo_tuner.evidence.certificate`); `table` prints it.
+"""

@@ -1,0 +1,457 @@
+"""The evaluations of a certificate: common fresh draws, then the worst contexts of each subject.
+
+They end as soon as the verdict is clear; `most_evaluations` says when at the latest.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
+from bo_tuner.evidence.certificate.independent_search import (
+    CANDIDATES,
+    CARRIED,
+    find_worst_contexts,
+    most_searched,
+    worst_of_all,
+)
+from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
+from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.plans import Batches, BatchPlan, Plan, Run
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Context, Evaluation, Stage, Value
+from bo_tuner.tuning.driver import Driver
+
+LEAST_DRAWS = 30
+"""Draws behind the mean of the objective, even if fewer decide the verdict."""
+
+EXPECTED_REPEATS = 25
+"""Evaluations in each context that may be the worst, in a clear case; for the progress display."""
+
+DRAWS = "draws"
+"""Name of the first phase; the others are searches."""
+
+DRAWN, SEARCHED, REPEATED = 0, 1, 2
+"""Purpose of an evaluation, as part of the key of its noise seed."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A parameter set to certify.
+
+    Attributes
+    ----------
+    name
+        Name in the progress display.
+    parameters
+        The parameter set.
+    suspected
+        Contexts that are already suspected to be its worst ones, in the order of the worst-case
+        constraints.
+    earlier
+        What was known of it before.
+    """
+
+    name: str
+    parameters: Mapping[str, Value]
+    suspected: tuple[Context, ...] = ()
+    earlier: Earlier = NOTHING
+
+
+@dataclass(frozen=True)
+class MostEvaluations:
+    """Largest number of evaluations of a certificate, by their purpose.
+
+    Attributes
+    ----------
+    drawn, searched, repeated
+        In draws, in the search for the worst contexts, and in these.
+    """
+
+    drawn: int
+    searched: int
+    repeated: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.drawn + self.searched + self.repeated
+
+
+def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> MostEvaluations:
+    """Return the largest number of evaluations of `Certification.collect`; its arguments."""
+    space, constraints = study.context_space(), len(study.worst_case_constraints)
+    places = sum(_most_places(study, subject) for subject in subjects)
+    return MostEvaluations(
+        drawn=len(subjects) * draws,
+        searched=constraints * sum(most_searched(space, len(s.suspected)) for s in subjects),
+        repeated=places * draws,
+    )
+
+
+def _most_places(study: Study, subject: Subject) -> int:
+    """Return the largest number of contexts in which a subject is evaluated again and again."""
+    constraints = len(study.worst_case_constraints)
+    if not constraints or not study.contexts:
+        return constraints
+    found = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
+    return len(subject.earlier.contexts) + constraints * found
+
+
+class Certification:
+    """Collects the evidence for a certificate.
+
+    Parameters
+    ----------
+    study
+        The study.
+    driver
+        Carries out the plans.
+    confidence
+        Confidence of each bound.
+    attempt
+        Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
+    """
+
+    def __init__(
+        self, study: Study, driver: Driver, *, confidence: float, attempt: int = 1
+    ) -> None:
+        self._study = study
+        self._driver = driver
+        self._confidence = confidence
+        self._attempt = attempt
+
+    def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
+        """Evaluate all subjects in the same draws, then search for the worst contexts of each.
+
+        The draws end when they are clear for every subject. Without a worst-case constraint, or
+        for a subject that the draws let fail, there is no search.
+
+        Parameters
+        ----------
+        subjects
+            The parameter sets.
+        draws
+            Largest number of draws, and of evaluations in each context that may be the worst.
+
+        Raises
+        ------
+        RunError
+            If three evaluations in a row were lost with their nodes or disturbed.
+        """
+        case = _Case(self._study, self._confidence, self._attempt, draws)
+        drawing = DrawPlan(case, subjects)
+        self._driver.complete(drawing)
+        return [
+            self._look_closely(case, number, subject, drawing.evaluations[number])
+            for number, subject in enumerate(subjects)
+        ]
+
+    def _look_closely(
+        self, case: "_Case", number: int, subject: Subject, drawn: Sequence[Evaluation]
+    ) -> Evidence:
+        evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
+        constraints = self._study.worst_case_constraints
+        if not constraints or case.decided(subject, drawn) is False:
+            return evidence
+        plan = WorstCasePlan(case, number, subject, evidence)
+        self._driver.complete(plan)
+        return plan.evidence
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What all evaluations of a certificate have in common; `most` of them in each context."""
+
+    study: Study
+    confidence: float
+    attempt: int
+    most: int
+
+    def decided(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool | None:
+        """Return whether a subject keeps its limits in draws; None if open."""
+        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier)
+
+    def holds(self, evidence: Evidence, place: int) -> bool | None:
+        """Return whether every worst-case constraint holds in a context; None if open."""
+        decided = [
+            decide_context(constraint, evidence, place, self.most, self.confidence)
+            for constraint in self.study.worst_case_constraints
+        ]
+        if False in decided:
+            return False
+        return None if None in decided else True
+
+    def noise_seed(self, *key: int) -> int:
+        """Return a seed; it does not depend on the subject: the same noise for all."""
+        return noise_seed(self.study.seed, Stream.CERTIFICATE_NOISE, self.attempt, *key)
+
+
+class DrawPlan(Plan[Run]):
+    """All subjects in the same draws, until these are clear for every subject.
+
+    Draws that were planned before it was clear count, too.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = DRAWS
+
+    def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
+        self._case = case
+        self._subjects = subjects
+        self._clear = False
+        contexts = case.study.context_space()
+        rng = generator(case.study.seed, Stream.CERTIFICATE_CONTEXTS, case.attempt)
+        self._contexts = [contexts.to_dict(row) for row in contexts.draw(case.most, rng)]
+        self.steps = case.most
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next subject in a draw, or the first one in the next draw."""
+        k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
+        if k == len(self._contexts) or (self._clear and number == 0):
+            return None
+        parameters, context = self._subjects[number].parameters, self._contexts[k]
+        seed = self._case.noise_seed(DRAWN, k)
+        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation; a draw of all subjects is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        if len({len(drawn) for drawn in self.evaluations}) > 1:
+            return False
+        self._clear = all(map(self._is_clear, self._subjects, self.evaluations))
+        return True
+
+    def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
+        decided = self._case.decided(subject, drawn)
+        least = min(LEAST_DRAWS, self._case.most)
+        return decided is False or (decided is True and len(drawn) >= least)
+
+
+@dataclass(frozen=True)
+class _Suspects:
+    """Contexts that may be the worst ones, and by constraint which of them its search has found."""
+
+    contexts: Sequence[Context]
+    found_by: Mapping[str, Sequence[int]]
+
+
+class WorstCasePlan(Plan[Run]):
+    """The search for the worst contexts of a subject, then repeated runs in them.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    subject
+        The parameter set.
+    evidence
+        Of its draws.
+
+    Attributes
+    ----------
+    evidence
+        With what was told.
+    """
+
+    def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        self._case = case
+        self._number = number
+        self._subject = subject
+        self._search = BatchPlan(self._suspects(), lambda _: is_failed(self.evidence.search))
+        self._repeats: RepeatPlan | None = None
+        self.evidence = evidence
+        study = case.study
+        self.phase = f"worst case of {subject.name}"
+        searched = most_searched(study.context_space(), len(subject.suspected))
+        self.steps = (
+            len(study.worst_case_constraints) * searched
+            + _most_places(study, subject) * EXPECTED_REPEATS
+        )
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation of the search, or in one of the contexts that it found."""
+        if self._repeats is not None:
+            return self._repeats.ask(pending)
+        task = self._search.ask(pending)
+        if task is not None or pending or self._search.result is None:
+            return task
+        suspects = self._search.result
+        evidence = replace(self.evidence, repeated=((),) * len(suspects.contexts))
+        self._repeats = RepeatPlan(self._case, self._number, evidence, suspects)
+        self.evidence = self._repeats.visited
+        return self._repeats.ask(pending)
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation, which is a step."""
+        if self._repeats is None:
+            self.evidence = replace(self.evidence, search=(*self.evidence.search, task.evaluation))
+            return self._search.tell(task)
+        self._repeats.tell(task)
+        self.evidence = self._repeats.visited
+        return True
+
+    def _suspects(self) -> Batches[_Suspects | None]:
+        """Search for each constraint; nothing is found where an evaluation has failed: a FAIL."""
+        study, subject = self._case.study, self._subject
+        drawn = self.evidence.drawn
+        key = Stream.CERTIFICATE_SEARCH, self._case.attempt, self._number
+        rng = generator(study.seed, *key)
+        # They come first: where it failed before, a FAIL is soonest found.
+        candidates: list[Context] = [*subject.earlier.contexts]
+        failed_before = range(len(candidates))
+        found_by: dict[str, list[int]] = {}
+        for index, constraint in enumerate(study.worst_case_constraints):
+            # Not all of them may fit among the candidates; the constraint's own does.
+            suspected = [*subject.suspected[index:], *subject.suspected[:index]]
+            worst = yield from self._find(constraint, suspected, rng)
+            if worst is None:
+                return None
+            candidates += [context for context in worst if context not in candidates]
+            places = (candidates.index(context) for context in worst)
+            found_by[constraint.name] = sorted({*failed_before, *places})
+        if subject.earlier.certified:
+            known = [*self.evidence.search, *drawn, *subject.earlier.evaluations]
+            for constraint in study.worst_case_constraints:
+                candidates += self._carry(constraint, known, candidates, rng)
+        return _Suspects(candidates, found_by)
+
+    def _find(
+        self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator
+    ) -> Batches[list[Context] | None]:
+        """Search for the worst contexts of one constraint; None if an evaluation has failed."""
+        metric, sign = constraint.metric, constraint.sign
+        known = [*self.evidence.search, *self.evidence.drawn]
+        search = find_worst_contexts(
+            self._case.study.context_space(),
+            [
+                (evaluation.context, sign * evaluation.outcome.metrics[metric])
+                for evaluation in known
+                if evaluation.outcome.complete
+            ],
+            suspected,
+            sign * constraint.limit,
+            rng,
+        )
+        values: list[float | None] | None = None
+        while True:
+            try:
+                contexts = next(search) if values is None else search.send(values)
+            except StopIteration as end:
+                worst: list[Context] = end.value
+                return worst
+            ran = yield [self._searched(context, k) for k, context in enumerate(contexts)]
+            if is_failed(self.evidence.search):
+                return None
+            values = [sign * e.outcome.metrics[metric] if e.outcome.complete else None for e in ran]
+
+    def _searched(self, context: Context, place: int) -> Evaluation:
+        index = len(self.evidence.search) + place
+        seed = self._case.noise_seed(SEARCHED, index)
+        return Evaluation(
+            self._number, index, Stage.SEARCH, self._subject.parameters, context, seed
+        )
+
+    def _carry(
+        self,
+        constraint: Constraint,
+        known: Sequence[Evaluation],
+        candidates: Sequence[Context],
+        rng: np.random.Generator,
+    ) -> list[Context]:
+        """Return the worst contexts by all runs, earlier ones as well, that are no candidates."""
+        complete = [evaluation for evaluation in known if evaluation.outcome.complete]
+        return worst_of_all(
+            self._case.study.context_space(),
+            [evaluation.context for evaluation in complete],
+            [constraint.sign * e.outcome.metrics[constraint.metric] for e in complete],
+            candidates,
+            rng,
+        )
+
+
+class RepeatPlan(Plan[Run]):
+    """Repeated runs in contexts that may be the worst, one after the other until each is clear.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    evidence
+        Of its draws and its search, with an empty group of runs for each context.
+    suspects
+        The contexts.
+    """
+
+    def __init__(self, case: _Case, number: int, evidence: Evidence, suspects: _Suspects) -> None:
+        self._case = case
+        self._number = number
+        self._evidence = evidence
+        self._suspects = suspects
+        self._places: dict[int, int] = {}
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run in the first context that takes more."""
+        place = self._open_context()
+        if place is None:
+            return None
+        awaited = sum(self._places[task.evaluation.seed] == place for task in pending)
+        k = len(self._evidence.repeated[place]) + awaited
+        if k >= self._case.most:
+            return None
+        seed = self._case.noise_seed(REPEATED, place, k)
+        self._places[seed] = place
+        parameters, context = self._evidence.parameters, self._suspects.contexts[place]
+        return Run(Evaluation(self._number, k, Stage.CHECK_WORST, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add a run."""
+        place, groups = self._places[task.evaluation.seed], list(self._evidence.repeated)
+        groups[place] = (*groups[place], task.evaluation)
+        self._evidence = replace(self._evidence, repeated=tuple(groups))
+        return True
+
+    @property
+    def visited(self) -> Evidence:
+        """The evidence, with the contexts alone in which there was a run."""
+        evidence, found_by = self._evidence, self._suspects.found_by
+        unvisited = {
+            name: count
+            for name, places in found_by.items()
+            if (count := sum(not evidence.repeated[place] for place in places))
+        }
+        return replace(
+            evidence,
+            repeated=tuple(here for here in evidence.repeated if here),
+            unvisited=unvisited,
+            unseen=frozenset(name for name in unvisited if unvisited[name] == len(found_by[name])),
+        )
+
+    def _open_context(self) -> int | None:
+        """Return the first context that takes more evaluations; None if the verdict is clear.
+
+        What was clear in a context may be open again after the runs in the next.
+        """
+        for place, here in enumerate(self._evidence.repeated):
+            holds = self._case.holds(self._evidence, place) if here else None
+            if not holds:
+                return place if holds is None and len(here) < self._case.most else None
+        return None

@@ -1,0 +1,304 @@
+"""The evidence for a certificate: the evaluations, and what they show for each constraint."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from bo_tuner import text
+from bo_tuner.evidence.certificate.risk import Mean
+from bo_tuner.study.limit_kinds.limited import UPPER
+from bo_tuner.trials import Context, Evaluation, Stage, Value
+
+TAIL = 0.95
+"""Level of the conditional value at risk, here the mean of the worst 5 % of the draws."""
+
+
+def widest(side: str, bounds: Iterable[float]) -> float:
+    """Return the bound, of those in several contexts, that decides whether a limit is kept.
+
+    Parameters
+    ----------
+    side
+        Which limit it is: ``upper`` or ``lower``.
+    bounds
+        One for each context.
+    """
+    return max(bounds) if side == UPPER else min(bounds)
+
+
+@dataclass(frozen=True)
+class Refutation:
+    """What a parameter set failed on before.
+
+    Attributes
+    ----------
+    told
+        Where, as a clause, such as ``certificate 0001 was a FAIL``.
+    reasons
+        Why.
+    contexts
+        The contexts in which it failed; empty if only the draws as a whole tell.
+    """
+
+    told: str
+    reasons: tuple[str, ...]
+    contexts: tuple[Context, ...]
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """The evidence on a parameter set from before its certificate.
+
+    Its runs count against a PASS, never for it: they were made, or chosen, knowing what came out.
+
+    Attributes
+    ----------
+    refutations
+        What it failed on, in the order of the certificates.
+    evaluations
+        All runs: those of earlier certificates, and of the tuning run.
+    certified
+        Whether there was a certificate before.
+    unread
+        Why earlier evidence could not be read, a line for each file.
+    """
+
+    refutations: tuple[Refutation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
+    certified: bool = False
+    unread: tuple[str, ...] = ()
+
+    @cached_property
+    def contexts(self) -> list[Context]:
+        """The contexts in which it failed, each once."""
+        found: list[Context] = []
+        for refutation in self.refutations:
+            found += [context for context in refutation.contexts if context not in found]
+        return found
+
+    @cached_property
+    def drawn(self) -> tuple[Evaluation, ...]:
+        """The runs in draws of context and noise."""
+        return tuple(e for e in self.evaluations if e.stage is Stage.VALIDATION)
+
+    @cached_property
+    def extremes(self) -> Mapping[str, tuple[float, float]]:
+        """The smallest and the largest value of each metric in all runs."""
+        found: dict[str, list[float]] = {}
+        for evaluation in self.evaluations:
+            for name, value in evaluation.outcome.metrics.items():
+                found.setdefault(name, []).append(value)
+        return {name: (min(values), max(values)) for name, values in found.items()}
+
+    def at(self, context: Context) -> list[Evaluation]:
+        """Return the runs in exactly this context."""
+        return self._by_context.get(frozenset(context.items()), [])
+
+    @property
+    def in_brief(self) -> "EarlierInBrief":
+        """What a certificate says of it."""
+        return EarlierInBrief(self.refutations, len(self.evaluations), self.unread)
+
+    @cached_property
+    def _by_context(self) -> Mapping[frozenset[tuple[str, Value]], list[Evaluation]]:
+        found: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
+        for evaluation in self.evaluations:
+            found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
+        return found
+
+
+@dataclass(frozen=True)
+class EarlierInBrief:
+    """What a certificate says of the evidence from before.
+
+    Attributes
+    ----------
+    refutations
+        What the parameter set failed on, as in `Earlier`.
+    evaluations
+        Number of all runs.
+    unread
+        Why earlier evidence could not be read, a line for each file.
+    """
+
+    refutations: tuple[Refutation, ...]
+    evaluations: int
+    unread: tuple[str, ...]
+
+
+NOTHING = Earlier()
+"""What is known of a parameter set that nobody has looked at."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evaluations of one parameter set.
+
+    Attributes
+    ----------
+    parameters
+        The parameter set.
+    drawn
+        Evaluations in independent draws of context and noise.
+    search
+        Evaluations of the search for the worst context.
+    repeated
+        For each context that the search found, evaluations there with fresh noise.
+    unvisited
+        By the constraint whose search found them, numbers of more contexts in which nothing was
+        run, as another one had decided.
+    unseen
+        Names of the constraints of whose own contexts none was run for that reason.
+    earlier
+        What was known of it before; counts against it only.
+    """
+
+    parameters: Mapping[str, Value]
+    drawn: tuple[Evaluation, ...]
+    search: tuple[Evaluation, ...] = ()
+    repeated: tuple[tuple[Evaluation, ...], ...] = ()
+    unvisited: Mapping[str, int] = field(default_factory=dict)
+    unseen: frozenset[str] = frozenset()
+    earlier: Earlier = NOTHING
+
+    @property
+    def evaluations(self) -> tuple[Evaluation, ...]:
+        """All its own evaluations, in the order drawn, search, repeated."""
+        return (
+            *self.drawn,
+            *self.search,
+            *(evaluation for evaluations in self.repeated for evaluation in evaluations),
+        )
+
+
+@dataclass(frozen=True)
+class WorstContext:
+    """The constrained metric in a context that may be the worst, over fresh noise.
+
+    Attributes
+    ----------
+    context
+        The context.
+    mean
+        Mean of the metric over noise.
+    extreme
+        Single value farthest on the side of the limit.
+    evaluations, beyond, failures
+        Number of complete evaluations, of those beyond the limit, and of failed ones.
+    violation_bound
+        Upper confidence bound of the probability that a run in this context violates the limit.
+    shown
+        Whether the limit is shown to hold in this context.
+    contradicted
+        Whether the evaluations alone would show it, and earlier ones keep them from it.
+    earlier
+        Number of earlier runs in this context, which count against it.
+    together
+        What these and the evaluations show together: the mean of the metric or, for a limit on
+        single runs, the share of those beyond it or failed. NaN without earlier ones.
+    """
+
+    context: Context
+    mean: Mean
+    extreme: float
+    evaluations: int
+    beyond: int
+    failures: int
+    violation_bound: float
+    shown: bool
+    contradicted: bool = False
+    earlier: int = 0
+    together: float = float("nan")
+
+    @property
+    def place(self) -> str:
+        """The values of the context, in words; empty if there are none."""
+        return text.values(self.context)
+
+
+@dataclass(frozen=True)
+class ConstraintVerdict:
+    """The verdict on one constraint.
+
+    Attributes
+    ----------
+    name, kind, metric, unit, limit
+        As in the study; the limit in `unit`.
+    side
+        Which limit it is: ``upper`` or ``lower``.
+    allowed
+        Largest permitted probability of a violation, as `Constraint.allowed`.
+    draws, violations, failures
+        Number of draws, of complete ones beyond the limit, and of failed ones.
+    violation_bound
+        Upper confidence bound of the probability that a draw violates the limit or fails.
+    extreme
+        Value of the draws farthest on the side of the limit.
+    tail
+        Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
+    worst
+        For a worst case: the contexts that may be the worst, by their mean, the worst one first.
+    passed, reason
+        Whether the constraint is shown to hold, and why or why not.
+    """
+
+    name: str
+    kind: str
+    metric: str
+    unit: str
+    limit: float
+    side: str
+    allowed: float
+    draws: int
+    violations: int
+    failures: int
+    violation_bound: float
+    extreme: float
+    tail: float
+    worst: tuple[WorstContext, ...]
+    passed: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Statistics and verdicts from the evaluations of one parameter set.
+
+    Attributes
+    ----------
+    parameters
+        The parameter set.
+    objective
+        Mean of the objective's metric over the draws.
+    tail
+        Its conditional value at risk: the mean over the draws that are worst for the objective.
+    evaluations, failures
+        Number of all evaluations, and of those that did not complete.
+    first_failure
+        Reason and context of the first failure; empty without one.
+    constraints
+        One for each constraint of the study.
+    """
+
+    parameters: Mapping[str, Value]
+    objective: Mean
+    tail: float
+    evaluations: int
+    failures: int
+    first_failure: str
+    constraints: tuple[ConstraintVerdict, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every constraint is shown to hold and no evaluation failed."""
+        return self.failures == 0 and all(c.passed for c in self.constraints)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the parameter set does not pass; empty if it does."""
+        failed = (
+            f"{self.failures} of {self.evaluations} evaluations failed, first: "
+            f"{self.first_failure}",
+        )
+        of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
+        return (failed if self.failures else ()) + of_constraints

@@ -1,0 +1,428 @@
+"""The verdict on a parameter set: whether fresh evaluations show that it keeps every constraint.
+
+The burden of proof lies with the parameter set. A constraint counts as kept only if the evaluations
+show it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
+
+- A constraint over the contexts (Eq. 3d) is shown to hold by draws.
+- A constraint in every context (Eq. 3e) is shown to hold if it is in every candidate for the worst
+  context that a separate search finds. Draws can only refute it: what holds in every context holds
+  there.
+- What shows a limit in runs is said by its kind (`bo_tuner.study.limit_kinds`): the bound of the
+  probability of a violation is at most what is allowed, or that of the mean is within the limit.
+- A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
+
+Runs that were made before, in earlier certificates and in the tuning run, count against a PASS and
+never for it: what the fresh ones show alone, all of them together must not contradict. Draws are
+held against draws, and runs in a context against those in the same context. This makes a PASS
+rarer, so every level stays valid, however the earlier runs were chosen.
+
+The bounds of `bo_tuner.numerics.sequential` hold after every evaluation at once, so the evaluations
+end as soon as the verdict is clear, and going on cannot turn luck into a PASS.
+
+PASS requires all of them. Such a test of a union of hypotheses, each at level α, has level α
+itself, whatever the dependence between them (Berger 1982): a constraint that in truth does not hold
+passes its own test with probability α at most. So no correction for the number of constraints and
+candidates is needed. What no test covers is a worst context that the search did not find.
+
+References
+----------
+Berger (1982). Multiparameter hypothesis testing and acceptance sampling. Technometrics 24(4).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bo_tuner import text
+from bo_tuner.evidence.certificate.findings import (
+    NOTHING,
+    TAIL,
+    ConstraintVerdict,
+    Earlier,
+    Evidence,
+    Findings,
+    WorstContext,
+)
+from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_of
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.sequential import probability_bounds
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limit_kinds.kind import Runs
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation
+
+
+def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
+    """Return the smallest number of draws for a PASS, and the constraint that requires it.
+
+    With fewer, even a sample without any violation cannot show a limit on single runs. One in every
+    context takes as many runs in each, of which there are at most as many as draws.
+    """
+    needed = {
+        c.name: c.rule.runs_needed(confidence) for c in study.constraints.values() if c.rule.on_runs
+    }
+    if not needed:
+        return 1, ""
+    name = max(needed, key=lambda key: needed[key])
+    return needed[name], name
+
+
+def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
+    """Judge the evaluations of a parameter set.
+
+    Parameters
+    ----------
+    study
+        The study, whose constraints are judged.
+    evidence
+        The evaluations; at least one draw.
+    confidence
+        Confidence of all bounds, between 0 and 1.
+    """
+    metric = study.objective.metric
+    values = _values(evidence.drawn, metric)
+    sign = study.objective.sign
+    failed = _failed(evidence.evaluations)
+    return Findings(
+        parameters=dict(evidence.parameters),
+        objective=mean_of(values, confidence),
+        tail=sign * conditional_value_at_risk(sign * values, TAIL),
+        evaluations=len(evidence.evaluations),
+        failures=len(failed),
+        first_failure=_failure(failed[0]) if failed else "",
+        constraints=tuple(
+            _judge(study, constraint, evidence, confidence)
+            for constraint in study.constraints.values()
+        ),
+    )
+
+
+def decide_draws(
+    study: Study,
+    drawn: Sequence[Evaluation],
+    most: int,
+    confidence: float,
+    earlier: Earlier = NOTHING,
+) -> bool | None:
+    """Return whether the draws so far decide the verdict: True or False; None if not yet.
+
+    Parameters
+    ----------
+    study
+        The study.
+    drawn
+        The draws so far, in their order.
+    most
+        Largest number of draws.
+    confidence
+        As in `judge`.
+    earlier
+        What was known of the parameter set before.
+
+    Returns
+    -------
+    bool or None
+        True if they show all constraints over the contexts, and do not leave a worst-case one
+        contradicted by earlier draws. False if a PASS is out of reach.
+    """
+    if _failed(drawn):
+        return False if is_failed(drawn) else None
+    undecided = contradicted = False
+    for constraint in study.constraints.values():
+        rule, runs = constraint.rule, _drawn(constraint, drawn, earlier)
+        if rule.in_every_context:
+            if rule.is_refuted(runs, confidence):
+                return False
+            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
+        elif rule.is_shown(runs, confidence):
+            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
+        elif rule.is_hopeless(runs, most, confidence):
+            return False
+        else:
+            undecided = True
+    if contradicted and len(drawn) >= most:
+        return False
+    return None if undecided or contradicted else True
+
+
+def decide_context(
+    constraint: Constraint, evidence: Evidence, place: int, most: int, confidence: float
+) -> bool | None:
+    """Return whether a worst-case constraint holds in a context: True or False; None if open.
+
+    Parameters
+    ----------
+    constraint
+        The constraint.
+    evidence
+        The evaluations so far, with one at least in the context.
+    place
+        Index of the context among those of ``evidence.repeated``.
+    most, confidence
+        As in `decide_draws`.
+
+    Returns
+    -------
+    bool or None
+        True if they show that it holds. False if a PASS is out of reach.
+    """
+    repeated = evidence.repeated[place]
+    if _failed(repeated):
+        return False if is_failed(repeated) else None
+    rule, runs = constraint.rule, _in_context(constraint, repeated, evidence)
+    if rule.is_refuted(runs, confidence):
+        return False
+    if rule.is_shown(runs, confidence):
+        earlier = evidence.earlier.at(repeated[0].context)
+        return None if _contradicted(constraint, earlier, repeated) else True
+    return False if rule.is_hopeless(runs, most, confidence) else None
+
+
+def is_failed(evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether failed evaluations decide the verdict: a FAIL.
+
+    Those lost or disturbed at the end can be followed by more, which end it without a verdict.
+    """
+    return bool(_failed(evaluations)) and not evaluations[-1].outcome.spoilt
+
+
+def is_refuted_by(
+    constraint: Constraint, evaluations: Sequence[Evaluation], confidence: float
+) -> bool:
+    """Return whether runs in one context refute that a constraint holds there.
+
+    A failed one is a violation of every constraint.
+    """
+    return bool(_failed(evaluations)) or constraint.rule.is_refuted(
+        _runs(constraint, evaluations), confidence
+    )
+
+
+def _judge(
+    study: Study, constraint: Constraint, evidence: Evidence, confidence: float
+) -> ConstraintVerdict:
+    rule, unit = constraint.rule, study.metrics[constraint.metric].unit
+    runs = _drawn(constraint, evidence.drawn, evidence.earlier)
+    worst: tuple[WorstContext, ...] = ()
+    against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
+    if rule.in_every_context:
+        worst, passed, reason = _in_every_context(
+            constraint, evidence, runs, unit, confidence, against
+        )
+    else:
+        shown = rule.is_shown(runs, confidence)
+        passed = shown and not against
+        said = rule.said_of_draws(runs, unit, confidence, passed=passed)
+        reason = against if shown and against else said
+    values, draws = runs.values, len(evidence.drawn)
+    return ConstraintVerdict(
+        name=constraint.name,
+        kind=constraint.kind,
+        metric=constraint.metric,
+        unit=unit,
+        limit=constraint.limit,
+        side=constraint.side,
+        allowed=constraint.allowed,
+        draws=draws,
+        violations=int(np.sum(constraint.violations(values))),
+        failures=draws - len(values),
+        violation_bound=_bound(runs.events, confidence),
+        extreme=constraint.farthest(values),
+        tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
+        worst=worst,
+        passed=passed,
+        reason=reason,
+    )
+
+
+def _in_every_context(
+    constraint: Constraint,
+    evidence: Evidence,
+    drawn: Runs,
+    unit: str,
+    confidence: float,
+    against: str,
+) -> tuple[tuple[WorstContext, ...], bool, str]:
+    """Return the contexts that may be the worst, whether the limit is shown, and why."""
+    found = [
+        _worst_context(evaluations, constraint, evidence, confidence)
+        for evaluations in evidence.repeated
+    ]
+    # A context without a complete evaluation has no mean, and counts as the worst.
+    sign = constraint.sign
+    worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+    refuting = [
+        context
+        for context, evaluations in zip(found, evidence.repeated, strict=True)
+        if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
+    ]
+    told = refuting or _failed(evidence.evaluations)
+    if constraint.name in evidence.unseen and not told:
+        # Those that were run are the worst ones of other limits.
+        worst = ()
+    passed, reason = _worst_case(
+        constraint,
+        drawn.events,
+        worst,
+        unit,
+        refuted_by_draws=constraint.rule.is_refuted(drawn, confidence),
+        against=against,
+        refuting=refuting,
+        unvisited=evidence.unvisited.get(constraint.name, 0),
+    )
+    return worst, passed, reason
+
+
+def _worst_case(
+    constraint: Constraint,
+    events: Sequence[bool],
+    worst: Sequence[WorstContext],
+    unit: str,
+    *,
+    refuted_by_draws: bool,
+    against: str,
+    refuting: Sequence[WorstContext],
+    unvisited: int,
+) -> tuple[bool, str]:
+    if refuted_by_draws:
+        return False, (
+            f"{sum(events)} of {len(events)} draws violate the limit or fail: more than a limit "
+            "allows that is kept in every context"
+        )
+    contexts = text.counted(unvisited, "context")
+    not_run = f"{contexts} that may be the worst had no run, as another one had decided"
+    if not worst:
+        return False, not_run if unvisited else "its worst contexts were not evaluated"
+    if failures := sum(w.failures for w in worst):
+        failed = text.counted(failures, "evaluation")
+        return False, f"{failed} failed in the worst contexts (none is allowed)"
+    passed = all(w.shown for w in worst)
+    if passed and unvisited:
+        return False, not_run
+    if passed and against:
+        return False, against
+    doubted = [w for w in worst if w.contradicted]
+    if doubted and all(w.shown or w.contradicted for w in worst):
+        return False, _said_of_both(constraint, doubted[0])
+    return passed, constraint.rule.said_of_contexts(worst, refuting, unit, passed=passed)
+
+
+def _worst_context(
+    evaluations: Sequence[Evaluation],
+    constraint: Constraint,
+    evidence: Evidence,
+    confidence: float,
+) -> WorstContext:
+    runs = _in_context(constraint, evaluations, evidence)
+    earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
+    shown = len(values) == len(evaluations) and constraint.rule.is_shown(runs, confidence)
+    contradicted = shown and _contradicted(constraint, earlier, evaluations)
+    return WorstContext(
+        context=dict(evaluations[0].context),
+        mean=mean_of(values, confidence, constraint.rule.runs_behind_bound(runs)),
+        extreme=constraint.farthest(values),
+        evaluations=len(values),
+        beyond=int(np.sum(constraint.violations(values))),
+        failures=len(evaluations) - len(values),
+        violation_bound=_bound(runs.events, confidence),
+        shown=shown and not contradicted,
+        contradicted=contradicted,
+        earlier=len(earlier),
+        together=_together(constraint, earlier, evaluations) if earlier else float("nan"),
+    )
+
+
+def _contradicted(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> bool:
+    """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
+    if not earlier:
+        return False
+    return constraint.rule.contradicts(_together(constraint, earlier, fresh))
+
+
+def _together(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> float:
+    """Return what is limited in earlier and fresh runs together."""
+    return constraint.rule.together(_runs(constraint, [*earlier, *fresh]))
+
+
+def _said_of_draws(
+    constraint: Constraint,
+    earlier: Sequence[Evaluation],
+    fresh: Sequence[Evaluation],
+) -> str:
+    """Say that earlier draws and fresh ones together break the limit; empty if they do not."""
+    if not _contradicted(constraint, earlier, fresh):
+        return ""
+    both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
+    return constraint.rule.said_together(both, _together(constraint, earlier, fresh))
+
+
+def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
+    inside = text.values(worst.context)
+    where = f" in a context ({inside})" if inside else ""
+    fresh = worst.evaluations + worst.failures
+    both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
+    return constraint.rule.said_together(both, worst.together)
+
+
+def _drawn(constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier) -> Runs:
+    """Return draws as runs of which each stands for all contexts."""
+    values = _values(drawn, constraint.metric)
+    known = [*values, *earlier.extremes.get(constraint.metric, ())]
+    return Runs(_events(constraint, drawn), values, constraint.farthest(known), (values,))
+
+
+def _in_context(
+    constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
+) -> Runs:
+    """Return evaluations in one context as runs, with what is known of the parameter set."""
+    if constraint.rule.on_runs:
+        # Nothing else counts for a share of these.
+        return _runs(constraint, evaluations)
+    metric = constraint.metric
+    # Earlier ones as well.
+    known = [*_values(evidence.evaluations, metric), *evidence.earlier.extremes.get(metric, ())]
+    return replace(
+        _runs(constraint, evaluations),
+        farthest=constraint.farthest(known),
+        elsewhere=[_values(runs, metric) for runs in evidence.repeated],
+    )
+
+
+def _runs(constraint: Constraint, evaluations: Sequence[Evaluation]) -> Runs:
+    return Runs(_events(constraint, evaluations), _values(evaluations, constraint.metric))
+
+
+def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[bool]:
+    """Return whether each evaluation violates the limit or failed."""
+    return [
+        not e.outcome.complete or bool(constraint.violations(e.outcome.metrics[constraint.metric]))
+        for e in evaluations
+    ]
+
+
+def _bound(events: Sequence[bool], confidence: float) -> float:
+    return float(probability_bounds(events, confidence)[-1]) if len(events) else 1.0
+
+
+def _failed(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    return [e for e in evaluations if not e.outcome.complete]
+
+
+def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
+    return np.array(
+        [
+            evaluation.outcome.metrics[metric]
+            for evaluation in evaluations
+            if evaluation.outcome.complete
+        ]
+    )
+
+
+def _failure(evaluation: Evaluation) -> str:
+    context = text.values(evaluation.context) or "none"
+    return f"{evaluation.outcome.reason} (context {context}; seed {evaluation.seed})"

@@ -1,0 +1,195 @@
+"""The numbers of a certificate, row by row, and its table and lines in the terminal."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite, isnan, nan
+
+from rich.table import Table
+
+from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance, VariableTolerance
+from bo_tuner.evidence.certificate.findings import (
+    TAIL,
+    ConstraintVerdict,
+    WorstContext,
+    widest,
+)
+from bo_tuner.evidence.certificate.risk import Mean
+from bo_tuner.evidence.certificate.search_width import widths_in_words
+from bo_tuner.evidence.verdict import FAIL, PASS
+from bo_tuner.study.study import Study
+from bo_tuner.text import shown, shown_beside
+
+Worst = Sequence[WorstContext]
+"""The contexts that a search has found for a constraint, the worst mean first."""
+NOT_SEARCHED = "–"
+CVAR = f"  CVaR, worst {100.0 * (1.0 - TAIL):.3g} %"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of a certificate, in text.
+
+    Attributes
+    ----------
+    label, unit
+        What it is; indented if it tells more of the row above.
+    values
+        Its value for each parameter set.
+    begins
+        Whether it is the first one of a constraint, or of what all constraints have in common.
+    """
+
+    label: str
+    unit: str
+    values: tuple[str, ...]
+    begins: bool = False
+
+
+def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
+    """Return the numbers of a certificate, each for all of its parameter sets."""
+    sides = [*certificate.sides.values()]
+    objective = certificate.objective
+    rows = [
+        Row(
+            f"mean {objective.metric}",
+            objective.unit,
+            tuple(_mean(side.objective) for side in sides),
+            begins=True,
+        ),
+        Row(CVAR, objective.unit, tuple(shown(side.tail) for side in sides)),
+    ]
+    level = f"{100.0 * certificate.bound_confidence:.4g} % bound"
+    for constraints in zip(*(side.constraints for side in sides), strict=True):
+        rows += _of_constraint(study, constraints, level)
+    failed = tuple(f"{side.failures} of {side.evaluations}" for side in sides)
+    verdicts = tuple(PASS if side.passed else FAIL for side in sides)
+    return [*rows, Row("failed evaluations", "", failed, begins=True), Row("verdict", "", verdicts)]
+
+
+def certificate_table(study: Study, certificate: Certificate) -> Table:
+    """Return a table of the tuned parameter set, beside the default if that was evaluated."""
+    same = "the same " if certificate.default is not None else ""
+    table = Table(
+        title=f"{study.name}, trial {certificate.trial}: {same}{certificate.drawn} fresh draws",
+        title_justify="left",
+    )
+    table.add_column("")
+    table.add_column("unit")
+    for name in certificate.sides:
+        table.add_column(name, justify="right")
+    for name, item in study.parameters.items():
+        values = [shown(side.parameters[name]) for side in certificate.sides.values()]
+        table.add_row(name, item.unit, *values)
+    for row in certificate_rows(study, certificate):
+        if row.begins:
+            table.add_section()
+        table.add_row(row.label, row.unit, *row.values)
+    return table
+
+
+def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
+    """Yield lines on what the table leaves out: reasons, training and robustness."""
+    for constraint in certificate.tuned.constraints:
+        kept = "shown to hold" if constraint.passed else "NOT shown to hold"
+        yield f"{constraint.name}: {kept}: {constraint.reason}"
+    if searched := widths_in_words(certificate.search_widths):
+        yield f"search for the worst context: {searched}"
+    for gap in certificate.training_gaps:
+        observed = "" if isnan(gap.observed) else f"observed {shown(gap.observed)}, "
+        validated = f"{shown(gap.validated)} {gap.unit}".rstrip()
+        yield (
+            f"training and validation, {gap.name}: {observed}predicted "
+            f"{shown(gap.predicted)}, validated {validated} (gap {gap.in_words})"
+        )
+    for tolerance in certificate.context_tolerances:
+        yield from _context(study, tolerance)
+    for warning in certificate.warnings:
+        yield f"warning: {warning}"
+
+
+def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) -> Iterator[Row]:
+    tuned = both[-1]
+    constraint = study.constraints[tuned.name]
+    unit, limit, allowed = tuned.unit, tuned.limit, tuned.allowed
+    beyond = f"{constraint.beyond} {limit:g}"
+
+    def row(label: str, unit: str, values: Iterator[str], *, begins: bool = False) -> Row:
+        return Row(label, unit, tuple(values), begins)
+
+    extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
+    yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both), begins=True)
+    yield row(CVAR, unit, (shown(c.tail) for c in both))
+    yield row(f"  draws {beyond}", "", (str(c.violations) for c in both))
+    violation = f"  P(violation), {level}"
+    yield row(violation, "", (shown_beside(c.violation_bound, allowed) for c in both))
+    if constraint.rule.on_runs and not constraint.rule.in_every_context:
+        yield row("    allowed", "", (f"{c.allowed:.4g}" for c in both))
+    # There is no search for the worst context of a parameter set that the draws have refuted.
+    if any(c.worst for c in both):
+
+        def searched(show: Callable[[Worst], str]) -> Iterator[str]:
+            return (show(c.worst) if c.worst else NOT_SEARCHED for c in both)
+
+        title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
+        yield row(title, unit, searched(lambda worst: _mean(worst[0].mean, limit)))
+        # Of all contexts that the search found: the worst one need not have the widest bound.
+        side = constraint.side
+        yield row(
+            f"  {level}", unit, searched(lambda worst: shown_beside(_widest(side, worst), limit))
+        )
+        if constraint.rule.on_runs:
+            yield row(
+                violation, "", searched(lambda worst: shown_beside(_likeliest(worst), allowed))
+            )
+            yield row("    allowed", "", searched(lambda _: f"{allowed:.4g}"))
+        for name in study.contexts:
+            yield row(f"  at {name}", "", searched(partial(_coordinate, name)))
+        counts = searched(lambda worst: f"{worst[0].beyond} of {worst[0].evaluations}")
+        yield row(f"  evaluations {beyond}", "", counts)
+    yield row(
+        f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
+        "",
+        ("shown" if c.passed else "NOT shown" for c in both),
+    )
+
+
+def _widest(side: str, worst: Worst) -> float:
+    """Return the bound of the mean that decides; NaN if too few runs bound it."""
+    bound = widest(side, (context.mean.bound(side) for context in worst))
+    return bound if isfinite(bound) else nan
+
+
+def _likeliest(worst: Worst) -> float:
+    return max(context.violation_bound for context in worst)
+
+
+def _coordinate(name: str, worst: Worst) -> str:
+    return shown(worst[0].context[name])
+
+
+def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
+    first = tolerance.variables[0]
+    unit = f" {tolerance.unit}" if tolerance.unit else ""
+    constraint = study.constraints[tolerance.constraint]
+    yield (
+        f"{study.titled(constraint, constraint.limited)} is most sensitive to {first.name}: "
+        f"at its nominal value the worst case would be {tolerance.relieved} by "
+        f"{first.relief.median:.2g}{unit} ({first.relief.low:.2g} to {first.relief.high:.2g})"
+    )
+    for variable in tolerance.variables:
+        yield f"{variable.name}: {_tolerated(variable)}"
+
+
+def _tolerated(variable: VariableTolerance) -> str:
+    unit = f" {variable.unit}" if variable.unit else ""
+    alone = f"from {variable.down.in_words} to {variable.up.in_words}"
+    worst = f"from {variable.worst_down.in_words} to {variable.worst_up.in_words}"
+    return f"may drift {alone}{unit} alone, {worst}{unit} with all others as in the worst context"
+
+
+def _mean(mean: Mean, limit: float | None = None) -> str:
+    value = shown(mean.value) if limit is None else shown_beside(mean.value, limit)
+    error = mean.standard_error
+    return value if isnan(error) else f"{value} ± {error:.2g}"

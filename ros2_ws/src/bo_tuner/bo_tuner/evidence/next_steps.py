@@ -1,0 +1,72 @@
+"""What to do after a verdict, as commands."""
+
+import shlex
+from dataclasses import dataclass
+
+from bo_tuner.evidence.at_bounds import wider_options
+from bo_tuner.evidence.verdict import State, Verdict
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command, and what it is for."""
+
+    command: str
+    purpose: str
+
+
+def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
+    """Return the commands that come next, the most useful one first.
+
+    Wider bounds, where the result is at one, are a further run, and come last.
+
+    Parameters
+    ----------
+    verdict
+        The verdict on the result of the run.
+    run
+        Path of the run folder.
+    """
+    where = shlex.quote(run)
+    options = wider_options(verdict.at_bounds)
+    wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
+    return (*_by_state(verdict, where), *((wider,) if options else ()))
+
+
+def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
+    # Without it the commands are about the result of the run.
+    trial = "" if verdict.is_result else f" --trial {verdict.trial}"
+    replayed = "" if verdict.is_result else f" {verdict.trial}"
+    report = Step(f"report {where}", "write the report again")
+    again = Step(f"tune --resume {where}", "continue the run")
+    more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
+    both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
+    others = Step(
+        f"validate {where}{trial} --until-pass 3",
+        "certify it again, and after a FAIL the next best candidates",
+    )
+    replay = Step(f"replay {where}{replayed}", "repeat its worst evaluation and compare")
+    apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
+    rollback = Step(f"apply {where} --rollback", "restore the previous values")
+    match verdict.state:
+        case State.OPEN:
+            return (again, report)
+        case State.INCOMPLETE:
+            lost = Step(f"tune --resume {where}", "run the lost test runs again: completes it")
+            return (lost, validate)
+        case State.INFEASIBLE:
+            return (more, replay) if verdict.trial is not None else (more,)
+        case State.VALIDATED:
+            return (both if verdict.default_preferred else validate, replay, more)
+        case State.CERTIFIED if verdict.default_preferred:
+            return (more, replay) if verdict.default_certified else (both, replay, more)
+        case State.CERTIFIED if not verdict.has_result:
+            return (again, replay)
+        case State.CERTIFIED if verdict.apply_refuses:
+            again = Step(f"validate {where}{trial}", "certify it again: apply refuses this one")
+            return (again, replay)
+        case State.CERTIFIED:
+            return (apply, rollback, replay)
+        case State.REFUSED:
+            return (others, more, replay)

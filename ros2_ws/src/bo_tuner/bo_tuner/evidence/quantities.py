@@ -1,0 +1,151 @@
+"""The numbers of a verdict, from evaluations of the default and of the tuned parameter set."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import nan
+
+from bo_tuner.evidence.differences import Change, Difference, paired, unpaired
+from bo_tuner.evidence.limit_verdict import LimitVerdict
+from bo_tuner.evidence.observed import Observed
+from bo_tuner.evidence.verdict import Quantity, ordered
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.text import shown_beside
+
+
+def quantities(
+    study: Study,
+    default: Observed,
+    tuned: Observed,
+    default_limits: Mapping[str, LimitVerdict],
+    tuned_limits: Mapping[str, LimitVerdict],
+    remarks: Mapping[str, str],
+) -> tuple[Quantity, ...]:
+    """Return the numbers of a verdict: of each constraint, and the mean of each other metric.
+
+    Parameters
+    ----------
+    study
+        The study.
+    default, tuned
+        What was observed of the two parameter sets, in the same draws.
+    default_limits, tuned_limits
+        What was found of each constraint, by its name; nothing of a default that is not known.
+    remarks
+        A further remark on constraints, by their names.
+    """
+    found = [
+        replace(
+            _of_constraint(study, constraint, default, tuned, remarks.get(name, "")),
+            default_found=default_limits.get(name),
+            found=tuned_limits[name],
+        )
+        for name, constraint in study.constraints.items()
+    ]
+    objectives = {objective.metric for objective in study.objectives}
+    # The worst case of an objective says nothing of its mean.
+    compared = {q.metric for q in found if q.difference is not None} - objectives
+    signs = {constraint.metric: constraint.sign for constraint in study.constraints.values()}
+    both = {
+        constraint.metric
+        for constraint in study.constraints.values()
+        if constraint.sign != signs[constraint.metric]
+    }
+    for name, metric in study.metrics.items():
+        if name in compared:
+            continue
+        # Between two limits neither direction is the better one.
+        sign = 0.0 if name in both else signs.get(name, 0.0)
+        for objective in study.objectives:
+            if name == objective.metric:
+                sign = objective.sign
+        difference = _paired(default, tuned, name)
+        found.append(
+            Quantity(
+                label=f"mean {name}",
+                metric=name,
+                unit=metric.unit,
+                default=default.mean(name),
+                tuned=tuned.mean(name),
+                difference=difference,
+                change=difference.change(sign),
+                limit=nan,
+                bound=nan,
+                remark="",
+                draws=_draws(default, tuned, name, difference),
+                objective=name in objectives,
+            )
+        )
+    return ordered(found, study.objective.metric)
+
+
+def _of_constraint(
+    study: Study,
+    constraint: Constraint,
+    default: Observed,
+    tuned: Observed,
+    remark: str,
+) -> Quantity:
+    """Return the worst case if that of the tuned parameter set was searched, or else the extreme.
+
+    The extreme value is that in the draws.
+    """
+    metric, name = constraint.metric, constraint.name
+    label = f"{constraint.extreme} {metric}"
+    values = tuple(constraint.farthest(side.values(metric)) for side in (default, tuned))
+    difference: Difference | None = None
+    change, bound = Change.UNKNOWN, nan
+    draws = _draws(default, tuned, metric, None)
+    if name in tuned.worst:
+        theirs, ours = default.worst.get(name), tuned.worst[name]
+        label = f"worst-case {constraint.limited}"
+        values = nan if theirs is None else theirs.value, ours.value
+        draws = ""
+        if not constraint.rule.on_runs:
+            bound = ours.bound
+        if theirs is None:
+            remark = f"the default has no certified worst case; {remark}"
+        else:
+            difference = unpaired(
+                (theirs.value, theirs.standard_error, theirs.count),
+                (ours.value, ours.standard_error, ours.count),
+            )
+            change = difference.change(constraint.sign)
+    on_record = tuned.on_record(metric)
+    parts = [remark] if remark else []
+    if on_record:
+        farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
+        parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
+    return Quantity(
+        label=study.titled(constraint, label),
+        metric=metric,
+        unit=study.metrics[metric].unit,
+        default=values[0],
+        tuned=values[1],
+        difference=difference,
+        change=change,
+        limit=constraint.limit,
+        bound=bound,
+        remark="; ".join(parts),
+        draws=draws,
+        constraint=name,
+    )
+
+
+def _draws(default: Observed, tuned: Observed, metric: str, difference: Difference | None) -> str:
+    """Tell how many draws each number is from, unless all are from the same number of draws."""
+    m, n = (sum(metric in found for found in side.drawn.values()) for side in (default, tuned))
+    if m == n and (difference is None or difference.count == n):
+        return ""
+    text = f"default in {m} draws, tuned in {n}"
+    return text if difference is None else f"{text}, difference in the {difference.count} of both"
+
+
+def _paired(default: Observed, tuned: Observed, metric: str) -> Difference:
+    """Return the difference over the draws that both parameter sets completed."""
+    both = [
+        (default.pairs[k][metric], tuned.pairs[k][metric])
+        for k in default.pairs.keys() & tuned.pairs.keys()
+        if metric in default.pairs[k] and metric in tuned.pairs[k]
+    ]
+    return paired([pair[0] for pair in both], [pair[1] for pair in both])

@@ -1,0 +1,319 @@
+"""The verdict on the result of a run, by its latest certificate if there is one."""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.certificate.earlier import earlier_in_words
+from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
+from bo_tuner.evidence.certificate.store import (
+    certificate_paths,
+    certificate_problem,
+    latest_certificate,
+    read_certificate,
+)
+from bo_tuner.evidence.certificate.unfinished import evaluations_begun
+from bo_tuner.evidence.effects import effects_in_words
+from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
+from bo_tuner.evidence.observed import Observed, WorstMean
+from bo_tuner.evidence.passed_over import passed_over_in_words
+from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.validated import (
+    fresh_draws,
+    is_default,
+    open_verdict,
+    validated,
+)
+from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import limits
+from bo_tuner.study.measured import seen_in, seen_in_words
+from bo_tuner.study.parts import ROS
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
+from bo_tuner.tuning.effects import ParameterEffects
+from bo_tuner.tuning.validation import Validation
+
+
+def run_verdict(record: RunRecord) -> Verdict:
+    """Return the verdict on the result of a run.
+
+    Raises
+    ------
+    RunRecordError
+        If the summary of the run is not one of `tune`.
+    """
+    verdict = _latest(record)
+    trial = record.result
+    if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
+        remark = (
+            f"An unfinished certificate has {counted(begun, 'evaluation')} on record; validate "
+            "continues from there."
+        )
+        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
+    return verdict
+
+
+def _latest(record: RunRecord) -> Verdict:
+    by_validation, trial = _by_validation(record), record.result
+    if by_validation is None or trial is None:
+        return open_verdict(record.study, record.trials)
+    try:
+        path = latest_certificate(record, trial)
+        return by_validation if path is None else _certified(record, trial, path, by_validation)
+    except RunRecordError as error:
+        return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
+
+
+def _by_validation(record: RunRecord) -> Verdict | None:
+    """Return the verdict by the validation of `tune`; None if the run has no result."""
+    summary = record.summary
+    trials = {trial.number: trial for trial in record.trials}
+    if summary is None:
+        return None
+    try:
+        trial = trials[summary["trial"]]  # type: ignore[index]
+        default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
+        feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
+        verdict = validated(
+            record.study,
+            trial.number,
+            default,
+            tuned,
+            record.trials,
+            record.evaluations,
+            doubt="" if bool(summary["passed_check"]) else record.method.doubt(feasibility),
+            measured=record.backend == ROS,
+            outliers=_outliers(record, summary.get("ranked_trials")),
+        )
+        better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
+        runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
+        seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
+        effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
+        return replace(
+            verdict,
+            remarks=(*verdict.remarks, *better, *seen_in_words(record.study.metrics, seen)),
+            effects=effects,
+            of_parameters=effects_in_words(record.study, effects),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunRecordError(
+            f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
+        ) from error
+
+
+def _outliers(record: RunRecord, ranked: object) -> list[int]:
+    """Return the trials that broke no limit, but were not ranked as they are outliers.
+
+    Not ranked are also those that repeat a parameter set, whose evaluations count as one trial, and
+    those that failed when they were run again.
+    """
+    if not isinstance(ranked, list):
+        return []
+    key = record.study.search_space().key
+    known = {key(trial.parameters) for trial in record.trials if trial.number in ranked}
+    known |= {key(e.parameters) for e in record.evaluations if not e.outcome.complete}
+    return [
+        trial.number
+        for trial in record.trials
+        if key(trial.parameters) not in known
+        and limits.outcome_in_words(record.study, trial) == limits.WITHIN
+    ]
+
+
+def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
+    """Return the verdict on a trial by a certificate of it.
+
+    Raises
+    ------
+    RunRecordError
+        If the certificate cannot be read, or the summary of the run is not one of `tune`.
+    """
+    return _certified(record, trial, path, _by_validation(record))
+
+
+def _certified(
+    record: RunRecord, trial: Trial, path: Path, by_validation: Verdict | None
+) -> Verdict:
+    certificate, remarks = read_certificate(path, record.study), []
+    try:
+        rows = read_evaluations(path)
+    except RunRecordError as error:
+        rows, remarks = [], [f"{error}."]
+    study, same = record.study, is_default(record.study, trial.parameters)
+    is_result, passed = record.is_result(trial), certificate.passed
+    problem = certificate_problem(record, trial) if passed else ""
+    if problem:
+        remarks.append(f"apply still refuses it: {problem}.")
+    has_result = record.result is not None
+    if passed and not has_result:
+        remarks.append("apply waits for the result of the run, which has not ended.")
+    draws, confidence = certificate.drawn, certificate.bound_confidence
+    overall = min(certificate.confidence, *_confidences(record))
+    tuned, default, reasons = certificate.tuned, certificate.default, certificate.tuned.reasons
+    of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
+    if default is None:
+        observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
+        default_limits = {} if by_validation is None else _default_limits(by_validation)
+    else:
+        observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
+        default_reasons = default.reasons
+        default_limits = _limits(study, default, draws)
+    numbers = quantities(
+        study,
+        *observed,
+        default_limits,
+        _limits(study, tuned, draws),
+        {c.name: _remark(study, c, draws, confidence) for c in tuned.constraints},
+    )
+    return Verdict(
+        state=State.CERTIFIED if passed else State.REFUSED,
+        trial=trial.number,
+        evidence=_evidence(study, draws, default is not None, by_validation, is_result),
+        reasons=reasons,
+        default_reasons=reasons if same else default_reasons,
+        quantities=numbers,
+        choice=by_validation.choice if by_validation is not None and is_result else "",
+        remarks=(
+            *earlier_in_words(certificate),
+            f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
+            f"certify this run have {100.0 * overall:.4g} % together.",
+            *seen_in_words(study.metrics, certificate.seen),
+            *remarks,
+        ),
+        observed=observed,
+        default_certified=default is not None,
+        apply_refuses=bool(problem),
+        is_default=same,
+        is_result=is_result,
+        has_result=has_result,
+        at_bounds=at_bounds(study, trial.parameters),
+        default_lost=by_validation.default_lost if by_validation and default is None else 0,
+        effects=by_validation.effects if by_validation is not None else (),
+        of_parameters=by_validation.of_parameters if by_validation is not None else (),
+    )
+
+
+def _confidences(record: RunRecord) -> Iterator[float]:
+    """Yield the confidence of each certificate of a run.
+
+    The shares of the error probability that attempts take add up to no more than the largest of
+    the error probabilities asked for.
+    """
+    for path in certificate_paths(record.path):
+        with contextlib.suppress(RunRecordError):
+            yield read_certificate(path, record.study).confidence
+
+
+def _evidence(
+    study: Study,
+    draws: int,
+    with_default: bool,
+    by_validation: Verdict | None,
+    is_result: bool,
+) -> str:
+    """Return what the verdict rests on, in a few words."""
+    fresh = fresh_draws(study, draws)
+    if with_default:
+        return f"the same {fresh}"
+    if by_validation is None or not by_validation.observed:
+        return f"{fresh}, without the default"
+    validation = f"the {by_validation.observed[0].draws} draws of the validation"
+    if not is_result:
+        return f"{fresh}, and the default in {validation}"
+    return f"{fresh} (tuned only) and {validation} (both)"
+
+
+def _beside_validation(
+    by_validation: Verdict | None, tuned: Observed, is_result: bool
+) -> tuple[tuple[Observed, Observed], tuple[str, ...] | None]:
+    """Return what was observed of both sides if the certificate leaves the default out.
+
+    The pairs are those of the validation of `tune`, which only the result has. Also returns why the
+    default was not feasible there; None if it was not evaluated.
+    """
+    if by_validation is None or not by_validation.observed:
+        return (Observed({}, 0), tuned), None
+    default, own = by_validation.observed
+    paired = own.drawn if is_result else {}
+    return (default, replace(tuned, paired=paired)), by_validation.default_reasons
+
+
+def _observed(
+    findings: Findings,
+    rows: Sequence[Row],
+    name: str,
+    draws: int,
+    others: Sequence[Mapping[str, float]],
+) -> Observed:
+    """Return what was observed of a parameter set: in its certificate, and before."""
+    own = [row for row in rows if row.parameter_set == name and row.metrics]
+    return Observed(
+        drawn={row.index: row.metrics for row in own if row.stage is Stage.VALIDATION},
+        draws=draws,
+        others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
+        worst={
+            constraint.name: WorstMean(
+                value=worst.mean.value,
+                standard_error=worst.mean.standard_error,
+                bound=widest(
+                    constraint.side, (w.mean.bound(constraint.side) for w in constraint.worst)
+                ),
+                count=worst.evaluations,
+            )
+            for constraint in findings.constraints
+            for worst in constraint.worst[:1]
+        },
+    )
+
+
+def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
+    """Return the metrics that the run itself has of a trial's parameter set."""
+    return [
+        evaluation.outcome.metrics
+        for evaluation in evaluations_of(record.evaluations, trial.parameters)
+        if evaluation.outcome.complete
+    ]
+
+
+def _remark(study: Study, found: ConstraintVerdict, draws: int, confidence: float) -> str:
+    constraint = study.constraints[found.name]
+    where = f"at most {found.violation_bound:.3g}"
+    if found.worst and constraint.rule.on_runs:
+        worst = max(context.violation_bound for context in found.worst)
+        where = (
+            f"of a violation {where}, and {shown_beside(worst, found.allowed)} in the worst "
+            f"contexts, allowed {shown(found.allowed)},"
+        )
+    return (
+        f"{found.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
+        f"with {100.0 * confidence:g} % confidence"
+    )
+
+
+def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerdict]:
+    """Return what a certificate says of each limit of a parameter set, by its name."""
+    return {
+        found.name: by_certificate(
+            study,
+            study.constraints[found.name],
+            passed=found.passed,
+            draws=draws,
+            violations=found.violations,
+        )
+        for found in findings.constraints
+    }
+
+
+def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:
+    """Return what the validation says of each limit for the default, by its name."""
+    return {
+        q.constraint: q.default_found
+        for q in by_validation.quantities
+        if q.default_found is not None
+    }

@@ -1,0 +1,104 @@
+"""A verdict in the terminal: its words, a table of its numbers, and what to do next."""
+
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bo_tuner import text
+from bo_tuner.evidence.differences import CONFIDENCE
+from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.verdict import Quantity, Verdict
+from bo_tuner.study.study import Study
+from bo_tuner.text import JOIN, wrapped
+from bo_tuner.trials import Value
+
+
+def print_verdict(
+    console: Console, study: Study, verdict: Verdict, tuned: Mapping[str, Value]
+) -> None:
+    """Print the verdict with its numbers.
+
+    Parameters
+    ----------
+    console
+        Where to print.
+    study, verdict
+        The study, and the verdict on its result.
+    tuned
+        The tuned parameter set.
+    """
+    console.print(verdict.headline)
+    for sentence in verdict.sentences:
+        print_line(console, f"  {sentence}", "  ")
+    console.print(verdict_table(study, verdict, tuned))
+    for line in verdict_notes(verdict):
+        print_line(console, line, "  ")
+
+
+def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
+    """Print the commands that come next, aligned; on a narrow terminal each above its purpose."""
+    steps = next_steps(verdict, str(run))
+    width = max((len(step.command) for step in steps), default=0)
+    lines = [f"  {step.command:<{width}}  {step.purpose}" for step in steps]
+    if console.is_terminal and max(map(len, lines), default=0) > console.width:
+        lines = [line for step in steps for line in (f"  {step.command}", f"      {step.purpose}")]
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
+def print_line(console: Console, text: str, indent: str) -> None:
+    """Print a sentence, on a terminal broken between words that no `JOIN` joins."""
+    if console.is_terminal:
+        text = wrapped(text, console.width, indent)
+    console.print(text.replace(JOIN, " "), soft_wrap=True)
+
+
+def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:
+    """Make a table of the parameters and of the numbers of a verdict."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
+    names = [*study.parameters, *(quantity.label for quantity in verdict.quantities)]
+    # A name is never cut, however narrow the terminal is.
+    table.add_column("", min_width=max(len(word) for name in names for word in name.split()))
+    for name in ("default", "tuned", "difference", "limit"):
+        table.add_column(name, justify="right")
+    defaults = study.search_space().defaults
+    for name, item in study.parameters.items():
+        now, new = defaults[name], tuned[name]
+        table.add_row(text.with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
+    table.add_section()
+    for quantity in verdict.quantities:
+        table.add_row(
+            text.with_unit(quantity.label, quantity.unit),
+            *quantity.values_in_words,
+            _difference(quantity),
+            quantity.limit_in_words,
+        )
+    table.add_section()
+    table.add_row("keeps all limits", *verdict.keeps_in_words, "", "")
+    return table
+
+
+def verdict_notes(verdict: Verdict) -> Iterator[str]:
+    """Yield what the table needs to be read: the limits in detail, and what ± means."""
+    yield from verdict.draws_in_words
+    for quantity in verdict.quantities:
+        found = quantity.found
+        parts = ("" if found is None else found.words, quantity.bound_in_words, quantity.remark)
+        if any(parts):
+            yield f"{quantity.label}: {'; '.join(filter(None, parts))}"
+    yield (
+        f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "
+        "confidence interval"
+    )
+
+
+def _difference(quantity: Quantity) -> str:
+    found = quantity.difference
+    if found is None or not isfinite(found.mean):
+        return "–"
+    half = 0.5 * (found.high - found.low)
+    return f"{found.mean:+.3g} ± {half:.2g}" if isfinite(half) else f"{found.mean:+.3g}"

@@ -1,0 +1,257 @@
+"""The verdict of a run by its validation, and that of a run without a result."""
+
+from collections.abc import Mapping, Sequence
+
+from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
+from bo_tuner.evidence.observed import Observed
+from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.study.limits import Standing, worst_case_holds
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted, shown
+from bo_tuner.trials import (
+    DEFAULT,
+    SEEKING_WORST,
+    TUNED,
+    Evaluation,
+    Trial,
+    TrialState,
+    Value,
+    count_evaluations,
+    count_trials,
+    evaluations_of,
+)
+from bo_tuner.tuning.front import RULE
+from bo_tuner.tuning.validation import Validation
+
+FAILURES = "failed evaluations"
+"""Stands for them where problems have the names of constraints, which have no space."""
+
+
+def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
+    """Return the verdict of a run that has no result, or none yet."""
+    done, planned = count_trials(trials), study.budget.trials
+    spent = study.budget.is_spent(done, count_evaluations(trials))
+    failed = sum(trial.state is TrialState.FAILED for trial in trials)
+    if spent and failed == len(trials):
+        why = {trial.reason for trial in trials}
+        common = f": {why.pop()}" if len(why) == 1 else ""
+        reasons = (f"All {failed} trials failed{common}",)
+        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
+    evidence = f"{done} of {planned} trials"
+    if spent:
+        evidence = f"all {done} trials are done but not validated"
+    return Verdict(state=State.OPEN, trial=None, evidence=evidence)
+
+
+def validated(
+    study: Study,
+    trial: int,
+    default: Validation,
+    tuned: Validation,
+    trials: Sequence[Trial],
+    evaluations: Sequence[Evaluation],
+    *,
+    doubt: str,
+    measured: bool,
+    outliers: Sequence[int] = (),
+) -> Verdict:
+    """Return the verdict of a run by its validation.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trial
+        Number of the recommended trial.
+    default, tuned
+        Validation of the hand-tuned parameter set and of the recommended one.
+    trials, evaluations
+        All that are on record.
+    doubt
+        Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
+    measured
+        Whether metrics of time are measured, on nodes, and not modelled.
+    outliers
+        As in `Verdict`.
+    """
+    limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
+    reasons = (*([doubt] if doubt else []), *_problems(study, tuned, limits).values())
+    lost = _lost(tuned, evaluations)
+    state = State.INFEASIBLE if reasons else State.INCOMPLETE if lost else State.VALIDATED
+    same = is_default(study, tuned.parameters)
+    of_default = _found_by_search(study, trials) | _problems(study, default, default_limits)
+    default_reasons = tuple(of_default.values()) if of_default or not default.lost else None
+    if same:
+        default_reasons = None if lost and not reasons else reasons
+    sides = (
+        observed(evaluations, DEFAULT, default.parameters, default.draws),
+        observed(evaluations, TUNED, tuned.parameters, tuned.draws),
+    )
+    return Verdict(
+        state=state,
+        trial=trial,
+        evidence=f"the same {fresh_draws(study, tuned.draws)}",
+        reasons=(lost,) if state is State.INCOMPLETE else reasons,
+        default_reasons=default_reasons,
+        quantities=quantities(study, *sides, default_limits, limits, {}),
+        choice="" if doubt else _choice(study),
+        remarks=(
+            *(_load(study, tuned) if measured else ()),
+            *_how_to_complete(tuned.lost + default.lost),
+        ),
+        observed=sides,
+        is_default=same,
+        outliers=tuple(outliers),
+        at_bounds=at_bounds(study, tuned.parameters),
+        default_lost=default.lost,
+    )
+
+
+def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
+    """Return whether a parameter set is the hand-tuned one."""
+    space = study.search_space()
+    return space.key(parameters) == space.key(space.defaults)
+
+
+def fresh_draws(study: Study, count: int) -> str:
+    """Return what a number of draws is of, in a few words."""
+    return f"{count} fresh draws of {'context and noise' if study.contexts else 'noise'}"
+
+
+def observed(
+    evaluations: Sequence[Evaluation], side: str, parameters: Mapping[str, Value], draws: int
+) -> Observed:
+    """Return what a run has on record of a parameter set.
+
+    Parameters
+    ----------
+    evaluations
+        All evaluations on record.
+    side
+        `DEFAULT` or `TUNED`.
+    parameters
+        The parameter set. A run that was extended may have validated another one before.
+    draws
+        Number of draws of its validation.
+    """
+    drawn: dict[int, Mapping[str, float]] = {}
+    others = []
+    for evaluation in evaluations_of(evaluations, parameters):
+        if not evaluation.outcome.complete:
+            continue
+        if evaluation.whose == side:
+            drawn[evaluation.index] = evaluation.outcome.metrics
+        else:
+            others.append(evaluation.outcome.metrics)
+    return Observed(drawn, draws, others)
+
+
+def limits_in(
+    study: Study, found: Validation, evaluations: Sequence[Evaluation]
+) -> dict[str, LimitVerdict]:
+    """Return what the validation of a parameter set says of each limit, by its name.
+
+    Parameters
+    ----------
+    study
+        The study.
+    found
+        The validation.
+    evaluations
+        All that are on record: they tell whether its worst context was searched, which there is
+        none of without contexts.
+    """
+    unsearched = bool(study.contexts) and not _searched(evaluations, found.parameters)
+    return {
+        name: by_test_runs(study, sample, unsearched=unsearched)
+        for name, sample in found.constraints.items()
+    }
+
+
+def _problems(
+    study: Study, found: Validation, limits: Mapping[str, LimitVerdict]
+) -> dict[str, str]:
+    """Return what speaks against a parameter set in the validation, by the constraint's name."""
+    problems = {
+        name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
+        for name, limit in limits.items()
+        # All of the test runs may have been lost, which tells nothing.
+        if limit.standing is Standing.VIOLATED and (limit.runs or not found.lost)
+    }
+    if found.failures:
+        problems[FAILURES] = f"{found.failures} of {counted(found.draws, 'test run')} failed"
+    return problems
+
+
+def _limit(study: Study, name: str) -> str:
+    constraint = study.constraints[name]
+    return f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
+
+
+def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
+    """Return the worst-case limits that the default breaks where the search of a trial found it."""
+    problems = {}
+    for trial in trials:
+        for constraint in study.worst_case_constraints:
+            worst = trial.worst_cases.get(constraint.name)
+            if (
+                worst is not None
+                and is_default(study, trial.parameters)
+                and not worst_case_holds(constraint, worst)
+            ):
+                unit = study.metrics[constraint.metric].unit
+                problems[constraint.name] = (
+                    f"{constraint.name}: worst case {shown(worst.value)} {unit}".rstrip()
+                    + f" in trial {trial.number}, limit {constraint.limit:g}"
+                )
+    return problems
+
+
+def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> bool:
+    """Return whether the worst context of a parameter set was searched."""
+    of_set = evaluations_of(evaluations, parameters)
+    return any(evaluation.stage in SEEKING_WORST for evaluation in of_set)
+
+
+def _choice(study: Study) -> str:
+    """Return how the result was chosen among those of several objectives; empty for one."""
+    if len(study.objectives) == 1:
+        return ""
+    names = [objective.metric for objective in study.objectives]
+    return (
+        f"Of the trade-offs between {', '.join(names[:-1])} and {names[-1]}, the tuned parameter "
+        f"set is {RULE}. For another point of the front use validate and then apply with --trial N."
+    )
+
+
+def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
+    """Return that test runs of the tuned parameter set tell nothing of it; empty if all do."""
+    if not tuned.lost:
+        return ""
+    why = {
+        evaluation.outcome.reason
+        for evaluation in evaluations_of(evaluations, tuned.parameters)
+        if evaluation.whose == TUNED and evaluation.outcome.spoilt
+    }
+    cause = f" ({why.pop()})" if len(why) == 1 else ""
+    runs = counted(tuned.draws, "test run")
+    were = "was" if tuned.lost == 1 else "were"
+    how = "lost with the nodes, disturbed by others or not prepared"
+    return f"{tuned.lost} of {runs} {were} {how}{cause}"
+
+
+def _how_to_complete(lost: int) -> tuple[str, ...]:
+    """Return a remark if test runs of the validation were lost."""
+    return ("tune --resume runs the lost test runs again, and completes the verdict.",) * bool(lost)
+
+
+def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
+    """Return a remark if only measured times exceed their limits, in all draws."""
+    samples = [s for s in tuned.constraints.values() if s.violations or not s.agrees]
+    metrics = [study.metrics[study.constraints[sample.name].metric] for sample in samples]
+    if all(sample.agrees for sample in samples) or not all(m.measures_time for m in metrics):
+        return ()
+    names = ", ".join(metric.name for metric in metrics)
+    return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)

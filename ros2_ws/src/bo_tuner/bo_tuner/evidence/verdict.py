@@ -1,0 +1,461 @@
+"""The verdict on the result of a run.
+
+Terminal, report, summary, topics, certificate and bundle show this one object, and the exit code
+follows from it, so no two of them can say different things. The words are those of this module.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from math import isfinite, isnan
+
+from bo_tuner.evidence.at_bounds import AtBound
+from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
+from bo_tuner.evidence.limit_verdict import LimitVerdict
+from bo_tuner.evidence.observed import Observed
+from bo_tuner.storage.json_numbers import without_nan
+from bo_tuner.study.limits import Standing
+from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.tuning.effects import ParameterEffects
+
+PASS, FAIL = "PASS", "FAIL"
+
+_KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
+
+
+class State(StrEnum):
+    """What is known of a result."""
+
+    OPEN = "open"
+    INCOMPLETE = "incomplete"
+    INFEASIBLE = "infeasible"
+    VALIDATED = "validated"
+    CERTIFIED = "certified"
+    REFUSED = "not certified"
+
+
+class Status(StrEnum):
+    """How good that is, as a mark."""
+
+    GOOD = "good"
+    WARNING = "warning"
+    BAD = "bad"
+    OPEN = "open"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A number of the default and of the tuned parameter set.
+
+    Attributes
+    ----------
+    label
+        What it is, such as ``mean tracking_error``.
+    metric, unit
+        Name of its metric, and the unit.
+    default, tuned
+        The values; NaN if not known.
+    difference
+        Their difference, with an interval unless the values are single extremes.
+    change
+        The difference in words.
+    limit
+        Limit of the study, upper or lower; NaN without one.
+    bound
+        Confidence bound of the tuned value on the side of the limit, by a certificate; NaN without
+        one.
+    remark
+        What else to know, such as the largest value on record.
+    draws
+        How many draws each number is from, if they are not the same; else empty.
+    objective
+        Whether it is the mean of an objective.
+    constraint
+        Name of the constraint that the limit is of; empty without one.
+    found, default_found
+        What was found of the limit for the tuned parameter set and for the default; None without a
+        limit, or for a default of which nothing is known.
+    """
+
+    label: str
+    metric: str
+    unit: str
+    default: float
+    tuned: float
+    difference: Difference | None
+    change: Change
+    limit: float
+    bound: float
+    remark: str
+    draws: str = ""
+    objective: bool = False
+    constraint: str = ""
+    found: LimitVerdict | None = None
+    default_found: LimitVerdict | None = None
+
+    @property
+    def values_in_words(self) -> tuple[str, str]:
+        """The values of the default and of the tuned parameter set, beside the limit if any."""
+        limit = self.limit
+        if isnan(limit):
+            return shown(self.default), shown(self.tuned)
+        return shown_beside(self.default, limit), shown_beside(self.tuned, limit)
+
+    @property
+    def limit_in_words(self) -> str:
+        """The limit; empty if there is none."""
+        return "" if isnan(self.limit) else f"{self.limit:g}"
+
+    @property
+    def bound_in_words(self) -> str:
+        """The bound of the tuned value; empty if there is none."""
+        bound = shown_beside(self.bound, self.limit)
+        return f"bound of the mean {bound}" if isfinite(self.bound) else ""
+
+    @property
+    def change_in_words(self) -> str:
+        """The change with its interval, in the unit of the quantity."""
+        found = self.difference
+        if found is None or not isfinite(found.mean):
+            return "–"
+        if not (isfinite(found.low) and isfinite(found.high)):
+            return f"{found.mean:+.3g}"
+        return f"{found.mean:+.3g} ({found.low:+.3g} to {found.high:+.3g})"
+
+    @property
+    def gain_in_words(self) -> str:
+        """The two values, with the change in percent where the default is positive.
+
+        Only their difference where they are not of the same draws.
+        """
+        if self.draws:
+            # The values are of other draws than their difference, and may seem to contradict it.
+            return f"{self.label} by {self.change_in_words} {self.unit}".rstrip()
+        text = f"{self.label} {' → '.join(self.values_in_words)} {self.unit}".rstrip()
+        if self.default > 0.0 and isfinite(self.tuned):
+            text += f" ({100.0 * (self.tuned / self.default - 1.0):+.0f} %)"
+        return text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What was found about the result of a run, beside the default.
+
+    Attributes
+    ----------
+    state
+        What is known.
+    trial
+        Number of the trial with the tuned parameter set; None without any complete trial.
+    evidence
+        What the verdict rests on, in a few words.
+    reasons
+        What speaks against the tuned parameter set; empty if nothing does.
+    default_reasons
+        The same for the default; None if it was not evaluated, or not in full.
+    quantities
+        The numbers, as `ordered` has them.
+    choice
+        How the result was chosen among those of several objectives; empty for one objective.
+    remarks
+        What else to know, in sentences.
+    observed
+        What was observed of the default and of the tuned parameter set; None without a result.
+    default_certified
+        Whether a certificate covers the default, too; else its validation tells.
+    apply_refuses
+        Whether `apply` refuses a result that passed, such as for code that has changed since.
+    is_default
+        Whether the tuned parameter set is the default itself.
+    is_result
+        Whether it is the result of the run; else that of a trial which the user has named.
+    has_result
+        Whether the run has a result: else `apply` waits for its end.
+    outliers
+        Numbers of the trials that broke no limit, but are outliers of the objective and were
+        therefore no candidates.
+    at_bounds
+        The tuned parameters of the result that are at a bound of the search.
+    default_lost
+        Number of test runs of the default that tell nothing of it.
+    effects
+        What the trials tell of each tuned parameter.
+    of_parameters
+        What is to know of those that were not seen to move any metric, in sentences.
+    """
+
+    state: State
+    trial: int | None
+    evidence: str
+    reasons: tuple[str, ...] = ()
+    default_reasons: tuple[str, ...] | None = ()
+    quantities: tuple[Quantity, ...] = ()
+    choice: str = ""
+    remarks: tuple[str, ...] = ()
+    observed: tuple[Observed, Observed] | None = None
+    default_certified: bool = True
+    apply_refuses: bool = False
+    is_default: bool = False
+    is_result: bool = True
+    has_result: bool = True
+    outliers: tuple[int, ...] = ()
+    at_bounds: tuple[AtBound, ...] = ()
+    default_lost: int = 0
+    effects: tuple[ParameterEffects, ...] = ()
+    of_parameters: tuple[str, ...] = ()
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the result may be used: the exit code is 0 if so, and 3 if not."""
+        return self.state in (State.VALIDATED, State.CERTIFIED)
+
+    @property
+    def unseen(self) -> tuple[ParameterEffects, ...]:
+        """The tuned parameters that were not seen to move any metric."""
+        return tuple(item for item in self.effects if item.unseen)
+
+    @property
+    def default_unrefuted(self) -> bool:
+        """Whether the same evidence speaks not against the default."""
+        return self.trial is not None and self.default_reasons == ()
+
+    @property
+    def standing(self) -> Standing:
+        """Whether the tuned parameter set is shown to keep all limits, or violates one."""
+        match self.state:
+            case State.CERTIFIED:
+                return Standing.SHOWN
+            case State.INFEASIBLE | State.REFUSED:
+                return Standing.VIOLATED
+            case State.VALIDATED if _all_shown(self._tuned_limits):
+                return Standing.SHOWN
+        return Standing.OPEN
+
+    @property
+    def default_standing(self) -> Standing | None:
+        """The same of the default; None if it was not evaluated, or not in full."""
+        if self.default_reasons is None:
+            return None
+        if not self.default_unrefuted:
+            return Standing.VIOLATED
+        certified = self.certificate != "" and self.default_certified
+        return Standing.SHOWN if certified or _all_shown(self._default_limits) else Standing.OPEN
+
+    @property
+    def _tuned_limits(self) -> dict[str, LimitVerdict]:
+        return {q.constraint: q.found for q in self.quantities if q.found is not None}
+
+    @property
+    def _default_limits(self) -> dict[str, LimitVerdict]:
+        return {
+            q.constraint: q.default_found for q in self.quantities if q.default_found is not None
+        }
+
+    @property
+    def default_preferred(self) -> bool:
+        """Whether the default is another one that nothing speaks against, and is better."""
+        changes = {quantity.change for quantity in self.quantities if quantity.objective}
+        worse = Change.WORSE in changes and Change.BETTER not in changes
+        return self.default_unrefuted and worse and not self.is_default
+
+    @property
+    def gained(self) -> bool:
+        """Whether tuning gained something beyond chance: a limit, or a number.
+
+        Nothing is gained at the expense of the objective, unless the default breaks a limit.
+        """
+        improved = any(q.change is Change.BETTER for q in self.quantities)
+        return (
+            self.feasible
+            and not self.is_default
+            and (bool(self.default_reasons) or (improved and not self.default_preferred))
+        )
+
+    @property
+    def status(self) -> Status:
+        """The mark of the result: good only if it is shown to keep all limits."""
+        if self.state is State.OPEN:
+            return Status.OPEN
+        if self.state is State.INCOMPLETE:
+            return Status.WARNING
+        if not self.feasible:
+            return Status.BAD
+        exceeds = any(found.exceeds for found in self._tuned_limits.values())
+        gained = self.gained or self.default_reasons is None
+        if not gained or (exceeds and self.standing is Standing.OPEN):
+            return Status.WARNING
+        return Status.GOOD if self.standing is Standing.SHOWN else Status.OPEN
+
+    @property
+    def certificate(self) -> str:
+        """`PASS`, `FAIL`, or empty without a certificate."""
+        return {State.CERTIFIED: PASS, State.REFUSED: FAIL}.get(self.state, "")
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        match self.state:
+            case State.OPEN:
+                return f"No result yet: {self.evidence}"
+            case State.INCOMPLETE:
+                return f"Incomplete: {self.reasons[0]}"
+            case State.INFEASIBLE:
+                if self.default_unrefuted and not self.is_default:
+                    return "The tuned parameter set is not feasible; nothing refutes the default"
+                return "No feasible parameter set was found"
+            case State.VALIDATED:
+                return f"{_found_in_words(self._tuned_limits)}; not certified yet"
+            case State.CERTIFIED:
+                return f"{PASS}: the tuned parameter set is shown to keep all limits"
+            case State.REFUSED:
+                return f"{FAIL}: the tuned parameter set is not shown to keep all limits"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The explanation: evidence, reasons, the default, and what changed beyond chance."""
+        if self.state is State.OPEN:
+            return self.remarks
+        if self.trial is None:
+            return (*(f"{reason}." for reason in self.reasons), *self.remarks)
+        found = [f"Trial {self.trial} against the default, in {self.evidence}."]
+        if self.state is not State.INCOMPLETE:
+            found += [f"{reason}." for reason in self.reasons]
+        if self.state is State.INFEASIBLE:
+            found += self._not_to_be_used()
+        found.append(self.default_in_words)
+        found += self._changes()
+        found += [bound.sentence for bound in self.at_bounds]
+        found += self.of_parameters
+        if self.choice:
+            found.append(self.choice)
+        return (*found, *self.remarks)
+
+    def _not_to_be_used(self) -> list[str]:
+        """Return what to know of ``best.yaml`` where nothing was found feasible."""
+        do_not_use = "best.yaml holds this parameter set; do not use it."
+        if not self.outliers:
+            return [do_not_use]
+        one = len(self.outliers) == 1
+        numbers = ", ".join(map(str, self.outliers))
+        return [
+            f"Trial{'' if one else 's'} {numbers} broke no limit, but {'is' if one else 'are'} "
+            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
+            f"therefore not {'a candidate' if one else 'candidates'}.",
+            do_not_use,
+        ]
+
+    @property
+    def default_in_words(self) -> str:
+        """What the same evidence says of the default."""
+        if self.default_reasons is None:
+            if not self.default_lost:
+                return "The default was not evaluated."
+            runs = counted(self.default_lost, "test run")
+            return f"The default was not evaluated in full: {runs} lost or disturbed by others."
+        if self.default_reasons:
+            reasons = "; ".join(self.default_reasons)
+            return f"The default is not shown to keep all limits: {reasons}."
+        if self.certificate and self.default_certified:
+            return f"The default is shown to keep all limits{', too' if self.feasible else ''}."
+        return f"The default by the same evidence: {_found_in_words(self._default_limits)}."
+
+    def _changes(self) -> list[str]:
+        """Return the changes, by what they are: what improved first."""
+        if self.is_default:
+            # What differs between the columns is noise.
+            why = ": no other was found to be better" if self.is_result else ""
+            return [f"The tuned parameter set is the default{why}."]
+        by_change = {
+            change: [q for q in self.quantities if q.change is change] for change in Change
+        }
+        better, lower = by_change[Change.BETTER], by_change[Change.LOWER]
+        found = [
+            f"{title}: {', '.join(q.gain_in_words for q in chosen)}."
+            for title, chosen in (
+                ("Better", better),
+                ("Lower", lower),
+                ("Worse", by_change[Change.WORSE]),
+                ("Higher", by_change[Change.HIGHER]),
+            )
+            if chosen
+        ]
+        if same := by_change[Change.NONE]:
+            found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
+        if self.feasible and self.default_preferred:
+            preferred = "By the objective the default is the better choice"
+            doubt = ", unless it breaks a limit: validate --with-default checks this"
+            sure = self.certificate and self.default_certified
+            found.append(f"{preferred}{'' if sure else doubt}.")
+        elif self.feasible and not self.gained and self.default_reasons is not None:
+            found.append("Tuning gained nothing that can be distinguished from chance.")
+        return found
+
+    @property
+    def keeps_in_words(self) -> tuple[str, str]:
+        """Whether default and tuned parameter set keep all limits; a dash for one not evaluated."""
+        words = {Standing.SHOWN: "yes", Standing.OPEN: "not shown", Standing.VIOLATED: "NO"}
+        default = self.default_standing
+        return "–" if default is None else words[default], words[self.standing]
+
+    @property
+    def draws_in_words(self) -> tuple[str, ...]:
+        """From how many draws the numbers are where that differs, those alike in a line."""
+        by_draws: dict[str, list[str]] = {}
+        for quantity in self.quantities:
+            if quantity.draws:
+                by_draws.setdefault(quantity.draws, []).append(quantity.label)
+        return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
+
+    def to_mapping(self) -> dict[str, object]:
+        """Return the verdict as it stands in files and events; a number not known is None."""
+        return {
+            "state": str(self.state),
+            "feasible": self.feasible,
+            "headline": self.headline,
+            "sentences": list(self.sentences),
+            "trial": self.trial,
+            "evidence": self.evidence,
+            "keeps_limits": {
+                "default": _KEEPS.get(self.default_standing),
+                "tuned": _KEEPS[self.standing],
+            },
+            "reasons": {
+                "default": list(self.default_reasons or ()),
+                "tuned": list(self.reasons),
+            },
+            "confidence_of_differences": CONFIDENCE,
+            "quantities": without_nan(
+                [asdict(q) | {"change": str(q.change)} for q in self.quantities]
+            ),
+            "at_bounds": [asdict(bound) for bound in self.at_bounds],
+            "unseen_parameters": [item.parameter for item in self.unseen],
+        }
+
+    def to_summary(self) -> dict[str, object]:
+        """Return what ``summary.json`` has of the verdict."""
+        return {"feasible": self.feasible, "verdict": self.to_mapping()}
+
+
+def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:
+    """Order quantities: what improved first, the objective's mean after the others alike."""
+    rank = {Change.BETTER: 0, Change.LOWER: 0, Change.WORSE: 1, Change.HIGHER: 1}
+    return tuple(sorted(quantities, key=lambda q: (rank.get(q.change, 2), q.metric == objective)))
+
+
+def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:
+    return all(found.standing is Standing.SHOWN for found in limits.values())
+
+
+def _found_in_words(limits: Mapping[str, LimitVerdict]) -> str:
+    """Return what test runs say of all limits of a parameter set that none of them refutes.
+
+    Violations that a limit permits are counted, and a limit is kept only if that is shown.
+    """
+    if not limits:
+        return "No limits to keep"
+    if _all_shown(limits):
+        asked = "; ".join(f"{name} {found.asked}" for name, found in limits.items())
+        return f"Shown to be kept: {asked}"
+    beyond = [f"{name}: {found.words}" for name, found in limits.items() if found.violations]
+    runs = max(found.runs for found in limits.values())
+    return "; ".join(beyond) or f"No limit broken in {counted(runs, 'test run')}"

@@ -1,0 +1,346 @@
+"""The verdict on the result of a run, from its validation or from a certificate."""
+
+import dataclasses
+import json
+from math import isnan
+
+import numpy as np
+import pytest
+from judged_runs import certify, default_trial, evaluations, made
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.findings import Evidence
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.differences import Change
+from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.run_verdict import certified, run_verdict
+from bo_tuner.evidence.validated import fresh_draws, is_default
+from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
+from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.trials import Stage, WorstCase
+
+
+def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
+    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, repeated=40)
+    with monkeypatch.context() as patch:
+        patch.setattr("bo_tuner.evidence.run_verdict.certificate_problem", lambda *_: "")
+        commands = [step.command for step in next_steps(run_verdict(run), "run")]
+        assert commands[0] == "apply run"
+    # 40 draws are fewer than the study asks for.
+    verdict = run_verdict(run)
+    assert verdict.certificate == PASS
+    assert "the study requires" in verdict.remarks[-1]
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert commands[0] == "validate run"
+    assert not any(command.startswith("apply") for command in commands)
+
+
+@pytest.mark.parametrize("certificate", [None, "tuned", "both"])
+def test_a_better_default_is_preferred(run, certificate):
+    """The error is the objective; the peak is lower, and kept by both."""
+    draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(40)]
+             for error, peak in ((1.0, 0.6), (2.0, 0.5))]  # fmt: skip
+    run = made(run, *draws, True)
+    if certificate:
+        certify(run, *draws, with_default=certificate == "both", repeated=40)
+    verdict = run_verdict(run)
+    assert verdict.feasible
+    assert verdict.default_unrefuted
+    assert verdict.status is Status.WARNING
+    told = "By the objective the default is the better choice"
+    if certificate == "both":
+        assert f"{told}." in verdict.sentences
+    else:
+        assert f"{told}, unless it breaks a limit: validate --with-default checks this." in (
+            verdict.sentences
+        )
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert not any(command.startswith("apply") for command in commands)
+    assert ("validate run --with-default" in commands) == (certificate != "both")
+
+
+def test_a_worse_objective_is_the_price_of_a_limit_that_holds(tuned):
+    run = made(tuned, [(1.0 + 0.01 * k, 1.5) for k in range(8)], [(2.0, 0.5)] * 8, True)
+    verdict = run_verdict(run)
+    assert not verdict.default_unrefuted
+    assert verdict.gained
+    assert verdict.status is Status.OPEN
+    assert not any("better choice" in sentence for sentence in verdict.sentences)
+
+
+@pytest.mark.parametrize("stage", [Stage.NOMINAL, Stage.SEARCH])
+def test_without_a_search_no_draw_may_exceed_a_worst_case_limit(tuned, stage):
+    """On the mean in every context; one of 8 draws exceeds it, for default and tuned alike."""
+    trial = tuned.trials[tuned.summary["trial"]]
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, draws, True)
+    own = [e for e in run.evaluations if dict(e.parameters) == dict(trial.parameters)]
+    others = [e for e in run.evaluations if e not in own]
+    own = [e if e.stage is Stage.VALIDATION else dataclasses.replace(e, stage=stage) for e in own]
+    verdict = run_verdict(dataclasses.replace(run, evaluations=(*others, *own)))
+    assert not verdict.default_unrefuted
+    assert verdict.feasible == (stage is Stage.SEARCH)
+    if stage is Stage.NOMINAL:
+        assert verdict.reasons == verdict.default_reasons
+
+
+@pytest.mark.parametrize(("worst", "keeps"), [(None, False), (0.9, True), (1.1, False)])
+def test_a_default_whose_worst_context_was_searched_counts_as_such(tuned, worst, keeps):
+    """One of 8 draws exceeds a limit on the mean in every context, as it may."""
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, [(1.0, 0.5)] * 8, True)
+    if worst is not None:
+        trial = default_trial(run)
+        found = WorstCase(worst, {"load": 2.0}, worst, 0.01)
+        trials = list(run.trials)
+        trials[trial.number] = dataclasses.replace(trial, worst_cases={"peak": found})
+        searched = evaluations(trial.number, trial.parameters, [(1.0, worst)], Stage.SEARCH)
+        run = dataclasses.replace(
+            run, trials=tuple(trials), evaluations=(*run.evaluations, *searched)
+        )
+    verdict = run_verdict(run)
+    assert verdict.default_unrefuted is keeps
+    if worst == 1.1:
+        trial = default_trial(run).number
+        assert verdict.default_reasons == (f"peak: worst case 1.1 N in trial {trial}, limit 1",)
+    if worst is None:
+        assert "(no search was made for its worst context)" in verdict.default_reasons[0]
+
+
+def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
+    trial = default_trial(tuned).number
+    run = dataclasses.replace(tuned, summary=dict(tuned.summary) | {"trial": trial})
+    for passed_check in (True, False):
+        draws = [(1.0, 0.5)] * 8
+        verdict = run_verdict(made(run, draws, draws, passed_check))
+        assert verdict.is_default
+        assert verdict.reasons == verdict.default_reasons
+        assert verdict.keeps_in_words == (("not shown",) * 2 if passed_check else ("NO",) * 2)
+
+
+def test_a_feasible_default_beside_an_infeasible_result_is_not_kept_quiet(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True))
+    assert (
+        verdict.headline == "The tuned parameter set is not feasible; nothing refutes the default"
+    )
+    told = "The default by the same evidence: No limit broken in 8 test runs."
+    assert told in verdict.sentences
+
+
+def another_trial(run):
+    """A trial that is neither the result nor the default."""
+    others = {run.summary["trial"], default_trial(run).number}
+    return next(t for t in run.trials if t.number not in others and t.worst_cases)
+
+
+def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
+    """It knows of the default what the validation found, and its next steps name the trial."""
+    draws = [(1.0, 0.5)] * 40
+    run = made(run, draws, [(1.0, 0.9)] * 40, True)
+    other = another_trial(run)
+    made_of = dataclasses.replace(run, summary=dict(run.summary) | {"trial": other.number})
+    certify(made_of, draws, draws, with_default=False, repeated=40)
+    verdict = certified(run, other, run.path / "certificates" / "0001.json")
+    assert verdict.certificate == PASS
+    assert not verdict.is_result
+    assert verdict.keeps_in_words == ("not shown", "yes")
+    assert verdict.evidence == (
+        "40 fresh draws of context and noise, and the default in the 40 draws of the validation"
+    )
+    # The draws of the validation are of another parameter set, so there are no pairs.
+    assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
+    number = other.number
+    refused = [step.command for step in next_steps(verdict, "run")]
+    assert refused == [f"validate run --trial {number}", f"replay run {number}"]
+    opened = dataclasses.replace(verdict, apply_refuses=False)
+    commands = [step.command for step in next_steps(opened, "run")]
+    assert commands[0] == f"apply run --trial {number}"
+    failed = dataclasses.replace(verdict, state=State.REFUSED, is_result=True)
+    assert [step.command for step in next_steps(failed, "run")] == [
+        "validate run --until-pass 3",
+        "tune --resume run --trials N",
+        "replay run",
+    ]
+    assert run_verdict(run).certificate == ""
+
+
+def test_apply_waits_for_the_result_of_a_run_that_has_none(run, monkeypatch):
+    monkeypatch.setattr("bo_tuner.evidence.run_verdict.certificate_problem", lambda *_: "")
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws, with_default=False, repeated=40)
+    trial = run.trials[run.summary["trial"]]
+    going_on = dataclasses.replace(run, summary=None)
+    verdict = certified(going_on, trial, run.path / "certificates" / "0001.json")
+    assert verdict.certificate == PASS
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert commands == ["tune --resume run", f"replay run {trial.number}"]
+    assert "apply waits for the result of the run, which has not ended." in verdict.remarks
+
+
+def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
+    """A draw of the validation beyond the limit counts as on record, and once."""
+    draws = [(1.0, 0.5)] * 24
+    run = made(run, [*draws, (1.0, 0.5)], [*draws, (1.0, 1.4)], True)
+    trial = run.trials[run.summary["trial"]]
+    known = sum(
+        dict(e.parameters) == dict(trial.parameters) and e.outcome.complete for e in run.evaluations
+    )
+    found = certify(run, draws, [(1.2, 0.6)] * 40, with_default=False, repeated=40)
+    verdict = run_verdict(run)
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.found is not None]
+    (error,) = [q for q in verdict.quantities if q.label == "mean error"]
+    assert f"largest of {known + found.tuned.evaluations} evaluations on record 1.4" in worst.remark
+    assert error.tuned == pytest.approx(1.2)
+    assert error.difference.mean == 0.0
+    assert verdict.observed[1].values("peak") == [0.6] * 40
+
+
+def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
+    """None of 40 draws is beyond the limit, but 10 of 40 runs in the worst context are."""
+    run, values = run_of_single_runs, [(1.0, 0.7)] * 40
+    run = made(run, values, values, True)
+    trial = run.trials[run.summary["trial"]]
+    there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(40)]
+    worst = evaluations(1, trial.parameters, there, Stage.CHECK_WORST)
+    evidence = {
+        "tuned": Evidence(
+            trial.parameters, evaluations(1, trial.parameters, values), repeated=(worst,)
+        )
+    }
+    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "inprocess", None)
+    write_certificate(run.path, found, evidence)
+    (quantity,) = [q for q in run_verdict(run).quantities if q.found is not None]
+    bound = found.tuned.constraints[0].worst[0].violation_bound
+    assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
+    assert isnan(quantity.bound)
+
+
+def test_what_a_device_holds_in_fewer_digits_is_named(run):
+    """Of the parameter set that was judged, and of nothing that changes from run to run."""
+    trial = run.trials[run.summary["trial"]]
+    name, item = next((n, i) for n, i in run.study.parameters.items() if i.is_tuned)
+    told = trial.parameters[name]
+    held = float(np.float32(told))
+    details = {f"holds {item.node}.{item.parameter}": repr(held), "holds axis.load": "0.125"}
+    drawn = tuple(
+        dataclasses.replace(e, outcome=dataclasses.replace(e.outcome, details=details))
+        for e in evaluations(1, trial.parameters, [(1.0, 0.7)] * 40)
+    )
+    evidence = {"tuned": Evidence(trial.parameters, drawn)}
+    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "ros", None)
+    content = json.loads(write_certificate(run.path, found, evidence).read_text())
+    assert held != told
+    assert content["held"] == {name: held}
+    warning = f"{name}: the device holds {held}, in 32 bits, of the {told} that it is told"
+    assert warning in content["warnings"]
+
+
+@pytest.fixture
+def run_of_single_runs(run):
+    constraint = dataclasses.replace(run.study.constraints["peak"], probability=0.85)
+    study = dataclasses.replace(run.study, constraints={"peak": constraint})
+    return dataclasses.replace(run, study=study)
+
+
+def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws)
+    certify(run, draws, draws)
+    first = run.path / "certificates" / "0001.json"
+    first.write_text(json.dumps(json.loads(first.read_text()) | {"confidence": 0.5}))
+    assert run_verdict(run).remarks[0].endswith("have 50 % together.")
+
+
+def test_the_largest_value_on_record_is_not_hidden(tuned):
+    """A peak of 0.99 in the tuning is named beside the 0.5 of a validation."""
+    trial = tuned.trials[tuned.summary["trial"]]
+    run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
+    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.99)], Stage.SEARCH)
+    verdict = run_verdict(dataclasses.replace(run, evaluations=(*run.evaluations, *seen)))
+    (peak,) = [q for q in verdict.quantities if q.label == "largest peak"]
+    assert peak.tuned == 0.5
+    assert "on record 0.99" in peak.remark
+    assert "gained nothing" in verdict.sentences[-1]
+
+
+def test_a_result_that_is_the_default_is_said_to_be_it(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True))
+    says = "The tuned parameter set is the default: no other was found to be better."
+    assert not verdict.is_default
+    assert says not in verdict.sentences
+    same = dataclasses.replace(verdict, is_default=True)
+    assert same.sentences[-1] == says
+    assert not any(sentence.startswith(("Better", "Worse", "Lower")) for sentence in same.sentences)
+    assert not same.gained
+    assert not same.default_preferred
+    assert is_default(tuned.study, tuned.study.search_space().defaults)
+
+
+@pytest.mark.parametrize("words", ["context and noise", "noise"])
+def test_draws_are_of_contexts_only_where_there_are_some(tuned, words):
+    contexts = tuned.study.contexts if "context" in words else {}
+    study = dataclasses.replace(tuned.study, contexts=contexts)
+    assert fresh_draws(study, 5) == f"5 fresh draws of {words}"
+
+
+@pytest.mark.parametrize("text", ["", "parameter_set,stage\ntuned,none\n", "\x00", None])
+def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
+    certify(run, [(1.0, 0.5)] * 3, [(1.0, 2.0)] * 3)
+    path = run.path / "certificates" / "0001_evaluations.csv"
+    path.unlink() if text is None else path.write_text(text)
+    verdict = run_verdict(run)
+    assert verdict.certificate == FAIL
+    assert verdict.reasons[0].startswith("peak: ")
+
+
+def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
+    within = [t.number for t in run.trials if outcome_in_words(run.study, t) == WITHIN]
+    ranked = [t.number for t in run.trials if t.number != within[0]]
+    summary = dict(run.summary) | {"ranked_trials": ranked}
+    found = run_verdict(dataclasses.replace(run, summary=summary))
+    assert found.outliers == (within[0],)
+    assert any(f"Trial {within[0]} broke no limit" in text for text in found.sentences)
+    for known in ([*ranked, within[0]], None):
+        everyone = dataclasses.replace(run, summary=summary | {"ranked_trials": known})
+        assert run_verdict(everyone).outliers == ()
+
+
+def test_better_parameter_sets_that_were_passed_over_are_named(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 0.5)] * 8, True)
+    item = {"trial": 3, "objective": 0.75, "feasibility": 0.81, "shown": False}
+    shown = {"trial": 2, "objective": 0.5, "feasibility": 0.98, "shown": True}
+
+    def sentences(*found):
+        summary = dict(run.summary) | {"passed_over": list(found)}
+        return run_verdict(dataclasses.replace(run, summary=summary)).sentences
+
+    assert sentences()[-1] != sentences(item)[-1]
+    assert sentences(item)[:-1] == sentences()
+    name = run.study.objective.metric
+    unit = f" {run.study.metrics[name].unit}".rstrip()
+    assert sentences(shown, item)[-1] == (
+        f"Better by the model, but passed over: trial 2 ({name} 0.5{unit}, keeps all limits with a "
+        "probability of 0.98, no runs were left to confirm it), "
+        f"trial 3 ({name} 0.75{unit}, keeps all limits with a probability of 0.81, which is too "
+        "low). validate --trial N tests one of them."
+    )
+    assert ", and 2 more. validate" in sentences(*[item] * 5)[-1]
+
+
+@pytest.mark.parametrize("found", [3, [3], [{"trial": 1}], [{"trial": "x", "objective": None}]])
+def test_a_summary_with_something_else_passed_over_is_refused(tuned, found):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 0.5)] * 8, True)
+    summary = dict(run.summary) | {"passed_over": found}
+    with pytest.raises(RunRecordError, match="its summary is not one of tune's"):
+        run_verdict(dataclasses.replace(run, summary=summary))
+
+
+def test_a_repetition_is_no_outlier(tuned):
+    """Its evaluations count as those of the first trial of the parameter set, which is ranked."""
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True)
+    within = next(t for t in run.trials if outcome_in_words(run.study, t) == WITHIN)
+    again = dataclasses.replace(within, number=len(run.trials))
+    run = dataclasses.replace(run, trials=(*run.trials, again))
+    assert again.number not in run.summary["ranked_trials"]
+    assert run_verdict(run).outliers == ()

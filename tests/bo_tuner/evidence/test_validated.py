@@ -1,0 +1,147 @@
+"""What the verdict by a validation says besides."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from bo_tuner.evidence.differences import Change
+from bo_tuner.evidence.limit_verdict import by_certificate
+from bo_tuner.evidence.observed import Observed, WorstMean
+from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.validated import validated
+from bo_tuner.evidence.verdict import Quantity, State, Status, Verdict
+from bo_tuner.study.limits import Sample, Standing
+from bo_tuner.study.study_file import load_study
+from bo_tuner.tuning.validation import Validation
+
+LOAD = "Only return_time exceeded a limit; other load on this machine can cause this too."
+
+
+def validation(study, violations):
+    """One of 25 draws, with so many violations of each limit; more than 4 refute it."""
+    samples = {
+        name: Sample(
+            name, math.nan, 25, count, 3, Standing.OPEN if count <= 4 else Standing.VIOLATED
+        )
+        for name, count in violations.items()
+    }
+    return Validation(study.search_space().defaults, 25, 0, 0, 0.2, 0.01, samples)
+
+
+@pytest.mark.parametrize(
+    ("violations", "measured", "told"),
+    [
+        ({"real_time": 25, "overshoot": 0}, True, True),
+        # Counted operations do not depend on the load.
+        ({"real_time": 25, "overshoot": 0}, False, False),
+        ({"real_time": 25, "overshoot": 9}, True, False),
+        ({"real_time": 25, "overshoot": 3}, True, False),
+        ({"real_time": 0, "overshoot": 9}, True, False),
+        ({"real_time": 0, "overshoot": 0}, True, False),
+    ],
+)
+def test_other_load_explains_only_measured_times(violations, measured, told):
+    study = load_study("benchmark")
+    both = validation(study, violations)
+    verdict = validated(study, 0, both, both, (), (), doubt="", measured=measured)
+    assert verdict.remarks == ((LOAD,) if told else ())
+
+
+def test_outliers_that_kept_all_limits_are_told_of():
+    """Otherwise the answer seems to violate less than they do."""
+    study = load_study("benchmark")
+    both = validation(study, {"real_time": 25, "overshoot": 9})
+    judged = partial(validated, study, 0, both, both, (), (), doubt="", measured=False)
+    found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
+    assert not any("outlier" in sentence for sentence in found[0])
+    assert (
+        "Trial 4 broke no limit, but is an outlier of the objective, far from all others, and "
+        "therefore not a candidate."
+    ) in found[1]
+    assert (
+        "Trials 4, 7 broke no limit, but are outliers of the objective, far from all others, and "
+        "therefore not candidates."
+    ) in found[2]
+    for sentences in found:
+        assert "best.yaml holds this parameter set; do not use it." in sentences
+
+
+@pytest.mark.parametrize("contexts", [{}, None])
+def test_without_contexts_there_is_no_worst_one_to_doubt(make_study, contexts):
+    """A limit on single runs that may be violated in 15 % of them, and was in 8 %."""
+    limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.85}
+    sections = {} if contexts is None else {"contexts": contexts}
+    study = make_study(constraints={"peak": limit}, **sections)
+    both = validation(study, {"peak": 2})
+    found = validated(study, 0, both, both, (), (), doubt="", measured=False)
+    assert bool(found.reasons) is bool(found.default_reasons) is bool(study.contexts)
+
+
+def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
+    study = make_study(constraints={"cap": {"kind": "worst_case", "metric": "error", "upper": 5.0}})
+    default, tuned = (
+        Observed(
+            {k: {"error": mean + 0.01 * (k % 3), "peak": 0.0} for k in range(30)},
+            30,
+            [],
+            {"cap": WorstMean(worst, 0.01, worst + 0.1, 30)},
+        )
+        for mean, worst in ((1.0, 3.0), (2.0, 2.5))
+    )
+    constraint = study.constraints["cap"]
+    kept = by_certificate(study, constraint, passed=True, draws=30, violations=0)
+    found = quantities(study, default, tuned, {}, {"cap": kept}, {})
+    verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", quantities=found)
+    assert [q.change for q in found if q.objective] == [Change.WORSE]
+    assert verdict.default_preferred
+    assert not verdict.gained
+
+
+def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
+    study = make_study(constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}})
+    none = Validation(
+        study.search_space().defaults,
+        8,
+        8,
+        0,
+        math.nan,
+        math.nan,
+        {"peak": Sample("peak", math.nan, 0, 0, 0, Standing.VIOLATED)},
+    )
+    found = validated(study, 0, none, none, (), (), doubt="", measured=False)
+    assert found.reasons == ("peak, limit 1: no test run is complete", "8 of 8 test runs failed")
+
+
+def quantity(change):
+    return Quantity(
+        label="mean peak",
+        metric="peak",
+        unit="",
+        default=4.0,
+        tuned=8.0,
+        difference=None,
+        change=change,
+        limit=math.nan,
+        bound=math.nan,
+        remark="",
+    )
+
+
+@pytest.mark.parametrize("change", [Change.LOWER, Change.HIGHER])
+def test_what_is_neither_better_nor_worse_is_no_gain(change):
+    verdict = Verdict(state=State.VALIDATED, trial=1, evidence="", quantities=(quantity(change),))
+    assert not verdict.gained
+    better = replace(verdict, quantities=(quantity(Change.BETTER),))
+    assert better.gained
+
+
+def test_of_a_default_that_was_not_evaluated_nothing_is_said():
+    verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", default_reasons=None)
+    assert verdict.keeps_in_words == ("–", "yes")
+    assert verdict.to_mapping()["keeps_limits"] == {"default": None, "tuned": True}
+    assert "The default was not evaluated." in verdict.sentences
+    assert not verdict.gained
+    assert verdict.status is Status.GOOD
+    assert not any("gained nothing" in sentence for sentence in verdict.sentences)
