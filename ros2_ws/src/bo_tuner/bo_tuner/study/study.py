@@ -17,6 +17,7 @@ from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import (
     CHANCE,
     MODEL_NAMES,
+    OBJECTIVE,
     OUTLIERS,
     WORST_CASE,
     Constraint,
@@ -226,7 +227,8 @@ class Study:
         with findings.under():
             start = _start(self.start)
         object.__setattr__(self, "start", start)
-        taken = {f"{OUTLIERS}_{objective.metric}" for objective in self.further_objectives}
+        each = (OBJECTIVE, OUTLIERS)
+        taken = {f"{model}_{o.metric}" for o in self.further_objectives for model in each}
         with findings.under():
             constraints = _one_limit_each(self.constraints, {*MODEL_NAMES, *taken})
             object.__setattr__(self, "constraints", constraints)

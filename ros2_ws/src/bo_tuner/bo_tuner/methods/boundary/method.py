@@ -110,11 +110,6 @@ class Boundary(Method):
     def _search(self) -> SearchRule:
         return self.search or Pooled(self.models)
 
-    def problem(self, study: Study) -> str:
-        """Refuse several objectives."""
-        count = len(study.objectives)
-        return f"optimizes one objective, and the study has {count}" if count > 1 else ""
-
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
         return BoundaryOptimization(
@@ -164,10 +159,9 @@ class Boundary(Method):
         search.incumbent = float(study.objective.to_cost(best.objective))
         found = search.maximize()
         x = space.to_cube(best.trial.parameters)[None]
-        over_contexts = float(model.process.means(x, model.contexts).var())
         complete = EvaluationState.COMPLETE
         evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
-        noise = float(np.sqrt((over_contexts + model.noise_variance) / evaluations))
+        noise = float(np.sqrt(model.variance_of_run(x)[0] / evaluations))
         return Outlook(search.incumbent, float(np.exp(found.value)), noise)
 
     def answer_search(
