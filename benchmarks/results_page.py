@@ -30,7 +30,6 @@ SECTIONS = (
     ("recording.json", "Cost of recording", cost.recording),
     ("live_overhead.json", "Cost of live monitoring", cost.live),
     ("web_overhead.json", "Cost of the live page", cost.web),
-    ("time_left.json", "Time left", cost.time_left),
     ("band_coverage.json", "Bands and bounds of a certificate", answers.coverage),
     ("parameter_effects.json", "What a parameter moves", answers.effects),
     ("stop_advice.json", "The advice to stop", answers.stop),

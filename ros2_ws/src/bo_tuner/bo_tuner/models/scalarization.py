@@ -83,7 +83,7 @@ class Chebyshev:
 
     @classmethod
     def between(cls, means: Array, feasible: NDArray[np.bool_], weights: Array) -> Self:
-        """Scale by the front of the feasible points; where that is one point, by all points.
+        """Scale by the front of the feasible points, or by half of all points where that is wider.
 
         Parameters
         ----------
@@ -96,7 +96,9 @@ class Chebyshev:
         """
         known = means[feasible] if feasible.any() else means
         front = known[nondominated(known)]
-        ideal, nadir = front.min(axis=0), front.max(axis=0)
+        ideal = front.min(axis=0)
+        # A point that is better than almost all in every cost is alone on the front, or nearly so.
+        nadir = np.maximum(front.max(axis=0), np.median(means, axis=0))
         for further in (known, means):
             nadir = np.where(nadir > ideal, nadir, further.max(axis=0))
         # Of large numbers, 1 more may be the same.

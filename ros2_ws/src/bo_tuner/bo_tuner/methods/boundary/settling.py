@@ -49,20 +49,6 @@ class Repetitions:
             return 0
         return max(most_check_evaluations(study), math.ceil(self.share * evaluations) - made)
 
-    def before(self, study: Study, evaluations: int) -> int:
-        """Return how many of so many evaluations in all, at least one, are those of the trials."""
-        if not self.share:
-            return evaluations
-        of_trials = self.part_of_trials(evaluations)
-        return max(1, min(evaluations - most_check_evaluations(study), of_trials))
-
-    def part_of_trials(self, evaluations: int) -> int:
-        """Return how many of so many evaluations are of trials, with repetitions in proportion.
-
-        An answer is known where a run is continued, so none are kept for the check of one.
-        """
-        return math.floor(evaluations / (1.0 + self.share))
-
 
 class SettledAnswer:
     """The search for the answer by repetitions; see `AnswerSearch`.
