@@ -1,7 +1,7 @@
 """Measure what the tuner costs, survives and is worth, and write docs/performance.md.
 
     python benchmarks/performance.py                       list the scripts, and write the page
-    python benchmarks/performance.py recording time_left   run these before; `all` runs every one
+    python benchmarks/performance.py recording report   run these before; `all` runs every one
 
 Each script writes a file in benchmarks/results, with the commit, seeds and machine that it was
 obtained with, from which its section of the page is made; a file that is missing is left out. A
@@ -35,7 +35,6 @@ SECTIONS = {
     "suggestion_time": ("Time of a proposal", cost.suggestion),
     "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),
     "recording": ("Cost of recording", cost.recording),
-    "time_left": ("Time left", cost.time_left),
     "unchanged_system": ("A system that knows nothing of the tuner", cost.unchanged),
     "node_starts": ("A node that starts with its values", cost.node_starts),
     "streams": ("References that stream", cost.streams),

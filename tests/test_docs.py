@@ -305,7 +305,7 @@ def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
     def metrics(values, load, draught, seed):
         plate = hot_plate.HotPlate()
         plate.set_parameters(values | {"load": load, "draught": draught, "seed": seed})
-        return plate.run_cut()
+        return plate.evaluate()
 
     def mean(name, values, load=1.5, draught=1.0):
         return sum(metrics(values, load, draught, seed)[name] for seed in range(5)) / 5
@@ -367,7 +367,7 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
         plate.set_parameters(
             dict(recorded.parameters) | dict(recorded.context) | {"seed": recorded.seed}
         )
-        metrics = plate.run_cut()
+        metrics = plate.evaluate()
         found = recorded.outcome.metrics
         assert {name: metrics[name] for name in found} == found
 

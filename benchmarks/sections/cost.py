@@ -85,33 +85,6 @@ def recording(result: Result) -> list[str]:
     ]
 
 
-def time_left(result: Result) -> list[str]:
-    """Errors of the announced time left."""
-    rows = []
-    for name, case in result["cases"].items():
-        s = case["summary"]
-        loads = [load for run in case["runs"] for load in run["load_average"]]
-        rows.append(
-            [
-                name,
-                len(case["runs"]),
-                f"{min(loads):.1f} … {max(loads):.1f}",
-                f"{s['within_a_fifth']} of {s['points']}",
-                f"{s['median']:.0%}",
-                f"{s['largest']:.0%}",
-                f"{s['bias']:+.0%}",
-            ]
-        )
-    header = ["runs", "number", "load average", "within 20 %", "median", "largest", "bias"]
-    return [
-        f"Error of the time left, relative to what was left in truth: runs of the study "
-        f"`{result['study']}`, after each trial from a third on and at the beginning of check "
-        "and validation. Where the load comes or goes, two processes that compute all the time "
-        "begin or end after a quarter of the trials. The bias is the median with its sign.",
-        markdown(header, rows),
-    ]
-
-
 def unchanged(result: Result) -> list[str]:
     """Lay out what it takes to tune a system that knows nothing of the tuner."""
     runs, slowest = result["runs"], result["slowest_metric"]

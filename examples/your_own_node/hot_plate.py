@@ -34,7 +34,7 @@ class HotPlate:
                 raise ValueError(f"{name}: {value} is too small")
         self.values.update(values)
 
-    def run_cut(self) -> dict[str, float | str]:
+    def evaluate(self) -> dict[str, float | str]:
         """Run once; returns how it went and the metrics."""
         v = self.values
         noise = np.random.default_rng(int(v["seed"])).normal(0.0, NOISE, DURATION)

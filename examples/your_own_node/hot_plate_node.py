@@ -50,7 +50,7 @@ class HotPlateNode(Node):
         # A machine would go on for minutes here, step by step; the simulation is done at once.
         self._timer.cancel()
         self._plate.set_parameters({name: self.get_parameter(name).value for name in DEFAULTS})
-        values = {"cut": self._run_id} | self._plate.run_cut()
+        values = {"cut": self._run_id} | self._plate.evaluate()
         failed = values["status"] != "ok"
         status = DiagnosticStatus(
             name="hot_plate: run_result",

@@ -7,6 +7,7 @@ import pytest
 import yaml
 from report_runs import axis_study, run_study
 
+from bo_tuner.acquisition.acquisition import Acquisition
 from bo_tuner.cli import validate
 from bo_tuner.cli.report import run
 from bo_tuner.interruption import Interruption
@@ -18,7 +19,7 @@ from bo_tuner.methods.searches import SearchRule, searches_of
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.trial_models import TrialModels, over_contexts
-from bo_tuner.optimizers.base import ACQUISITION, DesignedOptimizer, Proposal
+from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, DesignedOptimizer, Proposal
 from bo_tuner.optimizers.ranking import Ranking
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.storage.record import read_run
@@ -41,7 +42,18 @@ def tune(study, backend, algorithm):
 
 def towards(surrogates, incumbent, *, avoid, reinterpolate):
     """Towards one point, whatever the models say: no improvement is expected anywhere."""
-    return lambda x: -np.abs(x[:, 0] - 0.8125)
+    return Acquisition(lambda x: -1e3 * np.abs(x[:, 0] - 0.8125), expected=False)
+
+
+def optimistic(surrogates, incumbent, *, avoid, reinterpolate):
+    """The lower confidence bound of the cost, where the limits are probably kept."""
+
+    def bound(x):
+        mean, variance = surrogates.objective.predict(x)
+        return np.sqrt(variance) - mean
+
+    limits = tuple(limit.log_probability for limit in surrogates.constraints.values())
+    return Acquisition(bound, limits, expected=False)
 
 
 class TestAcquisition:
@@ -52,6 +64,23 @@ class TestAcquisition:
         trials = tune(study, function_backend(study, valley), method)
         assert trials[3].origin == ACQUISITION
         assert trials[3].parameters["gain"] == pytest.approx(0.8125, abs=1e-3)
+
+    @pytest.mark.parametrize("name", ["IV", "boundary"])
+    def test_one_that_is_no_expected_improvement_finds_the_optimum(
+        self, make_study, function_backend, name
+    ):
+        """Its values are below any improvement, and no trial is called a refinement for that."""
+        method = replace(METHODS[name], acquisition=optimistic)
+        study = make_study().replace(trials=8)
+        trials = tune(study, function_backend(study, valley), method)
+        # What was tried already is not proposed again, and a point far from all takes its place.
+        origins = {trial.origin for trial in trials[3:]}
+        assert ACQUISITION in origins
+        assert origins <= {ACQUISITION, SPACE_FILLING}
+        assert min(abs(t.parameters["gain"] - 0.3) for t in trials[3:]) < 0.05
+        # Nor does it tell when to stop.
+        assert METHODS[name].outlook(study, trials) is not None
+        assert method.outlook(study, trials) is None
 
 
 @dataclass
@@ -269,18 +298,8 @@ class Halves(Method):
         last = max(ranked, key=lambda candidate: candidate.trial.number)
         return Nothing(Recommendation(last, True, (), tuple(ranked)))
 
-    def checked(self, study, trials, evaluations):
-        return list(trials)
-
     def most_evaluations(self, study):
         return 2 * study.budget.trials
-
-    def time_to_answer(self, study, times):
-        left = study.budget.remaining(times.counted, times.evaluations)
-        return left * times.evaluations_of_trial() * times.recent_evaluation()
-
-    def doubt(self, feasibility):
-        return "It is doubtful"
 
 
 class MeanOverContexts(OnMean):

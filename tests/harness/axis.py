@@ -31,7 +31,7 @@ class Axis:
     def set_parameters(self, values):
         self.__dict__.update(values)
 
-    def run_cut(self):
+    def evaluate(self):
         self.count()
         time.sleep(number("PACE"))
         if {fails}:

@@ -21,7 +21,7 @@ class Axis:
     def set_parameters(self, values):
         self.values |= values
 
-    def run_cut(self):
+    def evaluate(self):
         gain, load = self.values["gain"], self.values["load"]
         if gain > self.values["ends"]:
             return {{"status": "failed", "reason": {HARM!r}}}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.acquisition.acquisition import LogProduct, best_at_data, constrained_improvement
+from bo_tuner.acquisition.acquisition import Acquisition, best_at_data, constrained_improvement
 from bo_tuner.models.constraints import SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
@@ -123,7 +123,7 @@ def test_what_cannot_exceed_a_value_is_left_out(best):
 @pytest.mark.parametrize("improvement", [np.nan, -np.inf, 2.0])
 def test_only_a_number_above_the_value_counts(improvement):
     known = np.full(3, improvement)
-    product = LogProduct(lambda x: known, (lambda x: np.where(x[:, 0] > 0.5, -np.inf, -1.0),))
+    product = Acquisition(lambda x: known, (lambda x: np.where(x[:, 0] > 0.5, -np.inf, -1.0),))
     x, least = np.array([[0.0], [0.2], [0.9]]), np.array([-np.inf, 5.0, -np.inf])
     found = product.where_above(least, x)
     sound = improvement - 1.0 if improvement > 0.0 else -np.inf

@@ -38,7 +38,7 @@ class Axis:
                 raise TypeError("no sign")
         self.values.update(values)
 
-    def run_cut(self, *others):
+    def evaluate(self, *others):
         said = {"status": "ok", "reason": "", "error": self.values.get("gain", 0.5), "peak": 1.0}
         said["told"] = repr(sorted(self.values.items()))
         behaviour = self.values.get("behaviour", "")
@@ -69,8 +69,8 @@ class Axis:
 class Sensor(Axis):
     """Gives the peak in place of the axis."""
 
-    def cut_result(self):
-        return Axis.run_cut(self)
+    def result(self):
+        return Axis.evaluate(self)
 
 
 class Outer:

@@ -20,7 +20,7 @@ class Windy:
     def set_parameters(self, values):
         self.values = {"gain": 0.5, "load": 1.0, "seed": 0} | values
 
-    def run_cut(self):
+    def evaluate(self):
         gain, load = self.values["gain"], self.values["load"]
         wind = 0.2 + 2.9 * np.random.default_rng(self.values["seed"]).random()
         error = 1.0 + (gain - 0.3) ** 2 + 0.2 * wind**2

@@ -89,9 +89,8 @@ def test_the_largest_probability_of_a_failure_is_asked_for_each_proposal(study, 
     assert sorted(set(asked)) == [4, 5, 6, 7]
 
 
-def test_a_share_of_nothing_leaves_all_evaluations_to_the_trials(study, function_backend):
+def test_with_a_share_of_nothing_nothing_is_repeated(study, function_backend):
     method = replace(BOUNDARY, repetitions=Repetitions(share=0.0))
-    assert method.within(study, 100, reserved=40) == (method, 100)
     backend = function_backend(study, slope)
     trials = list(Tuning(study, Driver(backend), method))
     runs = len(backend.calls)

@@ -344,12 +344,6 @@ def test_the_number_of_repetitions(study, study_of):
     assert REPETITIONS.most(study_of(peak=None), 20) == DRAWN_EVALUATIONS
 
 
-@pytest.mark.parametrize("whole", [30, 60, 80, 160, 301])
-def test_trials_and_repetitions_fill_a_budget(study, whole):
-    trials = REPETITIONS.before(study, whole)
-    assert whole - 1 <= trials + REPETITIONS.most(study, trials) <= whole
-
-
 @pytest.mark.parametrize("name", [BOUNDARY, "IV"])
 def test_what_failed_when_it_was_run_again_is_no_candidate_of_a_pooled_run(study, trials, name):
     method = METHODS[name]

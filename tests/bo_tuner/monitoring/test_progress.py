@@ -190,8 +190,9 @@ class TestTerminal:
             for trial in trials
         ]
         follow(out, make_study(), trials, candidate(trials[0]))
-        # 2 trials of 80 s, two checks of 20 runs and a validation of 2 x 5 runs, 30 s each.
-        seconds = 2 * 80 + (40 + 10) * 30
+        # 2 trials of 80 s, two checks of 20 runs, 40 s each with their part of proposals, and a
+        # validation of 2 x 5 runs of 30 s.
+        seconds = 2 * 80 + 40 * 40 + 10 * 30
         assert f"3/5 {duration(seconds)} left  optimizer 25%" in ESCAPE.sub("", text(out))
 
     def test_recorded_trials_are_counted_and_not_shown_again(self, make_study, make_trial):

@@ -134,3 +134,12 @@ def test_a_limit_below_the_least_value_of_a_measure():
     with pytest.raises(StudyError, match="no run keeps it: overshoot is at least 0, found -1"):
         check_constraint(limit, {"over": metric})
     check_constraint(replace(limit, upper=0.0), {"over": metric})
+
+
+@pytest.mark.parametrize("model", ["outliers", "objective"])
+def test_the_models_of_further_objectives_have_taken_their_names(make_study, model):
+    name = f"{model}_peak"
+    limit = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
+    make_study(constraints={name: limit})
+    with pytest.raises(StudyError, match=f"the models call another one '{name}'"):
+        make_study(constraints={name: limit}, further_objectives=[{"metric": "peak"}])

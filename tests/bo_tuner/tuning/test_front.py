@@ -27,6 +27,7 @@ from bo_tuner.trials import ESTIMATING
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.summary import choose_answer
 from tuning_benchmark.problems.two_objectives import hypervolume
 
 NODE = {"node": "axis"}
@@ -74,6 +75,13 @@ def run(study, function_backend):
     return trials, recommend(study, backend, trials)
 
 
+@pytest.fixture(scope="module")
+def pooled_run(study, function_backend):
+    backend = function_backend(study, figures)
+    trials = list(Tuning(study, Driver(backend), METHODS["boundary"]))
+    return trials, choose_answer(study, Driver(backend), METHODS["boundary"], trials)
+
+
 def volume_of(trials, numbers):
     """Hypervolume of trials on the truth; those that violate the limit count nothing."""
     chosen = [trials[k].parameters for k in numbers]
@@ -81,8 +89,9 @@ def volume_of(trials, numbers):
     return hypervolume(np.array(costs).reshape(-1, 2), REFERENCE)
 
 
-def test_the_front_is_the_true_one(study, run):
-    trials, found = run
+@pytest.mark.parametrize("name", ["run", "pooled_run"])
+def test_the_front_is_the_true_one(study, name, request):
+    trials, found = request.getfixturevalue(name)
     front = pareto_front(study, found.ranked)
     numbers = [point.trial for point in front]
     # Steps between the points cost some.
@@ -91,11 +100,13 @@ def test_the_front_is_the_true_one(study, run):
     assert volume_of(trials, range(len(trials))) < VOLUME
     slopes = [trials[k].parameters["slope"] for k in numbers]
     assert max(slopes) < 0.52
-    assert slopes == sorted(slopes)
+    # Along the front, up to the noise between neighbours.
+    assert np.diff(slopes).min() > -0.03
 
 
-def test_the_result_is_the_compromise(run):
-    _, found = run
+@pytest.mark.parametrize("name", ["run", "pooled_run"])
+def test_the_result_is_the_compromise(name, request):
+    _, found = request.getfixturevalue(name)
     assert found.feasible
     assert found.candidate.trial.parameters["slope"] == pytest.approx(COMPROMISE, abs=0.06)
     assert found.candidate.trial.parameters["gain"] == pytest.approx(0.5, abs=0.06)
@@ -114,11 +125,43 @@ def test_means_are_those_of_all_evaluations_in_drawn_contexts(study, run):
     assert point.means["far"].error == pytest.approx(high - np.mean(drawn))
 
 
-def test_a_resumed_run_repeats_the_rest(study, function_backend, run):
-    trials, _ = run
-    for count in (4, 11):
+def test_means_of_pooled_models_are_closer_to_the_truth_than_those_of_few_runs(study, pooled_run):
+    """A trial has one or two runs in drawn contexts, which differ by up to 0.01 from the mean."""
+    trials, found = pooled_run
+    front = pareto_front(study, found.ranked)
+    errors, of_runs = [], []
+    for point in front:
+        trial = trials[point.trial]
+        true_means = true(**trial.parameters)
+        for metric, mean in zip(("near", "far"), true_means, strict=True):
+            estimate = point.means[metric]
+            errors.append(abs(estimate.value - mean))
+            of_runs.append(abs(trial.mean(metric) - mean))
+        assert point.modelled
+        assert point.means["near"].count >= len(trial.evaluations)
+    assert np.mean(errors) < 0.7 * np.mean(of_runs)
+    assert max(errors) < 0.01
+
+
+def test_runs_that_settle_the_front_follow_those_that_settle_the_compromise(study, pooled_run):
+    """Weights that lean towards one objective have another best one, which gets runs of its own."""
+    _, found = pooled_run
+    slopes = {
+        candidate.trial.number: candidate.trial.parameters["slope"] for candidate in found.ranked
+    }
+    answer = found.candidate.trial.number
+    assert answer in found.checked
+    others = [slopes[number] for number in found.checked if number in slopes and number != answer]
+    assert min(others) < COMPROMISE - 0.02
+    assert max(others) > COMPROMISE + 0.02
+
+
+@pytest.mark.parametrize(("algorithm", "name"), [("IV", "run"), ("boundary", "pooled_run")])
+def test_a_resumed_run_repeats_the_rest(study, function_backend, algorithm, name, request):
+    trials, _ = request.getfixturevalue(name)
+    for count in (4, 11, 20):
         backend = function_backend(study, figures)
-        resumed = Tuning(study, Driver(backend), METHODS["IV"], trials=trials[:count])
+        resumed = Tuning(study, Driver(backend), METHODS[algorithm], trials=trials[:count])
         for trial in trials[count : count + 2]:
             assert next(iter(resumed)).parameters == trial.parameters
 
@@ -152,11 +195,12 @@ def test_other_algorithms_can(study, function_backend, algorithm):
     assert pareto_front(small, found.ranked)
 
 
-def test_three_objectives(make_study, function_backend):
+@pytest.mark.parametrize("algorithm", ["IV", "boundary"])
+def test_three_objectives(make_study, function_backend, algorithm):
     sections = SECTIONS | {"further_objectives": [{"metric": "far"}, {"metric": "peak"}]}
     study = make_study(**sections).replace(**BUDGET | {"trials": 12})
-    trials = list(Tuning(study, Driver(function_backend(study, figures)), METHODS["IV"]))
-    points = pareto_front(study, METHODS["IV"].ranking.rank(study, trials))
+    trials = list(Tuning(study, Driver(function_backend(study, figures)), METHODS[algorithm]))
+    points = pareto_front(study, METHODS[algorithm].ranking.rank(study, trials))
     assert points
     assert set(points[0].means) == {"near", "far", "peak"}
     assert not [warning for trial in trials for warning in trial.warnings]

@@ -8,7 +8,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
-from bo_tuner.worst_case.pooled_search import PooledSearch
+from bo_tuner.worst_case.pooled_search import KnownRuns, PooledSearch
 
 NOISE = 0.02
 LIMIT = 2.5
@@ -24,16 +24,26 @@ def line():
     return ContextSpace({"c": Uniform(bounds=(0.0, 1.0))})
 
 
+def pooled_search(line, x, *known, measured=None, deviations=0.0, evaluations=4, until_clear=False):
+    return PooledSearch(
+        line,
+        np.array([x]),
+        KnownRuns(*known, Coding((0,)), measured or {}),
+        limit=LIMIT,
+        deviations=deviations,
+        evaluations=evaluations,
+        models=PooledModels(),
+        until_clear=until_clear,
+    )
+
+
 def searched(line, evaluations, *, exploded=0.0, until_clear=True):
     """A search at x = 0.5 after twelve runs, one of them at x = `exploded`."""
     rng = np.random.default_rng(1)
     x, c = rng.uniform(0.0, 0.75, (12, 1)), rng.random((12, 1))
     x[-1] = exploded
     y = response(x[:, 0], c[:, 0]) * (1.0 + NOISE * rng.standard_normal(12))
-    search = PooledSearch(
-        line, LIMIT, 0.0, evaluations, np.array([0.5]), x, c, y, Coding((0,)),
-        models=PooledModels(), until_clear=until_clear,
-    )  # fmt: skip
+    search = pooled_search(line, 0.5, x, c, y, evaluations=evaluations, until_clear=until_clear)
     asked = []
     while not search.done(rng):
         context = search.ask(rng)
@@ -72,10 +82,8 @@ def test_the_worst_case_of_runs_is_where_their_quantile_is(line):
     y = 0.2 - 0.2 * c + np.where(c > 0.5, 0.3, 0.01) * rng.normal(size=200)
     contexts = []
     for deviations in (0.0, float(norm.ppf(0.95))):
-        search = PooledSearch(
-            line, LIMIT, deviations, 1, np.array([0.5]), np.full((200, 1), 0.5), c[:, None], y,
-            Coding((0,)), models=PooledModels(), until_clear=False,
-        )  # fmt: skip
+        x = np.full((200, 1), 0.5)
+        search = pooled_search(line, 0.5, x, c[:, None], y, deviations=deviations)
         search.tell({"c": 0.0}, 0.2)
         contexts.append(search.worst_case(np.random.default_rng(0)).context["c"])
     of_mean, of_runs = contexts
@@ -85,10 +93,7 @@ def test_the_worst_case_of_runs_is_where_their_quantile_is(line):
 def test_a_worst_case_that_explodes_is_in_the_unit_of_the_metric(line):
     rng = np.random.default_rng(2)
     x, c = rng.uniform(0.0, 0.75, (12, 1)), rng.random((12, 1))
-    search = PooledSearch(
-        line, LIMIT, 0.0, 3, np.array([1.0]), x, c, response(x[:, 0], c[:, 0]), Coding((0,)),
-        models=PooledModels(), until_clear=False,
-    )  # fmt: skip
+    search = pooled_search(line, 1.0, x, c, response(x[:, 0], c[:, 0]))
     truth = response(1.0, 1.0)
     for value in (0.98 * truth, truth, 1.02 * truth):
         search.tell({"c": 1.0}, value)
@@ -101,10 +106,8 @@ def test_what_was_measured_is_no_noise_and_its_mean_counts(line):
     """y = c (0.5 + wind): at the worst c, 1, the mean over the wind is 1."""
     rng = np.random.default_rng(5)
     c, wind = rng.random((20, 1)), rng.random(20)
-    search = PooledSearch(
-        line, LIMIT, 0.0, 4, np.array([0.5]), np.full((20, 1), 0.5), c, c[:, 0] * (0.5 + wind),
-        Coding((0,)), models=PooledModels(), until_clear=False, measured={"wind": wind},
-    )  # fmt: skip
+    x, y = np.full((20, 1), 0.5), c[:, 0] * (0.5 + wind)
+    search = pooled_search(line, 0.5, x, c, y, measured={"wind": wind})
     for further in (0.1, 0.3, 0.7, 0.9):
         context = search.ask(rng)
         assert context.keys() == {"c"}
@@ -116,10 +119,8 @@ def test_what_was_measured_is_no_noise_and_its_mean_counts(line):
 
 def test_the_first_trial_has_no_data_but_its_own(line):
     nothing = np.empty((0, 1))
-    search = PooledSearch(
-        line, LIMIT, 0.0, 2, np.array([0.5]), nothing, nothing, np.empty(0), Coding((0,)),
-        models=PooledModels(), until_clear=False, measured={"wind": np.empty(0)},
-    )  # fmt: skip
+    measured = {"wind": np.empty(0)}
+    search = pooled_search(line, 0.5, nothing, nothing, np.empty(0), measured=measured)
     rng = np.random.default_rng(6)
     for c in (0.0, 0.5, 1.0):
         search.tell({"c": c, "wind": 0.4}, c)

@@ -15,18 +15,18 @@ def passed(monkeypatch):
 
 
 def test_cost_is_that_of_the_optimizer_at_the_marks(monkeypatch, passed):
-    run_cut = cost.Valley.run_cut
+    evaluate = cost.Valley.evaluate
 
     def evaluated(valley):
         passed.append(100.0)
-        return run_cut(valley)
+        return evaluate(valley)
 
     def optimized(*arguments):
         for trial in Tuning(*arguments):
             passed.append(1.5)
             yield trial
 
-    monkeypatch.setattr(cost.Valley, "run_cut", evaluated)
+    monkeypatch.setattr(cost.Valley, "evaluate", evaluated)
     monkeypatch.setattr(cost, "Tuning", optimized)
     result = cost.cost_of_run("IV", 3, 1, [4, 22])
     assert passed.count(100.0) > 22

@@ -5,6 +5,7 @@ from bo_tuner.methods.boundary.stage_one import new_point
 from bo_tuner.methods.paper import check
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import Stage, count_checks
+from tuning_benchmark.campaign.division import divided
 from tuning_benchmark.campaign.runs import Run, RunSize, run_and_judge
 from tuning_benchmark.experiments.experiment import Row
 
@@ -40,7 +41,7 @@ def test_an_answer_settled_early_leaves_evaluations_for_more_trials(study):
         if not settled or run.budget != settled[-1][0]:
             settled.append((run.budget, trial.number, count_checks(run.trials)))
     (first, _, none), *later = settled
-    assert (first, none) == (METHODS["boundary"].repetitions.before(study, 80), 0)
+    assert (first, none) == (divided(METHODS["boundary"], study, 80, 0)[1], 0)
     assert later
     # The trials after it knew the repetitions, whose number only grows.
     assert 0 < later[0][2] <= count_checks(run.trials)

@@ -59,7 +59,7 @@ def test_the_means_of_runs_are_the_truth(problem):
     for seed in range(4000):
         w = rng.uniform(-1.0, 1.0, problem.contexts)
         node.set_parameters({f"w{j + 1}": value for j, value in enumerate(w)} | {"seed": seed})
-        said = node.run_cut()
+        said = node.evaluate()
         found.append([said["first"], said["second"], said["share"]])
     truth = [*problem.costs(u), problem.share(u)]
     errors = np.std(found, axis=0) / np.sqrt(len(found))

@@ -216,6 +216,10 @@ class MillingPlant:
         self._trace = self._signals(cut, np.array(commands))
         return cut.result()
 
+    def evaluate(self, controller: Controller) -> dict[str, float | str]:
+        """Run one cut, as the in-process backend of the tuner asks for an evaluation."""
+        return self.run_cut(controller)
+
     def trace(self) -> dict[str, tuple[str, Array]]:
         """Return the signals of the last cut; empty before the first one.
 

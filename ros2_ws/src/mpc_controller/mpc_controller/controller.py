@@ -177,6 +177,10 @@ class MpcController:
         )
         return Step(self._last_input, estimate, self._return_times[-1], solution.status)
 
+    def result(self) -> dict[str, float | str]:
+        """Return `cut_result`, as the in-process backend of the tuner asks for it."""
+        return self.cut_result()
+
     def cut_result(self) -> dict[str, float | str]:
         """Sum up the present cut.
 

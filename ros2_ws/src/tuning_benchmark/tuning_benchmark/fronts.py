@@ -36,7 +36,7 @@ from tuning_benchmark.problems.two_objectives import TwoObjectives
 PARAMETERS = (2, 4)
 """Of the problems."""
 PEERS: dict[str, Callable[[Study, int], OptunaFront]] = {"NSGA-II": nsga2, "TPE": tpe}
-OURS = ("IV", "II")
+OURS = ("boundary", "IV", "II")
 
 
 @dataclass(frozen=True)

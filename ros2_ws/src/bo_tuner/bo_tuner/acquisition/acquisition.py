@@ -7,7 +7,7 @@ RI is the expected improvement under the reinterpolation model of the objective 
 p_out and p_fail come from the nearest-neighbour classifiers. The logarithm preserves the order of
 points where α underflows.
 
-Each factor is a function, and `LogProduct` adds their logarithms: another acquisition function has
+Each factor is a function, and `Acquisition` adds their logarithms: another acquisition function has
 another improvement, or other probabilities.
 
 Notation: d tuned parameters, m query points in the unit cube.
@@ -29,11 +29,48 @@ OUTLYING = 0.5
 """Probability of an outlier up to which no point is excluded."""
 
 
-Acquisition = Callable[[Array], Array]
-"""Logarithm (m,) of an acquisition function at points (m, d) of the unit cube, to be maximized.
+Factor = Callable[[Array], Array]
+"""Logarithm (m,) of a factor at points (m, d) of the unit cube; -inf excludes a point."""
 
--inf excludes a point.
-"""
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """An acquisition function, as the sum of the logarithms of its factors, to be maximized.
+
+    Attributes
+    ----------
+    improvement
+        What is worth a trial, on any scale; None for the probabilities alone.
+    probabilities
+        Logarithms of probabilities, none above 0: the sooner one that costs little, the better.
+    expected
+        Whether the improvement is the logarithm of the one that is expected, in the unit of the
+        cost. Then a small one is no longer worth a trial, and the advice to stop is by it.
+    """
+
+    improvement: Factor | None
+    probabilities: tuple[Factor, ...] = ()
+    expected: bool = True
+
+    def __call__(self, x: Array) -> Array:
+        """Return the sum of all logarithms (m,) at x (m, d)."""
+        return self.where_above(np.full(len(x), -np.inf), x)
+
+    def where_above(self, least: Array, x: Array) -> Array:
+        """Return the sum (m,) at x (m, d) where it exceeds `least` (m,), and else -inf.
+
+        A probability can only lower the sum, so where that is no larger than `least` any more, the
+        further ones are not asked for.
+        """
+        total = np.zeros(len(x))
+        if self.improvement is not None:
+            total += self.improvement(x)
+        for probability in self.probabilities:
+            rows = np.flatnonzero(total > least)
+            if not len(rows):
+                break
+            total[rows] += probability(x[rows])
+        return np.where(total > least, total, -np.inf)
 
 
 class AcquisitionRule(Protocol):
@@ -58,42 +95,6 @@ class AcquisitionRule(Protocol):
         avoid, reinterpolate
             As in `constrained_improvement`.
         """
-
-
-@dataclass(frozen=True, eq=False)
-class LogProduct:
-    """Logarithm of an improvement, if there is one, times probabilities.
-
-    Attributes
-    ----------
-    improvement
-        Logarithm of the improvement; None for the probabilities alone.
-    probabilities
-        Logarithms of probabilities, none above 0: the sooner one that costs little, the better.
-    """
-
-    improvement: Acquisition | None
-    probabilities: tuple[Acquisition, ...]
-
-    def __call__(self, x: Array) -> Array:
-        """Return the sum of all logarithms (m,) at x (m, d)."""
-        return self.where_above(np.full(len(x), -np.inf), x)
-
-    def where_above(self, least: Array, x: Array) -> Array:
-        """Return the sum (m,) at x (m, d) where it exceeds `least` (m,), and else -inf.
-
-        A probability can only lower the sum, so where that is no larger than `least` any more, the
-        further ones are not asked for.
-        """
-        total = np.zeros(len(x))
-        if self.improvement is not None:
-            total += self.improvement(x)
-        for probability in self.probabilities:
-            rows = np.flatnonzero(total > least)
-            if not len(rows):
-                break
-            total[rows] += probability(x[rows])
-        return np.where(total > least, total, -np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +167,8 @@ def constrained_improvement(
         Use the improvement under the reinterpolation model; else the one under the noisy model,
         with evaluated points excluded.
     """
-    improvement: Acquisition | None = None
-    probabilities: list[Acquisition] = []
+    improvement: Factor | None = None
+    probabilities: list[Factor] = []
     model = surrogates.objective
     if model is not None and incumbent is not None and reinterpolate:
         improvement = LogImprovement(model.predict_reinterpolated, incumbent)
@@ -185,7 +186,7 @@ def constrained_improvement(
     # Chance limits are the first of a study, and need many contexts for each point.
     constraints = reversed(tuple(surrogates.constraints.values()))
     probabilities += [constraint.log_probability for constraint in constraints]
-    return LogProduct(improvement, tuple(probabilities))
+    return Acquisition(improvement, tuple(probabilities))
 
 
 def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:

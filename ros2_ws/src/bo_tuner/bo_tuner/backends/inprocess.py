@@ -1,9 +1,9 @@
 """Evaluations on plain objects in this process, without ROS.
 
 The study names a class for each node. An object takes ``set_parameters(values)``, refusing by
-ValueError; the trigger's object runs an evaluation by ``run_cut(*others)``, the others being the
+ValueError; the trigger's object runs an evaluation by ``evaluate(*others)``, the others being the
 objects of the remaining nodes in the study's order, and returns what its node would publish; the
-others give theirs by ``cut_result()``.
+others give theirs by ``result()``.
 """
 
 import contextlib
@@ -100,10 +100,10 @@ class InProcessBackend(SequentialBackend):
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
             with self._foreign():
-                answer = self._objects[trigger].run_cut(*others.values())
+                answer = self._objects[trigger].evaluate(*others.values())
                 said = {trigger: answer}
                 if isinstance(answer, Mapping) and answer.get("status") == STATUS_OK:
-                    said |= {key: other.cut_result() for key, other in others.items()}
+                    said |= {key: other.result() for key, other in others.items()}
                 return self._collector.outcome(said, assignments)
         except named_code.faults() as error:
             return Outcome(EvaluationState.FAILED, {}, named_code.told(error))

@@ -1,14 +1,14 @@
 """The files derived from a run's record: the report and the bundle."""
 
 import contextlib
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from bo_tuner.deploy.bundle import DEPLOY, withdraw_bundle, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.report.analysis import Known
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, REPORT, SUMMARY, write_json
@@ -17,9 +17,7 @@ from bo_tuner.tuning.summary import with_summary
 Tell = Callable[[str], None]
 
 
-def write_deliverables(
-    folder: Path, tell: Tell, warn: Tell, known: Mapping[Hashable, Any] | None = None
-) -> None:
+def write_deliverables(folder: Path, tell: Tell, warn: Tell, known: Known | None = None) -> None:
     """Write or update the report of a run and, if it has a result, its bundle.
 
     Both can be made again from the record, so a failure is only a warning.

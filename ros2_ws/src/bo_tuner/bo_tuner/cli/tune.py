@@ -25,7 +25,7 @@ from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import default_method, problem_of
+from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -255,7 +255,7 @@ def _new(
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
     study = _given(named, attach, arguments, ros_arguments, interruption)
-    algorithm = arguments.algorithm or default_method(study)
+    algorithm = arguments.algorithm or DEFAULT_METHOD
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Parser, whole_number
 from bo_tuner.cli.init import FIRST_STUDY
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SEVERAL_OBJECTIVES
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
@@ -70,7 +70,7 @@ def make_parser() -> Parser:
         "--algorithm",
         choices=tuple(METHODS),
         help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
-        + f" (default: {DEFAULT_METHOD}, or {SEVERAL_OBJECTIVES} with several objectives)",
+        + f" (default: {DEFAULT_METHOD})",
     )
     _add_known(parser)
     _add_running_nodes(parser)

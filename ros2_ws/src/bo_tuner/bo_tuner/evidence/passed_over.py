@@ -18,14 +18,15 @@ def passed_over_in_words(study: Study, found: Sequence[Mapping[str, Any]]) -> tu
     study
         The study.
     found
-        As in ``summary.json``: each a `bo_tuner.tuning.passed_over.PassedOver` as a mapping.
+        As in ``summary.json``: each a `bo_tuner.methods.recommendation.PassedOver` as a mapping.
     """
     if not found:
         return ()
     names = ", ".join(_in_words(study, item) for item in found[:NAMED])
     more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    better = "A better compromise" if len(study.objectives) > 1 else "Better"
     return (
-        f"Better by the model, but passed over: {names}{more}. validate --trial N tests one of "
+        f"{better} by the model, but passed over: {names}{more}. validate --trial N tests one of "
         "them.",
     )
 

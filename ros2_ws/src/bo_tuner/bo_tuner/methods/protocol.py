@@ -10,11 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from bo_tuner.errors import StudyError
 from bo_tuner.methods.outlook import Outlook
 from bo_tuner.methods.recommendation import Recommendation
-from bo_tuner.methods.searches import SearchRule
-from bo_tuner.methods.times import Times
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate, Ranking
@@ -88,16 +85,6 @@ class Method(Protocol):
             All trials so far.
         """
 
-    def with_search(self, search: SearchRule) -> "Method":
-        """Return the method with another search for the worst context.
-
-        Raises
-        ------
-        StudyError
-            If its search is no part that can be replaced.
-        """
-        raise StudyError(f"{self.title}: its search for the worst context cannot be replaced")
-
     def incumbent(self, study: Study, trials: Sequence[Trial]) -> Candidate | None:
         """Return the first in rank; None if no trial is complete."""
         return self.ranking.incumbent(study, trials)
@@ -129,7 +116,6 @@ class Method(Protocol):
             as are due to the trials.
         """
 
-    @abstractmethod
     def doubt(self, feasibility: float) -> str:
         """Return why an answer that is not `Recommendation.feasible` is doubtful.
 
@@ -138,6 +124,7 @@ class Method(Protocol):
         feasibility
             Probability that it keeps all limits, by the models.
         """
+        return f"By the models it keeps its limits with a probability of {feasibility:.3g}"
 
     # The record.
 
@@ -155,7 +142,6 @@ class Method(Protocol):
         """
         return list(trials)
 
-    @abstractmethod
     def checked(
         self, study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
     ) -> list[Trial]:
@@ -170,6 +156,7 @@ class Method(Protocol):
         evaluations
             All evaluations of the run, in the order of the record.
         """
+        return list(trials)
 
     def estimated(self, study: Study, models: Surrogates, trial: Trial) -> Trial:
         """Return a trial that was run again with its worst cases as they are estimated now."""
@@ -213,42 +200,16 @@ class Method(Protocol):
     def most_evaluations(self, study: Study) -> int:
         """Return the largest number of evaluations of a run, without the validation."""
 
-    @abstractmethod
-    def time_to_answer(self, study: Study, times: Times) -> float:
-        """Return the time [s] that it will take until the answer is there, by what was measured."""
-
-    def recalled_ranking(self, trial: Trial) -> float:
-        """Return the time [s] of the ranking after a trial on record, which has only that before.
-
-        0 if it does not tell.
-        """
-        return 0.0
-
-    def within(self, study: Study, evaluations: int, reserved: int) -> tuple["Method", int]:
-        """Divide a number of evaluations between the trials and the search for the answer.
+    def answer_evaluations(self, study: Study, evaluations: int, made: int) -> int:
+        """Return how many evaluations the search for the answer is expected to run still.
 
         Parameters
         ----------
         study
             The study.
         evaluations
-            All together.
-        reserved
-            Part of them that is kept for a method that checks candidates.
-
-        Returns
-        -------
-        Method
-            As it can run with them.
-        int
-            Evaluations of the trials.
+            Of all trials.
+        made
+            Those that it has run already.
         """
-        return self, evaluations
-
-    def further(self, study: Study, left: int) -> int:
-        """Return how many evaluations more trials have if so many are left after the answer."""
         return 0
-
-    def reserve(self, reserved: int) -> str:
-        """Return what it keeps of the evaluations, in words; see `within`."""
-        return ""

@@ -12,8 +12,6 @@ from bo_tuner.study.study import Study
 
 BOUNDARY = "boundary"
 DEFAULT_METHOD = BOUNDARY
-SEVERAL_OBJECTIVES = "IV"
-"""The default for a study with several objectives."""
 
 METHODS: dict[str, Method] = {
     "I": PaperMethod(
@@ -38,11 +36,6 @@ METHODS: dict[str, Method] = {
         "search, then repeated runs at the boundary of the limits, all pooled in one joint model"
     ),
 }
-
-
-def default_method(study: Study) -> str:
-    """Return the name of the method for a study when none is chosen."""
-    return SEVERAL_OBJECTIVES if len(study.objectives) > 1 else DEFAULT_METHOD
 
 
 def problem_of(name: str, study: Study) -> str:

@@ -64,6 +64,24 @@ class SearchRule(Protocol):
         return {}
 
 
+class ModelSearch(SearchRule):
+    """A search by a model of all trials, which estimates the worst case of any of them."""
+
+    def unusable(self, unsearched: Sequence[str]) -> str:
+        """Refuse nothing: the model estimates worst cases that were not searched for."""
+        return ""
+
+    def hyperparameters(
+        self,
+        models: FitSurrogates[Surrogates],
+        study: Study,
+        trials: Sequence[Trial],
+        rng: np.random.Generator,
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Return those of the models."""
+        return models(study, trials, rng=rng).warm_starts
+
+
 def searches_of(
     rule: SearchRule, study: Study, proposal: Proposal, trials: Sequence[Trial], evaluations: int
 ) -> WorstCaseSearches:

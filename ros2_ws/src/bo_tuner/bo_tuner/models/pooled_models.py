@@ -1,18 +1,20 @@
 """Models of all evaluations, pooled in processes over parameter set and context.
 
-One process for the objective and one for each limited metric, with local noise. Evaluations of a
+One process for each objective and one for each limited metric, with local noise. Evaluations of a
 trial that failed are data as far as they are complete, and not to fail is one more limit. Measured
 contexts are further columns beside the contexts. An expectation or a probability is one over them,
 too; a worst case is one over the contexts alone, of the mean over what was measured. Whether runs
 fail is learnt without them, since a run that fails has not measured any.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
 from bo_tuner.models.compression import Compression
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE, log_feasibility
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.covariates import ROWS, Covariates, measured_in
 from bo_tuner.models.crashes import CrashModel
@@ -23,8 +25,11 @@ from bo_tuner.models.pooled_responses import (
     EveryContext,
     ExpectedObjective,
     OverContexts,
+    PooledObjective,
     PooledResponse,
 )
+from bo_tuner.models.scalarization import Chebyshev
+from bo_tuner.models.scalarized_objective import ScalarizedObjective
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import FAILURES, OBJECTIVE
@@ -59,7 +64,7 @@ class PooledSurrogates(Surrogates):
         Probability of a failure, as a limit.
     """
 
-    objective: ExpectedObjective | None
+    objective: PooledObjective | None
     constraints: Mapping[str, PooledResponse]
     crashes: CrashModel = field(kw_only=True)
 
@@ -76,6 +81,11 @@ class PooledSurrogates(Surrogates):
         if self.crashes.warm_start is not None:
             found[FAILURES] = self.crashes.warm_start
         return found
+
+    def weighted(self, weights: Array) -> Self:
+        """Return the models with other weights (k,) of several objectives."""
+        objective = None if self.objective is None else self.objective.weighted(weights)
+        return replace(self, objective=objective)
 
 
 @dataclass(frozen=True)
@@ -105,45 +115,53 @@ class PooledModels:
         start: Mapping[str, Sequence[float]] | None = None,
         weights: Array | None = None,
     ) -> PooledSurrogates:
-        """Fit all models; see `FitSurrogates`.
-
-        Raises
-        ------
-        ValueError
-            If there are weights: the cost is that of a single objective.
-        """
-        if weights is not None:
-            raise ValueError("models of all evaluations are those of one objective")
+        """Fit all models; see `FitSurrogates`."""
         trials = pooled(trials)
         fitting = Fitting(study, trials, rng, start)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers = fitting.outliers(complete) if complete else frozenset()
         covariates = Covariates.of(study, trials)
-        objective: ExpectedObjective | None = None
+        objective: PooledObjective | None = None
+        costs: dict[str, ExpectedObjective] = {}
         constraints: dict[str, PooledResponse] = {}
         if complete:
             # A failed trial's complete evaluations tell of the contexts that they were in.
             kept = [t for t in trials if t.number not in outliers]
-            objective = self._objective(fitting, kept, covariates)
+            costs = self._costs(fitting, kept, covariates, several=weights is not None)
             constraints = self._constraints(fitting, kept, covariates)
+            objective = costs[study.objective.metric]
+            if weights is not None:
+                points = fitting.points([t for t in complete if t.number not in outliers])
+                objective = _scalarized(costs.values(), constraints.values(), points, weights)
         crashes = self._crashes(fitting, trials)
         outlying = None
         if complete:
             outlying = fitting.classifier(complete, lambda t: t.number in outliers)
         return PooledSurrogates(
-            objective, constraints, crashes, outlying, outliers, fitting.models, crashes=crashes
+            objective,
+            constraints,
+            crashes,
+            outlying,
+            outliers,
+            fitting.models,
+            costs,
+            crashes=crashes,
         )
 
-    def _objective(
-        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
-    ) -> ExpectedObjective:
-        """Return the model of the cost."""
-        objective, contexts = fitting.study.objective, fitting.study.context_space()
-        x, c, y = _observations(fitting, trials, covariates, objective.metric)
-        process = fitting.process(self.processes, OBJECTIVE, x, c, objective.to_cost(y))
+    def _costs(
+        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates, *, several: bool
+    ) -> dict[str, ExpectedObjective]:
+        """Return the models of the costs by metric: of all objectives, or of the first alone."""
+        study, contexts = fitting.study, fitting.study.context_space()
         drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
         over = covariates.beside(contexts.to_cube(drawn))
-        return ExpectedObjective(process, over, objective)
+        found: dict[str, ExpectedObjective] = {}
+        for objective in study.objectives if several else (study.objective,):
+            x, c, y = _observations(fitting, trials, covariates, objective.metric)
+            name = f"{OBJECTIVE}_{objective.metric}" if found else OBJECTIVE
+            process = fitting.process(self.processes, name, x, c, objective.to_cost(y))
+            found[objective.metric] = ExpectedObjective(process, over, objective)
+        return found
 
     def _constraints(
         self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
@@ -210,6 +228,19 @@ class _Responses:
         scale = self.models.scale(y, limited.limit, limited.sign)
         processes = self.models.processes
         return self.fitting.process(processes, limited.name, x, c, scale.apply(y)), scale
+
+
+def _scalarized(
+    costs: Iterable[ExpectedObjective],
+    constraints: Iterable[PooledResponse],
+    points: Array,
+    weights: Array,
+) -> ScalarizedObjective:
+    """Return the cost of k objectives with weights (k,), scaled by the front of points (n, d)."""
+    each = tuple(costs)
+    means = np.column_stack([cost.predict_mean(points) for cost in each])
+    feasible = log_feasibility(constraints, points) >= np.log(BELIEVED_FEASIBLE)
+    return ScalarizedObjective(each, Chebyshev.between(means, feasible, weights))
 
 
 def _observations(

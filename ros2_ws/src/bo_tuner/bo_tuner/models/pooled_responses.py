@@ -4,6 +4,7 @@ from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from scipy.special import ndtr, ndtri
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.context_process import ContextProcess
+from bo_tuner.models.protocol import Model
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
 
@@ -20,6 +22,16 @@ SMOOTHING = 0.05
 
 HALVINGS = 14
 """Bisections for a quantile: to 1e-4 of the spread of those of the contexts."""
+
+
+class PooledObjective(Model, Protocol):
+    """Posterior of the cost, by processes of all runs."""
+
+    def weighted(self, weights: Array) -> Self:
+        """Return the cost with other weights (k,) of several objectives."""
+
+    def variance_of_run(self, x: ArrayLike) -> Array:
+        """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +103,22 @@ class ExpectedObjective:
         """Return as `predict`, with a variance of 0 at `points`."""
         points = np.asarray(x, dtype=np.float64)
         mean, variance = self.predict(points)
-        known = [point.tobytes() in self._evaluated for point in np.ascontiguousarray(points)]
-        return mean, np.where(known, 0.0, variance)
+        return mean, np.where(self.evaluated(points), 0.0, variance)
+
+    def evaluated(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Return which (m,) of x (m, d) are among `points`."""
+        points = np.ascontiguousarray(x, dtype=np.float64)
+        return np.array([point.tobytes() in self._evaluated for point in points], dtype=bool)
+
+    def variance_of_run(self, x: ArrayLike) -> Array:
+        """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""
+        means = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)
+        found: Array = means.var(axis=1) + self.noise_variance
+        return found
+
+    def weighted(self, weights: Array) -> Self:
+        """Return itself: a single objective has no weights."""
+        return self
 
     @cached_property
     def _evaluated(self) -> set[bytes]:

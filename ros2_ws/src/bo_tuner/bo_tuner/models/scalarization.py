@@ -1,7 +1,7 @@
 """Several objectives as one cost: the augmented Chebyshev scalarization of ParEGO.
 
-With the costs scaled to f_1 ... f_k, 0 at the ideal point and 1 at the nadir point of the front
-seen, Knowles (2006, Eq. 2) minimizes
+With the costs f_1 ... f_k less those of the utopian point, in units of the front seen from its
+ideal to its nadir point, Knowles (2006, Eq. 2) minimizes
 
     f_w(x) = max_j w_j f_j(x) + ρ Σ_j w_j f_j(x)
 
@@ -11,10 +11,17 @@ are only weakly optimal. With equal weights the minimum is the compromise: the p
 nearest to the ideal one in this metric (Zeleny 1973). Limits stay apart: they are the constraints
 of the acquisition function.
 
+The utopian point is better than the ideal one, by the same part of the front's width in each
+objective (Miettinen 1999, Sec. 2.4.2). With the ideal point of what was seen the minimum is never
+beyond the ends of that, whatever the weights, and the front found would not grow. The compromise is
+the same with either.
+
 The objectives are means over contexts and noise, so the cost is that of the means, not the mean of
 the costs of single evaluations, which would be too large: a maximum of noise is on average above
-zero. Each evaluation enters by the linearization of f_w about the mean of its trial. The mean of
-these values is f_w of the mean, and their scatter is the noise that the process estimates.
+zero. Where one process models f_w of trials (`linearized`), each evaluation enters by the
+linearization of f_w about the mean of its trial. The mean of these values is f_w of the mean, and
+their scatter is the noise that the process estimates. With a process for each objective, f_w is one
+of their posterior means (`bo_tuner.models.scalarized_objective`).
 
 Notation: n trials, k objectives, m evaluations of a trial.
 
@@ -39,10 +46,23 @@ from bo_tuner.numerics.pareto import nondominated
 AUGMENTATION = 0.05
 """ρ, as in Knowles (2006)."""
 
+BEYOND = 0.3
+"""Part of the front's width by which the utopian point is better than the ideal one."""
+
+
+LEANING = 0.5
+"""Part of the weight that one objective has alone, where the others share the rest with it."""
+
 
 def equal_weights(count: int) -> Array:
     """Return the weights (k,) of the compromise between `count` objectives."""
     return np.full(count, 1.0 / count)
+
+
+def leaning_weights(count: int) -> Array:
+    """Return weights (k, k) that lean towards one of `count` objectives each."""
+    found: Array = LEANING * np.eye(count) + (1.0 - LEANING) * equal_weights(count)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +74,7 @@ class Chebyshev:
     weights : ndarray, shape (k,)
         w, not negative, of sum 1.
     ideal, nadir : ndarray, shape (k,)
-        Costs that are scaled to 0 and 1; nadir > ideal.
+        Least and largest costs on the front seen; nadir > ideal.
     """
 
     weights: Array
@@ -63,7 +83,7 @@ class Chebyshev:
 
     @classmethod
     def between(cls, means: Array, feasible: NDArray[np.bool_], weights: Array) -> Self:
-        """Scale by the front of the feasible points; where that is one point, by all points.
+        """Scale by the front of the feasible points, or by half of all points where that is wider.
 
         Parameters
         ----------
@@ -76,7 +96,9 @@ class Chebyshev:
         """
         known = means[feasible] if feasible.any() else means
         front = known[nondominated(known)]
-        ideal, nadir = front.min(axis=0), front.max(axis=0)
+        ideal = front.min(axis=0)
+        # A point that is better than almost all in every cost is alone on the front, or nearly so.
+        nadir = np.maximum(front.max(axis=0), np.median(means, axis=0))
         for further in (known, means):
             nadir = np.where(nadir > ideal, nadir, further.max(axis=0))
         # Of large numbers, 1 more may be the same.
@@ -89,6 +111,13 @@ class Chebyshev:
         total: Array = weighted.max(axis=1) + AUGMENTATION * weighted.sum(axis=1)
         return total
 
+    def gradient(self, costs: Array) -> Array:
+        """Return the derivatives (n, k) of f_w by the costs at mean costs (n, k)."""
+        weighted = self._weighted(costs)
+        largest = np.arange(len(self.weights)) == weighted.argmax(axis=1)[:, None]
+        found: Array = self.weights / (self.nadir - self.ideal) * (AUGMENTATION + largest)
+        return found
+
     def linearized(self, costs: Array) -> Array:
         """Return values (m,) for the costs (m, k) of a trial's evaluations; their mean is f_w."""
         weighted = self._weighted(costs)
@@ -97,5 +126,5 @@ class Chebyshev:
         return values
 
     def _weighted(self, costs: Array) -> Array:
-        scaled: Array = self.weights * (costs - self.ideal) / (self.nadir - self.ideal)
-        return scaled
+        scaled: Array = (costs - self.ideal) / (self.nadir - self.ideal) + BEYOND
+        return self.weights * scaled

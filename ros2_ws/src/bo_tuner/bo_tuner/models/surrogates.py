@@ -57,6 +57,8 @@ class Surrogates:
     models
         Every model by its name: that of the objective, of the outlier scheme, and of each
         constraint.
+    costs
+        Models of the costs by the metrics of the objectives, as far as each has one of its own.
     """
 
     objective: Model | None
@@ -65,6 +67,7 @@ class Surrogates:
     outlying: NeighbourClassifier | None = None
     outliers: frozenset[int] = frozenset()
     models: Mapping[str, Fitted] = field(default_factory=dict)
+    costs: Mapping[str, Model] = field(default_factory=dict)
 
     @property
     def warm_starts(self) -> dict[str, tuple[float, ...]]:

@@ -130,7 +130,6 @@ class RunStatus(RunObserver):
 
     def advance(self) -> None:
         """Count a step that is not a trial."""
-        self._times.step()
         self._update(done=self.now.done + 1)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:

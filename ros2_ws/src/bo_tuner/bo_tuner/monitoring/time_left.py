@@ -1,17 +1,22 @@
-"""The time that a run will still take, estimated from what its trials have taken.
+"""The time that a run will still take: what is to come times what it took lately.
 
-What is still to come until the answer is asked of the method. After it comes the validation, whose
-evaluations have no search between them. All of it follows the clock, so that a change of the load
-shows within some trials; a pause does not count.
+These are the trials of the budget with their proposals, the evaluations that the method expects to
+run for its answer, which take as long as those of trials with proposals and rankings, and the
+validation. The forecast is a plain one, within a factor of two in the middle of a run: how soon the
+answer is settled cannot be known, and proposals take longer with more data.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
+from statistics import fmean
 
 from bo_tuner.methods.protocol import Method
-from bo_tuner.methods.times import Times
 from bo_tuner.plans import Phase
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Trial, count_checks
+from bo_tuner.trials import Evaluation, Trial, count_evaluations, count_trials
+
+LATELY = 10
+"""Number of latest trials, or of evaluations outside trials, that a forecast is by."""
 
 
 class TimeLeft:
@@ -29,64 +34,71 @@ class TimeLeft:
         self._study = study
         self._method = method
         self._clock = clock
-        self._times = Times()
+        self._trials = self._evaluations = 0
+        # Evaluations of a trial, their time, and that of the whole trial [s].
+        self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
         self.begin("")
 
     def begin(self, phase: str) -> None:
         """Note the beginning of a phase."""
         self._phase = phase
-        self._began = self._trial_began = self._latest = self._clock()
-        self._times.begin(answering=phase == Phase.CHECKING)
+        self._done = 0
+        # From one evaluation to the next, outside trials [s].
+        self._steps: deque[float] = deque(maxlen=LATELY)
+        self._trial_began = self._latest = self._clock()
 
     def recall(self, trials: Sequence[Trial]) -> None:
         """Take trials on record, which tell the times of their proposals and evaluations only."""
-        self._times.repeated += count_checks(trials)
-        for trial in (checked.unchecked for checked in trials):
-            self._times.evaluations += len(trial.evaluations)
-            ranking = self._method.recalled_ranking(trial)
-            self._times.take(trial, trial.seconds + ranking, ranking)
+        for trial in trials:
+            self._take(trial.unchecked, 0.0)
         self.begin(self._phase)
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Note an evaluation."""
+        """Note an evaluation; one on record takes no time."""
         now = self._clock()
-        if self._phase == Phase.TUNING and evaluation.index and evaluation.stage != Stage.SEARCH:
-            self._times.plain.append(max(evaluation.seconds, now - self._latest))
+        if self._phase != Phase.TUNING and not evaluation.recorded:
+            self._steps.append(now - self._latest)
+        self._done += 1
         self._latest = now
-        self._times.evaluations += 1
-        self._times.in_phase += 1
-        # One on record takes no time.
-        self._times.measured_in_phase += not evaluation.recorded
-
-    def step(self) -> None:
-        """Note a step of the phase that is not a trial."""
-        self._times.steps += 1
 
     def trial(self, trial: Trial) -> None:
         """Note a trial, after its evaluations and the ranking."""
         now = self._clock()
-        evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)
-        other = max(trial.seconds, now - self._trial_began - evaluating)
-        self._times.take(trial, other, now - self._latest)
+        self._take(trial, now - self._trial_began)
         self._trial_began = self._latest = now
 
     def pause(self) -> None:
         """Note the beginning of a pause, or its end."""
         # In a pause the marks are times so far instead of points in time.
         now = self._clock()
-        self._began, self._trial_began, self._latest = (
-            now - mark for mark in (self._began, self._trial_began, self._latest)
-        )
+        self._trial_began, self._latest = now - self._trial_began, now - self._latest
 
     def estimate(self) -> float | None:
         """Return the time [s] until the result is there; None before the first trial."""
-        times = self._times
-        if not times.trials:
+        if not self._lately:
             return None
-        # In a pause the marks count from there backwards.
-        times.seconds_in_phase = abs(self._latest - self._began)
-        draws = 2 * self._study.budget.validation_draws
+        count = sum(evaluations for evaluations, _, _ in self._lately)
+        evaluating = sum(seconds for _, seconds, _ in self._lately)
+        total = sum(seconds for _, _, seconds in self._lately)
+        each, validating = evaluating / count, 2 * self._study.budget.validation_draws
         if self._phase == Phase.VALIDATION:
-            return max(0, draws - times.in_phase) * times.measured(times.plain_evaluation())
-        seconds = self._method.time_to_answer(self._study, times)
-        return seconds + draws * times.plain_evaluation()
+            return max(0, validating - self._done) * self._lately_step(each)
+        trials = 0.0
+        made, evaluations = self._done, self._evaluations
+        if self._phase != Phase.CHECKING:
+            left = self._study.budget.remaining(self._trials, self._evaluations)
+            trials = left * total / len(self._lately)
+            made, evaluations = 0, evaluations + round(left * count / len(self._lately))
+        answering = self._method.answer_evaluations(self._study, evaluations, made)
+        return trials + answering * self._lately_step(total / count) + validating * each
+
+    def _lately_step(self, otherwise: float) -> float:
+        return fmean(self._steps) if self._steps else otherwise
+
+    def _take(self, trial: Trial, seconds: float) -> None:
+        count = len(trial.evaluations)
+        self._trials += count_trials([trial])
+        self._evaluations += count_evaluations([trial])
+        evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)
+        if count:
+            self._lately.append((count, evaluating, max(seconds, trial.seconds + evaluating)))

@@ -1,6 +1,7 @@
 """Bayesian optimization, Algorithm 1 of the paper."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -8,7 +9,6 @@ from numpy.typing import NDArray
 
 from bo_tuner.acquisition.acquisition import (
     AcquisitionRule,
-    LogProduct,
     best_at_data,
     constrained_improvement,
 )
@@ -17,7 +17,7 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.fantasies import fantasies
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.particle_swarm import SwarmResult, maximize
+from bo_tuner.numerics.particle_swarm import maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
     ACQUISITION,
@@ -47,6 +47,36 @@ S = TypeVar("S", bound=Surrogates)
 
 PointRule = Callable[[S, np.random.Generator], Iterator[tuple[Array, str]]]
 """Yields points (d,) to try, the most promising one first, each with the origin of its proposal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Maximum:
+    """Where an acquisition function is largest.
+
+    Attributes
+    ----------
+    position : ndarray, shape (d,)
+        A point of the search space.
+    value
+        The acquisition there, on the scale of its logarithms; -inf if every point is excluded.
+    log_gain
+        Logarithm of the expected gain there, in the unit of the cost; None if the acquisition is
+        none of an expected improvement.
+    """
+
+    position: Array
+    value: float
+    log_gain: float | None
+
+    def is_negligible(self, scale: float) -> bool:
+        """Return whether a gain is expected, but less than is worth a trial.
+
+        Parameters
+        ----------
+        scale
+            Standard deviation of the cost.
+        """
+        return self.log_gain is not None and self.log_gain < np.log(NEGLIGIBLE * scale)
 
 
 class AcquisitionSearch:
@@ -95,7 +125,7 @@ class AcquisitionSearch:
             around = rng.normal(0.0, 0.05, (len(order), space.dimension))
             self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
 
-    def maximize(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> SwarmResult:
+    def maximize(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> Maximum:
         """Maximize the acquisition function over the unit cube.
 
         Parameters
@@ -103,22 +133,20 @@ class AcquisitionSearch:
         avoid, reinterpolate
             As in `constrained_improvement`.
 
-        Returns
-        -------
-        SwarmResult
-            Position (d,), a point of the search space, and the logarithm of the acquisition there.
         """
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
         )
-        return maximize(
+        found = maximize(
             acquisition,
             self._space.dimension,
             self._rng,
-            improved=acquisition.where_above if isinstance(acquisition, LogProduct) else None,
+            improved=acquisition.where_above,
             repair=self._space.repair,
             initial=self._starts,
         )
+        is_gain = acquisition.expected and self.incumbent is not None
+        return Maximum(found.position, found.value, found.value if is_gain else None)
 
 
 class BayesianOptimization(DesignedOptimizer, Generic[S]):
@@ -205,11 +233,9 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
             found = search.maximize(avoid=avoid)
         origin = ACQUISITION
         model = surrogates.objective
-        if model is not None and search.incumbent is not None:
-            negligible = np.log(NEGLIGIBLE * model.scale)
-            if found.value < negligible:
-                found = search.maximize(avoid=avoid, reinterpolate=False)
-                origin = REFINEMENT
+        if model is not None and found.is_negligible(model.scale):
+            found = search.maximize(avoid=avoid, reinterpolate=False)
+            origin = REFINEMENT
         if np.isfinite(found.value):
             yield found.position, origin
 

@@ -11,7 +11,7 @@ have the largest penalties. A gorge that is narrower than the length scales is s
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic
 
 import numpy as np
@@ -25,6 +25,7 @@ from bo_tuner.models.surrogates import FitSurrogates, S_co, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
@@ -49,6 +50,22 @@ FEW = 10
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """Posterior of the mean of an objective's metric, in its unit.
+
+    Attributes
+    ----------
+    mean
+        Posterior mean.
+    error
+        A standard deviation; of a metric on the log scale to first order.
+    """
+
+    mean: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A tried parameter set and the surrogates' estimates for it.
 
@@ -57,8 +74,8 @@ class Candidate:
     trial
         The trial.
     objective
-        Posterior mean of the objective, in the metric's unit; of several the mean of the first one
-        over the trial's evaluations.
+        Posterior mean of the first objective, in the metric's unit; where only the compromise
+        between several is modelled, the mean of the first one over the trial's evaluations.
     feasibility
         Probability that all constraints hold.
     violation
@@ -70,6 +87,8 @@ class Candidate:
         Posterior mean of the cost, worsened by the penalty; ranks the feasible candidates.
     required
         Lowest probability with which it counts as feasible.
+    estimates
+        Of several objectives, by metric, as far as each has a model of its own.
     """
 
     trial: Trial
@@ -79,6 +98,7 @@ class Candidate:
     penalty: float
     score: float
     required: float = BELIEVED_FEASIBLE
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
 
     @property
     def believed_feasible(self) -> bool:
@@ -275,10 +295,14 @@ class _Estimates:
         score = self._penalized(cost, penalties)
         feasibility = self.feasibility(trials)
         excess = relative_excess(models, x)
+        estimates = self._of_each(x)
         found = []
         for k, trial in enumerate(trials):
-            objective = float(study.objective.from_cost(cost[k]))
-            if self._several:
+            if not self._several:
+                objective = float(study.objective.from_cost(cost[k]))
+            elif estimates[k]:
+                objective = estimates[k][study.objective.metric].mean
+            else:
                 # The cost is that of the compromise, which has no unit.
                 objective = float(np.mean(trial.observations(study.objective.metric)))
             found.append(
@@ -290,8 +314,23 @@ class _Estimates:
                     penalty=float(penalties[k]),
                     score=float(score[k]),
                     required=self._required(trial),
+                    estimates=estimates[k],
                 )
             )
+        return found
+
+    def _of_each(self, x: Array) -> list[dict[str, Estimate]]:
+        """Return the estimates of several objectives at x (m, d), as far as they are modelled."""
+        found: list[dict[str, Estimate]] = [{} for _ in x]
+        for objective in self._study.objectives if self._several else ():
+            model = self._models.costs.get(objective.metric)
+            if model is None:
+                continue
+            cost, variance = model.predict(x)
+            value, deviation = objective.from_cost(cost), np.sqrt(variance)
+            error = deviation * np.abs(value) if objective.scale == LOG else deviation
+            for estimates, *of_point in zip(found, value.tolist(), error.tolist(), strict=True):
+                estimates[objective.metric] = Estimate(*of_point)
         return found
 
     def _penalties(self, trials: Sequence[Trial], cost: Array) -> Array:

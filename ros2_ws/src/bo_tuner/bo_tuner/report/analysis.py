@@ -5,13 +5,14 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.figures.figure import Panel
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.report.content import Section
@@ -41,6 +42,32 @@ OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
 """Outcomes of the trials that tell of their parameters."""
 
 
+K = TypeVar("K", bound=Hashable)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What trials to come do not change, as far as it has been found out.
+
+    Attributes
+    ----------
+    incumbents
+        By the number of trials that they are the best of.
+    trajectories
+        Panels of simulated signals, by the name and number of a trial and the contexts.
+    """
+
+    incumbents: dict[int, Candidate | None] = field(default_factory=dict)
+    trajectories: dict[tuple[str, int, str], list[Panel]] = field(default_factory=dict)
+
+
+def remembered(known: dict[K, T], key: K, make: Callable[[], T]) -> T:
+    """Return what is known by a key; what is not is made first."""
+    if key not in known:
+        known[key] = make()
+    return known[key]
+
+
 @dataclass(frozen=True, eq=False)
 class Analysis:
     """A run with the models of all its trials.
@@ -50,19 +77,11 @@ class Analysis:
     record
         The run.
     known
-        What trials to come do not change. A page of a run in progress hands it on from one
-        analysis to the next.
+        A page of a run in progress hands it on from one analysis to the next.
     """
 
     record: RunRecord
-    known: dict[Hashable, Any] = field(default_factory=dict)
-
-    def remember(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what is known by a key; what is not is made first."""
-        if key not in self.known:
-            self.known[key] = make()
-        found: T = self.known[key]
-        return found
+    known: Known = field(default_factory=Known)
 
     @property
     def study(self) -> Study:

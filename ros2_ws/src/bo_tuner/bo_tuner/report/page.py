@@ -4,7 +4,7 @@ import base64
 import hashlib
 import importlib.resources
 import os
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,7 +18,7 @@ from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.plotly_renderer import figure_data
-from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
@@ -83,7 +83,7 @@ def figures(parts: Sequence[Section]) -> list[Figure]:
     return [figure for section in parts for figure in section.figures]
 
 
-def write_report(run: RunRecord, path: Path, known: Mapping[Hashable, Any] | None = None) -> Path:
+def write_report(run: RunRecord, path: Path, known: Known | None = None) -> Path:
     """Write the report of a run to `path` and return it.
 
     Parameters
@@ -93,7 +93,7 @@ def write_report(run: RunRecord, path: Path, known: Mapping[Hashable, Any] | Non
     path
         The HTML file, replaced if it exists; its folder is created.
     known
-        What the run has found already, as `Analysis.known`.
+        What the run has found already.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_report(run: RunRecord, path: Path, known: Mapping[Hashable, Any] | Non
     RunRecordError
         If summary or certificate do not fit the record.
     """
-    analysis = Analysis(run, dict(known or {}))
+    analysis = Analysis(run, known or Known())
     return write_page(analysis, sections(analysis), path)
 
 

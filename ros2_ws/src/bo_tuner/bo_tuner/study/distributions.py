@@ -7,7 +7,7 @@ class whose fields are the keys of the study file.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.trials import Value
 
 # Placeholder for a nominal value that was not given; `__post_init__` replaces it.
-_DEFAULT = cast(float, None)
+_DEFAULT: Any = None
 
 
 class Distribution(ABC):

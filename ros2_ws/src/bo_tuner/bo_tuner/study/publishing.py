@@ -71,7 +71,7 @@ class Topic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Publish:
+class Publish(Topic):
     """A message that is published once, or, with a `rate`, a reference that streams.
 
     Attributes
@@ -83,32 +83,28 @@ class Publish:
         gets the present time.
     type : str
         Type of the message; that of the topic's subscribers unless given.
-    rate : float, optional
-        Messages in a second: it streams from this step on, while later ones are performed.
     profile : mapping from str to Profile
         Of a stream, numbers over time by their field, such as `data`, `twist.linear.x` or
         `points[0].positions[1]`; an array is as long as they need it. Without any, the same
         message again and again.
+    follow : mapping from str to str
+        Signals by the field of `profile` that they are to follow: a run fails in which the signal
+        moves by less than a twentieth of what the field does.
+    rate : float, optional
+        Messages in a second: it streams from this step on, while later ones are performed.
     duration : float, optional
         Time [s] after which a stream ends; with the run unless given.
     largest_gap : float, optional
         Longest time [s] between two messages of a stream; three periods, but at least 0.1, unless
         given. A run with a longer one does not count.
-    follow : mapping from str to str
-        Signals by the field of `profile` that they are to follow: a run fails in which the signal
-        moves by less than a twentieth of what the field does.
     topics : tuple of Topic
         Several topics that stream in step, instead of one.
     """
 
     topic: str = ""
-    message: Mapping[str, object] = field(default_factory=dict)
-    type: str = ""
     rate: float | None = None
-    profile: Mapping[str, Profile] = field(default_factory=dict)
     duration: float | None = None
     largest_gap: float | None = None
-    follow: Mapping[str, str] = field(default_factory=dict)
     topics: tuple[Topic, ...] = ()
 
     def __post_init__(self) -> None:
@@ -159,15 +155,7 @@ class Publish:
         """The topics that it publishes."""
         if self.topics:
             return self.topics
-        return (
-            Topic(
-                topic=self.topic,
-                message=self.message,
-                type=self.type,
-                profile=self.profile,
-                follow=self.follow,
-            ),
-        )
+        return (Topic(**{f.name: getattr(self, f.name) for f in dataclasses.fields(Topic)}),)
 
     @property
     def paths(self) -> list[tuple[str | int, ...]]:

@@ -15,7 +15,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
-from bo_tuner.study.constraint import MODEL_NAMES, OUTLIERS, Constraint
+from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.measured import check_measured, measured_names
@@ -221,7 +221,8 @@ class Study:
         with findings.under():
             start = _start(self.start)
         object.__setattr__(self, "start", start)
-        taken = {f"{OUTLIERS}_{objective.metric}" for objective in self.further_objectives}
+        each = (OBJECTIVE, OUTLIERS)
+        taken = {f"{model}_{o.metric}" for o in self.further_objectives for model in each}
         with findings.under():
             constraints = _one_limit_each(self.constraints, {*MODEL_NAMES, *taken})
             object.__setattr__(self, "constraints", constraints)

@@ -1,8 +1,10 @@
 """The Pareto front of a run with several objectives.
 
 A parameter set is on it if no other one that is believed feasible, and kept all limits in its own
-evaluations, has better means of all objectives. The means are over all evaluations of a trial in
-drawn contexts, those of its check included, and each has the interval of Student's t.
+evaluations, has better means of all objectives. Where each objective has a model of all evaluations
+(`boundary`), the means and their intervals are those of its posterior. Elsewhere they are over all
+evaluations of a trial in drawn contexts, those of its check included, with the interval of
+Student's t.
 """
 
 import math
@@ -10,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.trials import pooled
+from bo_tuner.trials import Trial, pooled
 
 CONFIDENCE = 0.95
 """Of the interval of a mean."""
@@ -30,7 +32,7 @@ RULE = (
 
 @dataclass(frozen=True)
 class Mean:
-    """Mean of an objective's metric over evaluations, in its unit.
+    """Mean of an objective's metric, in its unit.
 
     Attributes
     ----------
@@ -39,7 +41,7 @@ class Mean:
     error
         Half the width of its interval; NaN from a single evaluation.
     count
-        Number of evaluations.
+        Number of evaluations that it is over; of an estimate, all of the parameter set.
     """
 
     value: float
@@ -59,11 +61,14 @@ class Point:
         By the metric of each objective.
     feasibility
         Probability that all constraints hold, by the surrogates.
+    modelled
+        Whether the means are those of models of all evaluations, not of its own evaluations.
     """
 
     trial: int
     means: dict[str, Mean]
     feasibility: float
+    modelled: bool
 
 
 def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
@@ -84,8 +89,9 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     points = [
         Point(
             first.trial.number,
-            {item.metric: _mean(trial.observations(item.metric)) for item in study.objectives},
+            {item.metric: _mean(first, trial, item.metric) for item in study.objectives},
             first.feasibility,
+            bool(first.estimates),
         )
         for first, trial in joint
         if first.believed_feasible and outcome_in_words(study, trial) == WITHIN
@@ -99,7 +105,14 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     return [points[k] for k in sorted(on_front, key=lambda k: costs[k].tolist())]
 
 
-def _mean(values: Sequence[float]) -> Mean:
+def _mean(candidate: Candidate, trial: Trial, metric: str) -> Mean:
+    """Return the mean of a metric: its estimate, or else that over the evaluations of a trial."""
+    estimate = candidate.estimates.get(metric)
+    if estimate is not None:
+        evaluations = sum(evaluation.outcome.complete for evaluation in trial.evaluations)
+        half = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * estimate.error
+        return Mean(estimate.mean, half, evaluations)
+    values = trial.observations(metric)
     count = len(values)
     error = math.nan
     if count > 1:

@@ -1,11 +1,10 @@
 """The sections of the page, made anew from the journal whenever the run has come further."""
 
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from bo_tuner.report.analysis import Analysis, Preliminary
+from bo_tuner.report.analysis import Analysis, Known, Preliminary
 from bo_tuner.report.content import Section
 from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html, trial_html
 from bo_tuner.report.sections.appendix import all_trials
@@ -57,7 +56,7 @@ class LiveSections:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._known: dict[Hashable, Any] = {}
+        self._known = Known()
         self._earlier: Analysis | None = None
 
     def analysis(self, *, ended: bool) -> Analysis:

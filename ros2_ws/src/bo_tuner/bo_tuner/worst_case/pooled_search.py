@@ -1,6 +1,7 @@
 """Stage two with one process over parameter set and context, whose noise is local."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +16,29 @@ from bo_tuner.trials import Context, WorstCase
 from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
 
 
+@dataclass(frozen=True, eq=False)
+class KnownRuns:
+    """Earlier evaluations of a study.
+
+    Attributes
+    ----------
+    x, c : ndarray, shapes (n, d) and (n, e)
+        Parameter sets and contexts in their unit cubes.
+    y : ndarray, shape (n,)
+        Values of the metric.
+    coding
+        Of the parameters' columns.
+    measured
+        By name of a measured context its values (n,).
+    """
+
+    x: Array
+    c: Array
+    y: Array
+    coding: Coding
+    measured: Mapping[str, Array] = field(default_factory=dict)
+
+
 class PooledSearch:
     """Search for the worst context of one parameter set, with an ask-and-tell interface.
 
@@ -23,45 +47,40 @@ class PooledSearch:
 
     Parameters
     ----------
-    space, limit, evaluations
-        As in `ReinterpolationSearch`.
+    space
+        The context space.
+    point
+        The parameter set (d,) in the unit cube.
+    known
+        Evaluations of other parameter sets. Values of measured contexts are told with the context
+        of further ones; the worst case is that of the mean over them.
+    limit
+        Upper limit of the metric, in its unit.
     deviations
         Standard deviations of a single run between its mean and the limit; 0 for a limit on the
         mean.
-    point
-        The parameter set (d,) in the unit cube.
-    x, c, y
-        Parameter sets (n, d) and contexts (n, e) in their unit cubes, and values (n,) of the metric
-        in earlier evaluations.
-    coding
-        Of the parameters' columns.
-    hyperparameters
-        Of the process, as in `ContextProcess.condition`; by default they are fitted to the data.
+    evaluations
+        Largest number of contexts that `ask` returns.
     models
         Say which kind of process, and on which scale.
+    hyperparameters
+        `warm_start` of an earlier fit of the process; by default they are fitted to the data.
     until_clear
         Whether the search ends when the decision is clear.
-    measured
-        By name of a measured context its values (n,) in these evaluations. Further ones are told
-        with the context. The worst case is that of the mean over them.
     """
 
     def __init__(
         self,
         space: ContextSpace,
+        point: Array,
+        known: KnownRuns,
+        *,
         limit: float,
         deviations: float,
         evaluations: int,
-        point: Array,
-        x: Array,
-        c: Array,
-        y: Array,
-        coding: Coding,
-        hyperparameters: Sequence[float] | None = None,
-        *,
         models: PooledModels,
+        hyperparameters: Sequence[float] | None = None,
         until_clear: bool,
-        measured: Mapping[str, Array] | None = None,
     ) -> None:
         self._space = space
         self._limit = limit
@@ -69,12 +88,12 @@ class PooledSearch:
         self._evaluations = evaluations
         self._point = point
         self._processes = models.processes
-        self._compression = models.scale(y, limit, 1.0)
-        self._x, self._c, self._y = x, c, self._compression.apply(y)
-        self._coding = coding
+        self._compression = models.scale(known.y, limit, 1.0)
+        self._x, self._c, self._y = known.x, known.c, self._compression.apply(known.y)
+        self._coding = known.coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
-        self._measured = dict(measured or {})
+        self._measured = dict(known.measured)
         self._process: ContextProcess | None = None
         self._observed: list[float] = []
         self._asked = 0

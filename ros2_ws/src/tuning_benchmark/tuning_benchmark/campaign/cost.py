@@ -30,7 +30,7 @@ class Valley:
         """Take some of the gains, the load and the seed."""
         self._values |= values
 
-    def run_cut(self) -> dict[str, object]:
+    def evaluate(self) -> dict[str, object]:
         """Evaluate the metrics with noise from the seed."""
         gains = np.array([v for name, v in sorted(self._values.items()) if name[0] == "g"])
         load = self._values["load"]
@@ -51,7 +51,7 @@ def valley(dimension: int, seed: int, trials: int) -> Study:
             "parameters": {name: item | {"default": 0.5} for name, item in gains.items()},
             "contexts": {"load": node | {"distribution": "uniform", "bounds": [0.8, 1.2]}},
             "seed_parameter": node | {"parameter": "seed"},
-            "trigger": node | {"service": "~/run_cut"},
+            "trigger": node | {"service": "~/run"},
             "metrics": {"error": node, "peak": node},
             "objective": {"metric": "error", "scale": "log"},
             "constraints": {"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.75}},

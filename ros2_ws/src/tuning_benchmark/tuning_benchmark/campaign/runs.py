@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.errors import StudyError
+from bo_tuner.methods.boundary.method import Boundary
+from bo_tuner.methods.paper.method import PaperMethod
 from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
@@ -20,6 +23,7 @@ from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.reinterpolation_search import OBSERVED
+from tuning_benchmark.campaign.division import divided, further_trials
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
 from tuning_benchmark.campaign.timed_backend import TimedBackend
 from tuning_benchmark.experiments import plugins
@@ -93,7 +97,7 @@ class Run:
         method = _with_choices(method or METHODS[row.algorithm], row)
         self._evaluations = size.evaluations
         # As many checks as the evaluations allow: what one row spends more, the others lack.
-        self.method, self.budget = method.within(whole, size.evaluations, size.reserved)
+        self.method, self.budget = divided(method, whole, size.evaluations, size.reserved)
         # A method may divide the budget of its trials into parts.
         self.study = whole.replace(evaluations=self.budget)
         self.backend = TimedBackend(self.study)
@@ -136,7 +140,8 @@ class Run:
             self.trials,
             most_repeated=max(0, left),
         )
-        more = self.method.further(self.study, self._evaluations - self.backend.evaluations)
+        left = self._evaluations - self.backend.evaluations
+        more = further_trials(self.method, self.study, left)
         if self._found is None or not more:
             return False
         known = self.method.continued(self.trials, settling.evaluations, more=True)
@@ -178,7 +183,9 @@ def _with_choices(method: Method, row: Row) -> Method:
         search = dataclasses.replace(search, estimate=estimate)
     if row.neighbour_starts is not None:
         search = dataclasses.replace(search, neighbour_starts=row.neighbour_starts)
-    return method.with_search(search)
+    if not isinstance(method, (PaperMethod, Boundary)):
+        raise StudyError(f"{row.name}: {method.title} has no other search for the worst context")
+    return dataclasses.replace(method, search=search)
 
 
 class _Evaluations(RunObserver):

@@ -13,6 +13,7 @@ RECORD = "fronts.json"
 REFERENCE = "IV"
 """Key of the optimizer that others are compared with."""
 TITLES = {
+    "boundary": "`boundary`",
     "IV": "Algorithm IV, ParEGO weights",
     "II": "random search (Algorithm II)",
     "NSGA-II": "Optuna NSGA-II",

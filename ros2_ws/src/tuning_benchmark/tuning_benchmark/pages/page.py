@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
 from bo_tuner.methods.registry import METHODS
+from tuning_benchmark.campaign.division import reserve_in_words
 from tuning_benchmark.experiments.experiment import (
     RANDOM,
     WORST_CASE,
@@ -242,7 +243,8 @@ def _kept(case: Case) -> str:
     """Tell which evaluations are not those of trials."""
     algorithms = {row.algorithm for row in case.rows.values() if row.algorithm}
     # As often as methods keep the same, it is said once.
-    kept = {METHODS[name].reserve(case.reserved_evaluations): None for name in sorted(algorithms)}
+    reserved = case.reserved_evaluations
+    kept = {reserve_in_words(METHODS[name], reserved): None for name in sorted(algorithms)}
     return "; ".join(kept) or "no row checks its candidates"
 
 

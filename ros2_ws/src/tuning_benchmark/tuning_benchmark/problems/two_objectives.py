@@ -134,7 +134,7 @@ def hypervolume(costs: Array, reference: Array) -> float:
 class Node(ParameterizedNode):
     """A node that evaluates the problem."""
 
-    def run_cut(self) -> dict[str, object]:
+    def evaluate(self) -> dict[str, object]:
         """Evaluate the point in the context."""
         values = self.values
         problem = TwoObjectives(values["parameters"], values["contexts"])

@@ -1,6 +1,7 @@
 """A lifecycle node on the way from one state to another."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from bo_tuner.backends.ros.errors import RefusedError
@@ -56,6 +57,26 @@ class LifecycleNode:
         """Wait until somebody else has brought it to a state, for a while."""
         self._tuner.wait_until(lambda: self.state == state, MANAGED)
 
+    def configure_anew(self, target: str = "", between: Callable[[], None] = lambda: None) -> None:
+        """Take its configuration back, and bring it to a state again.
+
+        Parameters
+        ----------
+        target
+            The state; by default the one that it is in.
+        between
+            Called while it is unconfigured.
+
+        Raises
+        ------
+        RefusedError
+            As in `bring_to`.
+        """
+        target = target or self.state
+        self.bring_to(UNCONFIGURED)
+        between()
+        self.bring_to(target)
+
     def bring_to(self, target: str) -> None:
         """Change its state step by step; somebody else may do so at the same time.
 
@@ -68,7 +89,7 @@ class LifecycleNode:
         while (state := self.state) != target:
             transition = NEXT.get((state, target))
             if transition is None:
-                # As in `configuring`.
+                # On its way, such as `configuring`.
                 if time.monotonic() > deadline:
                     raise RefusedError(f"{self._change.spec.node} is {state}, and stays so")
                 self._tuner.spin_for(POLL_PERIOD)

@@ -321,10 +321,12 @@ class StartValues:
         self._in_force.pop(key, None)
         self._configured.add(key)
         target = self._targets[key] = self._target(key, node)
-        node.bring_to(UNCONFIGURED)
-        self.between([self._study.nodes[key].node.rpartition("/")[2]])
-        self._parameters.assign_and_read_back(key, values)
-        node.bring_to(target)
+
+        def assign() -> None:
+            self.between([self._study.nodes[key].node.rpartition("/")[2]])
+            self._parameters.assign_and_read_back(key, values)
+
+        node.configure_anew(target, assign)
         del self._targets[key]
         self._in_force[key] = self._part(key, values)
         if self._started is not None:

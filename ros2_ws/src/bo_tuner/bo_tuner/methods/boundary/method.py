@@ -27,7 +27,6 @@ from bo_tuner.methods.contexts import DrawnContexts
 from bo_tuner.methods.outlook import Outlook, draws_of_outlook
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.searches import SearchRule, search_evaluations, searches_of
-from bo_tuner.methods.times import Times
 from bo_tuner.models.estimates import estimated
 from bo_tuner.models.pooled_models import PooledModels, PooledSurrogates
 from bo_tuner.models.surrogates import Surrogates
@@ -49,13 +48,6 @@ MOST_TO_SETTLE = 25
 """It is settled what the answer is after so many repetitions, or when all are used up.
 
 How many it takes differs widely between runs, and hardly depends on how many are allowed.
-"""
-
-RANKINGS, RANKINGS_WEIGHT = 5.0, 3
-"""What is expected of a trial beside its evaluations, in rankings.
-
-A proposal, which fits the models, ranks and searches, takes all of them but the one after the
-trial. The expected value counts as so many trials that were measured.
 """
 
 
@@ -110,11 +102,6 @@ class Boundary(Method):
     def _search(self) -> SearchRule:
         return self.search or Pooled(self.models)
 
-    def problem(self, study: Study) -> str:
-        """Refuse several objectives."""
-        count = len(study.objectives)
-        return f"optimizes one objective, and the study has {count}" if count > 1 else ""
-
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
         return BoundaryOptimization(
@@ -135,10 +122,6 @@ class Boundary(Method):
         if proposal.protocol is not None:
             _, most = proposal.protocol
         return searches_of(self._search, study, proposal, trials, most)
-
-    def with_search(self, search: SearchRule) -> "Boundary":
-        """Return the method with another search for the worst context."""
-        return replace(self, search=search)
 
     def outlook(self, study: Study, trials: Sequence[Trial]) -> Outlook | None:
         """Estimate the gain of one more trial: that it will be shown to be better."""
@@ -163,12 +146,13 @@ class Boundary(Method):
         search = AcquisitionSearch(provable(models, self.ahead), space, self.acquisition, rng)
         search.incumbent = float(study.objective.to_cost(best.objective))
         found = search.maximize()
+        if found.log_gain is None:
+            return None
         x = space.to_cube(best.trial.parameters)[None]
-        over_contexts = float(model.process.means(x, model.contexts).var())
         complete = EvaluationState.COMPLETE
         evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
-        noise = float(np.sqrt((over_contexts + model.noise_variance) / evaluations))
-        return Outlook(search.incumbent, float(np.exp(found.value)), noise)
+        noise = float(np.sqrt(model.variance_of_run(x)[0] / evaluations))
+        return Outlook(search.incumbent, float(np.exp(found.log_gain)), noise)
 
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None
@@ -230,49 +214,6 @@ class Boundary(Method):
             tuning = min(tuning, study.budget.evaluations + largest - 1)
         return tuning + self.repetitions.most(study, tuning)
 
-    def time_to_answer(self, study: Study, times: Times) -> float:
-        """Return the time [s] of the trials and the repetitions to come.
-
-        What a trial takes beside its evaluations is counted in rankings, whose time follows a
-        straight line over the evaluations.
-        """
-        evaluations, repeated, seconds = float(times.evaluations), 0, 0.0
-        if times.answering:
-            repeated = times.in_phase
-            evaluations -= repeated
-        else:
-            searched = times.evaluations_of_trial()
-            rankings = times.rankings_of_trial(RANKINGS, RANKINGS_WEIGHT)
-            for count in self.schedule.evaluations_ahead(
-                study, times.counted, evaluations, searched
-            ):
-                evaluations += count
-                seconds += count * times.recent_evaluation()
-                seconds += rankings * times.ranking_of(evaluations)
-        most = self.repetitions.most(study, round(evaluations), times.repeated)
-        total = repeated + min(max(0, most - repeated), MOST_TO_SETTLE)
-        # Most are runs of their own of what may be the answer, and a ranking follows each of them.
-        seconds += (total - repeated) * times.plain_evaluation()
-        return seconds + (total - repeated + 1) * times.ranking_of(
-            evaluations + 0.5 * (repeated + total)
-        )
-
-    def recalled_ranking(self, trial: Trial) -> float:
-        """Return the time [s] of a ranking by that of the proposal."""
-        return trial.seconds / (RANKINGS - 1.0)
-
-    def within(self, study: Study, evaluations: int, reserved: int) -> tuple["Boundary", int]:
-        """Keep the share of the repetitions, whatever is reserved for others."""
-        return self, self.repetitions.before(study, evaluations)
-
-    def further(self, study: Study, left: int) -> int:
-        """Return the part of the trials, if that is enough for a new point."""
-        more = self.repetitions.part_of_trials(left)
-        return more if more >= sum(new_point(study)) else 0
-
-    def reserve(self, reserved: int) -> str:
-        """Return what it keeps of the evaluations."""
-        return (
-            "boundary keeps part of them for repetitions, and goes on with further trials when "
-            "these settle the answer early"
-        )
+    def answer_evaluations(self, study: Study, evaluations: int, made: int) -> int:
+        """Return the repetitions that are expected still."""
+        return max(0, min(self.repetitions.most(study, evaluations), MOST_TO_SETTLE) - made)

@@ -1,25 +1,22 @@
 """Stage two of `boundary`: by the process of all evaluations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from bo_tuner.methods.searches import SearchRule
+from bo_tuner.methods.searches import ModelSearch
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.covariates import measured_in
 from bo_tuner.models.observations import joint_observations
 from bo_tuner.models.pooled_models import PooledModels
-from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.worst_case.pooled_search import PooledSearch
+from bo_tuner.worst_case.pooled_search import KnownRuns, PooledSearch
 
 
 @dataclass(frozen=True)
-class Pooled(SearchRule):
+class Pooled(ModelSearch):
     """A search by the process of all evaluations.
 
     Attributes
@@ -47,30 +44,18 @@ class Pooled(SearchRule):
         idle = contexts.dimension == 0 and proposal.protocol is None
         return PooledSearch(
             contexts,
-            constraint.sign * constraint.limit,
-            constraint.deviations,
-            0 if idle else evaluations,
             space.to_cube(proposal.parameters),
-            x,
-            c,
-            constraint.sign * y,
-            Coding(space.levels),
-            proposal.hyperparameters.get(constraint.name) or None,
+            KnownRuns(
+                x,
+                c,
+                constraint.sign * y,
+                Coding(space.levels),
+                dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
+            ),
+            limit=constraint.sign * constraint.limit,
+            deviations=constraint.deviations,
+            evaluations=0 if idle else evaluations,
             models=self.models,
+            hyperparameters=proposal.hyperparameters.get(constraint.name) or None,
             until_clear=proposal.protocol is None,
-            measured=dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
         )
-
-    def unusable(self, unsearched: Sequence[str]) -> str:
-        """Refuse nothing: the process estimates the worst case of any trial."""
-        return ""
-
-    def hyperparameters(
-        self,
-        models: FitSurrogates[Surrogates],
-        study: Study,
-        trials: Sequence[Trial],
-        rng: np.random.Generator,
-    ) -> Mapping[str, tuple[float, ...]]:
-        """Return those of the processes."""
-        return models(study, trials, rng=rng).warm_starts

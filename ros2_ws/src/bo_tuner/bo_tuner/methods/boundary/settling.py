@@ -3,6 +3,10 @@
 Parameter sets are run again, a few runs at a time, until it is settled which one is the answer
 (`repetition`) or the repetitions are used up. These runs are added to their trials. No further
 check of the answer follows: the posterior that chooses it has them among its data.
+
+With several objectives the answer is the compromise. Once that is settled, the runs that are left
+settle what is best with weights that lean towards each of the objectives: what is shown to keep its
+limits there is on the front.
 """
 
 import math
@@ -17,6 +21,7 @@ from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.repetitions import most_check_evaluations, repetitions_of
 from bo_tuner.models.estimates import estimated
 from bo_tuner.models.pooled_models import PooledSurrogates
+from bo_tuner.models.scalarization import leaning_weights
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Run
@@ -45,20 +50,6 @@ class Repetitions:
         if not self.share:
             return 0
         return max(most_check_evaluations(study), math.ceil(self.share * evaluations) - made)
-
-    def before(self, study: Study, evaluations: int) -> int:
-        """Return how many of so many evaluations in all, at least one, are those of the trials."""
-        if not self.share:
-            return evaluations
-        of_trials = self.part_of_trials(evaluations)
-        return max(1, min(evaluations - most_check_evaluations(study), of_trials))
-
-    def part_of_trials(self, evaluations: int) -> int:
-        """Return how many of so many evaluations are of trials, with repetitions in proportion.
-
-        An answer is known where a run is continued, so none are kept for the check of one.
-        """
-        return math.floor(evaluations / (1.0 + self.share))
 
 
 class SettledAnswer(AnswerSearch):
@@ -135,7 +126,8 @@ class SettledAnswer(AnswerSearch):
         left = self._most - len(self._repeated)
         self._choice = None
         if self._candidates and left:
-            self._choice = next_repetition(study, models, self._candidates, left, self._required)
+            choice = self._next(models, self._candidates, left)
+            self._choice = choice or self._of_front(models, left)
         if self._choice is not None:
             self._unplanned = min(self._choice.runs, left)
         elif self._candidates:
@@ -143,6 +135,23 @@ class SettledAnswer(AnswerSearch):
         elif before:
             # Every candidate has failed when it was run again.
             self.answer = Recommendation(before[0], False, tuple(self._repeated), tuple(before))
+
+    def _next(
+        self, models: PooledSurrogates, candidates: Sequence[Candidate], left: int
+    ) -> Repetition | None:
+        return next_repetition(self._study, models, candidates, left, self._required)
+
+    def _of_front(self, models: PooledSurrogates, left: int) -> Repetition | None:
+        """Return runs that settle what is best with other weights than those of the compromise."""
+        study, known = self._study, list(self._latest.values())
+        count = len(study.objectives)
+        for weights in leaning_weights(count) if count > 1 else ():
+            leaning = models.weighted(weights)
+            candidates = self._ranking.ranked_by(leaning, study, known)
+            choice = self._next(leaning, candidates, left)
+            if choice is not None:
+                return choice
+        return None
 
     def _settled(self, models: PooledSurrogates) -> Recommendation:
         candidates = _with_own_runs_first(self._study, models, self._candidates, self._required)

@@ -19,7 +19,6 @@ from bo_tuner.methods.repetitions import (
     most_check_evaluations,
     repetitions_of,
 )
-from bo_tuner.methods.times import Times
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, Ranking
@@ -54,18 +53,12 @@ class CandidateCheck:
         """Return the largest number of evaluations of all checks."""
         return self.most * most_check_evaluations(study)
 
-    def affordable(self, study: Study, reserved: int) -> "CandidateCheck":
-        """Return the check of as many candidates as so many evaluations allow."""
-        return replace(self, most=min(self.most, reserved // most_check_evaluations(study)))
-
-    def seconds(self, study: Study, times: Times) -> float:
-        """Return the time [s] that the checks will still take."""
+    def expected_evaluations(self, study: Study, made: int) -> int:
+        """Return how many are to come after so many: up to the end of the second check and on."""
         size = most_check_evaluations(study)
-        cost = times.plain_evaluation() + times.ranking() / size
-        if times.answering:
-            count = min(times.steps + EXPECTED_CHECKS, self.most)
-            return max(0, size * count - times.in_phase) * times.measured(cost)
-        return min(EXPECTED_CHECKS, self.most) * size * cost
+        ended = made // size
+        expected = min(max(EXPECTED_CHECKS, ended + 1), self.most)
+        return max(0, expected * size - made)
 
 
 class CheckedAnswer(AnswerSearch):

@@ -1,7 +1,7 @@
 """The stages of the paper, as a method whose parts are arguments."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from bo_tuner.methods.paper.check import CandidateCheck, CheckedAnswer, with_che
 from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.searches import SearchRule, search_evaluations, searches_of
-from bo_tuner.methods.times import Times
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.base import Optimizer, Proposal
@@ -94,10 +93,6 @@ class PaperMethod(Method):
         most = search_evaluations(study, self.searched)
         return searches_of(self.search, study, proposal, trials, most)
 
-    def with_search(self, search: SearchRule) -> "PaperMethod":
-        """Return the method with another search for the worst context."""
-        return replace(self, search=search)
-
     def outlook(self, study: Study, trials: Sequence[Trial]) -> Outlook | None:
         """Estimate the gain of one more trial by the acquisition function."""
         if self.stage_one is not None:
@@ -114,10 +109,12 @@ class PaperMethod(Method):
             found = search.maximize()
         except (ArithmeticError, np.linalg.LinAlgError, ValueError):
             return None
+        if found.log_gain is None:
+            return None
         means = model.predict_mean(model.points)
         row = int(np.flatnonzero(search.feasible)[np.argmin(means[search.feasible])])
         noise = float(np.sqrt(model.noise_variance / model.counts[row]))
-        return Outlook(search.incumbent, float(np.exp(found.value)), noise)
+        return Outlook(search.incumbent, float(np.exp(found.log_gain)), noise)
 
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None
@@ -157,27 +154,6 @@ class PaperMethod(Method):
             tuning = min(tuning, study.budget.evaluations + each - 1)
         return tuning + self.check.most_evaluations(study)
 
-    def time_to_answer(self, study: Study, times: Times) -> float:
-        """Return the time [s] of the trials and the checks to come.
-
-        A trial takes as many evaluations as the latest half of them, and beside these what follows
-        a straight line over the trials.
-        """
-        checks = self.check.seconds(study, times)
-        if times.answering:
-            return checks
-        trials = study.budget.remaining(times.counted, times.evaluations)
-        seconds = times.evaluations_of_trial() * times.recent_evaluation()
-        return trials * (seconds + times.beside_evaluations(trials)) + checks
-
-    def within(self, study: Study, evaluations: int, reserved: int) -> tuple["PaperMethod", int]:
-        """Check as many candidates as the reserved evaluations allow; the others are of trials."""
-        check = self.check.affordable(study, reserved)
-        return replace(self, check=check), evaluations - (reserved if check.most > 0 else 0)
-
-    def reserve(self, reserved: int) -> str:
-        """Return what it keeps of the evaluations."""
-        return (
-            f"algorithms that check their candidates before they answer reserve {reserved} of them "
-            "for the checks"
-        )
+    def answer_evaluations(self, study: Study, evaluations: int, made: int) -> int:
+        """Return the evaluations of the checks that are expected still."""
+        return self.check.expected_evaluations(study, made)

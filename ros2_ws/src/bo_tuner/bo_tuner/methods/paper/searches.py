@@ -1,14 +1,13 @@
 """Stage two of the Algorithms I to V."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.methods.searches import SearchRule
+from bo_tuner.methods.searches import ModelSearch, SearchRule
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.observations import joint_observations
-from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
@@ -83,7 +82,7 @@ class NoSearch(SearchRule):
 
 
 @dataclass(frozen=True)
-class Joint(SearchRule):
+class Joint(ModelSearch):
     """A search by a joint model of parameter set and context (Algorithm V)."""
 
     def __call__(
@@ -114,17 +113,3 @@ class Joint(SearchRule):
             constraint.sign * y,
             proposal.hyperparameters.get(constraint.name) or None,
         )
-
-    def unusable(self, unsearched: Sequence[str]) -> str:
-        """Refuse nothing: the joint model estimates the worst case of any trial."""
-        return ""
-
-    def hyperparameters(
-        self,
-        models: FitSurrogates[Surrogates],
-        study: Study,
-        trials: Sequence[Trial],
-        rng: np.random.Generator,
-    ) -> Mapping[str, tuple[float, ...]]:
-        """Return those of the joint model."""
-        return models(study, trials, rng=rng).warm_starts

@@ -2,9 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from bo_tuner.figures.figure import (
 from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
 from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import Constraint
@@ -242,11 +241,12 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
 def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
     counts = _counts(len(analysis.record.trials))
-    found = [(n - 1, analysis.remember(_key(n), partial(_incumbent, analysis, n))) for n in counts]
+    known = analysis.known.incumbents
+    found = [(n - 1, remembered(known, n, partial(_incumbent, analysis, n))) for n in counts]
     return [(k, candidate) for k, candidate in found if candidate is not None]
 
 
-def known_incumbents(found: Mapping[int, Candidate | None]) -> dict[Hashable, Any]:
+def known_incumbents(found: Mapping[int, Candidate | None]) -> Known:
     """Return what an `Analysis` may know of the incumbents that a run has found.
 
     Those of more than `FITTED_EACH` trials are left out: where a run has recorded no
@@ -257,11 +257,7 @@ def known_incumbents(found: Mapping[int, Candidate | None]) -> dict[Hashable, An
     found
         By the number of trials known then.
     """
-    return {_key(count): candidate for count, candidate in found.items() if count <= FITTED_EACH}
-
-
-def _key(count: int) -> Hashable:
-    return "incumbent", count
+    return Known({count: best for count, best in found.items() if count <= FITTED_EACH})
 
 
 def _counts(total: int) -> list[int]:

@@ -47,11 +47,27 @@ def front(analysis: Analysis) -> Section | None:
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
         notes=[
-            "Only the result was validated on fresh draws; the means of the others are those of "
-            "their own evaluations, the best of which are biased by selection. To use one of them: "
+            f"Only the result was validated on fresh draws; {_of_others(points)}. To use one of "
+            "them: "
             f"validate {run} --trial N, then apply {run} --trial N."
         ],
     )
+
+
+def _of_others(points: Sequence[Point]) -> str:
+    if points[0].modelled:
+        return "the means of the others are those that the models of all evaluations predict"
+    return (
+        "the means of the others are those of their own evaluations, the best of which are biased "
+        "by selection"
+    )
+
+
+def _which_means(points: Sequence[Point]) -> str:
+    own = "over the evaluations of each trial in drawn contexts"
+    if points[0].modelled:
+        return f"On the front, means by the models of all evaluations; elsewhere, {own}"
+    return f"Means {own}"
 
 
 def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
@@ -60,9 +76,8 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
     return Figure(
         name="front",
         title=f"Means of {names}, all trials",
-        caption="Means over the evaluations of each trial in drawn contexts; the bars are "
-        f"{100 * CONFIDENCE:g} % intervals of those on the front. The other trials within limits "
-        "are dominated by these, up to the noise.",
+        caption=f"{_which_means(points)}; the bars are {100 * CONFIDENCE:g} % intervals of those "
+        "on the front. The other trials within limits are dominated by these, up to the noise.",
         alternative="; ".join(
             f"trial {point.trial}: "
             + ", ".join(f"{name} {number(mean.value)}" for name, mean in point.means.items())

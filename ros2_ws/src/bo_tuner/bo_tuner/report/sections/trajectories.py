@@ -18,7 +18,7 @@ from bo_tuner.backends.inprocess import InProcessBackend, triggered
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.analysis import Analysis, remembered
 from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
 from bo_tuner.storage.run_files import BAGS
@@ -107,8 +107,9 @@ def trajectories(analysis: Analysis) -> Section | None:
         of = f" of {name}" if len(answer.worst_cases) > 1 else ""
         contexts[f"worst context{of}"] = dict(worst.context)
     try:
-        drawn = analysis.remember(
-            ("trajectories", analysis.answer_name, answer.number, str(contexts)),
+        drawn = remembered(
+            analysis.known.trajectories,
+            (analysis.answer_name, answer.number, str(contexts)),
             partial(_simulated, analysis, answer.parameters, contexts),
         )
     except (NoTraceError, StudyError, BackendError) as error:

@@ -35,7 +35,7 @@ from bo_tuner.backends.ros.guard.messages import (
 )
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
-from bo_tuner.backends.ros.lifecycle import UNCONFIGURED, LifecycleNode
+from bo_tuner.backends.ros.lifecycle import LifecycleNode
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.publication import Publication
@@ -410,9 +410,7 @@ class Guard:
                 if node is None:
                     problems.append(f"{name} is not safe: it has no lifecycle")
                     continue
-                state = node.state
-                node.bring_to(UNCONFIGURED)
-                node.bring_to(state)
+                node.configure_anew()
             except (LostError, RefusedError, StudyError) as error:
                 problems.append(f"{name} is not safe: {error}")
         return problems
