@@ -112,6 +112,7 @@ class TestRunsInAContext:
         assert judged(make_study(**SINGLE), [0.5] * 30, [0.5] * fresh, before).passed is passed
         assert judged(make_study(**SINGLE), [0.5] * 30, [0.5] * fresh).passed
 
+    @pytest.mark.slow
     def test_never_for_a_pass(self, make_study):
         """Whatever was before, a PASS is one without it, too."""
         rng = np.random.default_rng(4)

@@ -213,6 +213,7 @@ class TestWorstCase:
         assert all(len(here) >= LEAST_RUNS for here in found.repeated)
         assert judge(study, found, 0.95).passed
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("probability", [None, 0.85])
     @pytest.mark.parametrize("margin", [0.0, 0.1])
     def test_how_often_it_passes(self, make_study, function_backend, probability, margin):

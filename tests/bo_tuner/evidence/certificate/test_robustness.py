@@ -108,6 +108,7 @@ class TestDrift:
         assert load.up.limit.median == pytest.approx(1 + math.sqrt(2 / 3), abs=0.02)
         assert found.variables[0] is load
 
+    @pytest.mark.slow
     def test_how_often_the_band_holds_the_truth(self, make_study):
         """The band should hold it in 90 % of data sets."""
         study = plane(make_study)
