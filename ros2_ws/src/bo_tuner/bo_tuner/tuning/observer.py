@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Event
 from bo_tuner.trials import Evaluation, Trial
 
 
@@ -36,6 +37,9 @@ class RunObserver:
 
     def advise(self, advice: StopAdvice) -> None:
         """Handle the advice to stop."""
+
+    def event(self, event: Event) -> None:
+        """Handle a request from outside, before anything follows from it."""
 
     def pause(self, paused: bool) -> None:
         """Handle the start of a pause between two evaluations, or its end."""
@@ -96,6 +100,11 @@ class Observers(RunObserver):
         """Pass on the advice to stop."""
         for observer in self._observers:
             observer.advise(advice)
+
+    def event(self, event: Event) -> None:
+        """Pass on a request from outside."""
+        for observer in self._observers:
+            observer.event(event)
 
     def pause(self, paused: bool) -> None:
         """Pass on a pause or its end."""
