@@ -176,7 +176,7 @@ class _Window(Generic[TaskT]):
             self.tasks.append(planned)
             self.planned += 1
             if planned.next is not None:
-                self._observer.planned()
+                self._observer.planned(self._plan.phase)
 
     def due(self) -> Iterator[Evaluation]:
         """Yield what can be run now, of the oldest task first; pulled when there is room for it."""

@@ -20,8 +20,8 @@ class RunObserver:
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Handle the recorded trials of a resumed run, each a step, and their incumbent."""
 
-    def planned(self) -> None:
-        """Handle that the next task, such as a trial, is planned; its evaluations follow."""
+    def planned(self, phase: str) -> None:
+        """Handle that the next task of a phase, such as a trial, is planned; evaluations follow."""
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Handle a finished evaluation, before its result is used."""
@@ -71,10 +71,10 @@ class Observers(RunObserver):
         for observer in self._observers:
             observer.recall(trials, incumbent)
 
-    def planned(self) -> None:
+    def planned(self, phase: str) -> None:
         """Pass on that a task is planned."""
         for observer in self._observers:
-            observer.planned()
+            observer.planned(phase)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Pass on an evaluation."""
