@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.kind import Runs
+from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS, OnMean
 from bo_tuner.study.limit_kinds.registry import KINDS
 

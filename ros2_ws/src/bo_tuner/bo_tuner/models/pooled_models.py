@@ -197,7 +197,7 @@ class PooledModels:
 
 @dataclass(frozen=True)
 class _Responses:
-    """What pooled models can predict: `bo_tuner.study.limit_kinds.kind.Responses`."""
+    """What pooled models can predict: `bo_tuner.study.limit_kinds.base.Responses`."""
 
     models: PooledModels
     fitting: Fitting

@@ -159,7 +159,7 @@ class TrialModels:
 
 @dataclass(frozen=True)
 class _Responses:
-    """What the models of trials can predict: `bo_tuner.study.limit_kinds.kind.Responses`."""
+    """What the models of trials can predict: `bo_tuner.study.limit_kinds.base.Responses`."""
 
     models: TrialModels
     fitting: Fitting

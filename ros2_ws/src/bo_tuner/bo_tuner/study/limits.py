@@ -7,8 +7,8 @@ The certificate and the judge of the benchmark ask for the same; they differ in 
 is observed in the worst context estimates whether a limit in every context holds there. Draws from
 the distribution of the contexts cannot show such a limit, only refute it: what holds in every
 context holds in those that were drawn. They do where so many violations, or so large a mean, would
-be a coincidence of less than `COINCIDENCE`. In a study without contexts the draws are of the only
-one there is.
+be a coincidence of less than 5 %. In a study without contexts the draws are of the only one there
+is.
 """
 
 import math

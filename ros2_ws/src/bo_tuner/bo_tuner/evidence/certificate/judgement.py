@@ -48,7 +48,7 @@ from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_o
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.kind import Runs
+from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 

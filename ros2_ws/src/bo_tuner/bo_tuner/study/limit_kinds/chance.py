@@ -1,7 +1,7 @@
 """A limit that a run keeps with a probability over contexts and noise (Eq. 3d)."""
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.limit_kinds.kind import R, Responses
+from bo_tuner.study.limit_kinds.base import R, Responses
 from bo_tuner.study.limit_kinds.on_runs import OnRuns
 
 

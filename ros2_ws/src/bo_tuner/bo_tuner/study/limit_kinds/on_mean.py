@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 from bo_tuner import text
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import is_mean_refuted, is_mean_shown, is_shown, mean_bounds
-from bo_tuner.study.limit_kinds.kind import InContext, LimitKind, Runs, place_of
+from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 from bo_tuner.study.limit_kinds.on_runs import COINCIDENCE
 
 LEAST_RUNS = 30

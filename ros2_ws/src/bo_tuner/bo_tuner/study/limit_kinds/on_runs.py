@@ -21,7 +21,7 @@ from bo_tuner.numerics.sequential import (
     is_shown,
     probability_bounds,
 )
-from bo_tuner.study.limit_kinds.kind import InContext, LimitKind, Runs, place_of
+from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 
 COINCIDENCE = 0.05
 """Probability below which draws refute a limit in every context."""

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from bo_tuner.study.limit_kinds.base import LimitKind
 from bo_tuner.study.limit_kinds.chance import Chance
-from bo_tuner.study.limit_kinds.kind import LimitKind
 from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.limit_kinds.worst_mean import WorstMean
 from bo_tuner.study.limit_kinds.worst_runs import WorstRuns

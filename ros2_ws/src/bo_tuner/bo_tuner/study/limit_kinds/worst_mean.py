@@ -1,6 +1,6 @@
 """A limit that in every context the mean over noise keeps (Eq. 3e)."""
 
-from bo_tuner.study.limit_kinds.kind import R, Responses
+from bo_tuner.study.limit_kinds.base import R, Responses
 from bo_tuner.study.limit_kinds.on_mean import OnMean
 
 

@@ -3,7 +3,7 @@
 from scipy.special import ndtri
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.limit_kinds.kind import R, Responses
+from bo_tuner.study.limit_kinds.base import R, Responses
 from bo_tuner.study.limit_kinds.on_runs import OnRuns
 
 
