@@ -23,6 +23,7 @@ from bo_tuner.figures.figure import (
     Region,
     Values,
 )
+from bo_tuner.figures.hatching import hatching
 from bo_tuner.figures.keys import stops
 from bo_tuner.text import printable
 
@@ -191,17 +192,28 @@ def _contour(contour: Contour, level: float) -> Trace:
 
 
 def _region(region: Region) -> Trace:
+    if not region.hatched:
+        return {
+            "type": "contour",
+            "name": text_of(region.name),
+            "x": _numbers(region.x),
+            "y": _numbers(region.y),
+            "z": _rows(region.z),
+            # Plotly shades the region where the constraint is violated.
+            "contours": {"type": "constraint", "operation": "<=", "value": region.above},
+            "fillcolor": f"@{region.color}/0.4",
+            "line": {"width": 0},
+            "showscale": False,
+            "hoverinfo": "skip",
+        }
+    x, y = hatching(region)
     return {
-        "type": "contour",
+        "type": "scatter",
+        "mode": "lines",
         "name": text_of(region.name),
-        "x": _numbers(region.x),
-        "y": _numbers(region.y),
-        "z": _rows(region.z),
-        # Plotly shades the region where the constraint is violated.
-        "contours": {"type": "constraint", "operation": "<=", "value": region.above},
-        "fillcolor": f"@{region.color}/0.6",
-        "line": {"width": 0},
-        "showscale": False,
+        "x": _numbers(x),
+        "y": _numbers(y),
+        "line": {"color": f"@{region.color}", "width": 1.0},
         "hoverinfo": "skip",
     }
 

@@ -20,6 +20,7 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.at_bounds import at_bounds
+from bo_tuner.verdict.in_reach import in_reach
 from bo_tuner.verdict.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
@@ -105,6 +106,7 @@ def validated(
         is_default=same,
         outliers=tuple(outliers),
         at_bounds=at_bounds(study, tuned.parameters),
+        advice=in_reach(study, trials) if state is State.INFEASIBLE else (),
         default_lost=default.lost,
     )
 

@@ -41,14 +41,14 @@ def front(analysis: Analysis) -> Section | None:
     run = shlex.quote(str(analysis.record.path.resolve()))
     return Section(
         name="front",
-        title="Pareto front",
-        lead=f"{len(points)} parameter sets that are believed to keep all limits are on the front: "
+        title="Which compromises are there?",
+        lead=f"{len(points)} parameter sets that are likely within limits are on the front: "
         f"no other such trial dominates them.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
         notes=[
             "Only the result was validated on fresh draws; the means of the others are those of "
-            "their own evaluations, the best of which are biased by selection. To use one of them: "
+            "their own test runs, the best of which are biased by selection. To use one of them: "
             f"validate {run} --trial N, then apply {run} --trial N."
         ],
     )
@@ -60,7 +60,7 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
     return Figure(
         name="front",
         title=f"Means of {names}, all trials",
-        caption="Means over the evaluations of each trial in drawn contexts; the bars are "
+        caption="Means over the test runs of each trial in drawn contexts; the bars are "
         f"{100 * CONFIDENCE:g} % intervals of those on the front. The other trials within limits "
         "are dominated by these, up to the noise.",
         alternative="; ".join(
@@ -133,7 +133,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     header = ["trial"]
     for name, unit in units.items():
         header += [with_unit(f"mean {name}", unit), f"± of {name}"]
-    header += ["evaluations", "P(feasible)", *names]
+    header += ["test runs", "likely within limits", *names]
     return Table(
         caption="The front, by the first objective",
         header=header,
@@ -142,7 +142,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
                 str(point.trial),
                 *(number(v) for mean in point.means.values() for v in (mean.value, mean.error)),
                 str(next(iter(point.means.values())).count),
-                f"{point.feasibility:.2f}",
+                f"{100.0 * point.feasibility:.0f} %",
                 *(number(by_number[point.trial].parameters[name]) for name in names),
             ]
             for point in points
