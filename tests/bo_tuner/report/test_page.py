@@ -83,6 +83,8 @@ def table(page, beginning):
 
 
 def test_the_answer_is_that_of_the_journal(page, tuned):
+    from report_runs import HARM
+
     rows = table(page, "Default and tuned")
     for column in (0, 1):
         evaluations = [

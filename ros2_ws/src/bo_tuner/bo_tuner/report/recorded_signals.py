@@ -127,10 +127,10 @@ def _lines(
     for name in group:
         heard = {label: run for label, run in runs.items() if name in run.recording.signals}
         values = [run.recording.signals[name].value for run in heard.values()]
-        if len(group) > 1 and all(np.array_equal(v, values[0]) for v in values):
+        if len(group) > 1 and len(values) > 1 and all(np.array_equal(v, values[0]) for v in values):
             lines.append(_line(next(iter(heard.values())), name, name, Color.INK, Dash.DOTTED))
             continue
-        own = f", {name}" if len(group) > 2 else ""
+        own = f", {name}" if len(group) > 1 and (len(group) > 2 or len(runs) == 1) else ""
         lines += [_line(run, name, f"{label}{own}", *looks[label]) for label, run in heard.items()]
     return lines
 

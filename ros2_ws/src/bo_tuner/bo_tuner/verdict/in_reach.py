@@ -1,9 +1,9 @@
 """What is in reach where no trial keeps all limits, and what to change: limit, range or contexts."""
 
 from collections.abc import Sequence
+from math import ceil, isfinite
 
 from bo_tuner.study.constraint import WORST_CASE, Constraint
-from bo_tuner.study.limits import violated, uncertain
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
 from bo_tuner.trials import Trial, TrialState
@@ -11,7 +11,7 @@ from bo_tuner.verdict.at_bounds import at_bounds
 
 
 def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Return advice in sentences, for each limit that no trial keeps; none without such a limit.
+    """Return advice in sentences: on each limit that no trial keeps, or else on the hardest one.
 
     Parameters
     ----------
@@ -21,52 +21,59 @@ def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
         All trials of a run in which no parameter set was found feasible.
     """
     complete = [trial for trial in trials if trial.state is TrialState.COMPLETE]
-    if not complete:
+    best = {
+        name: reached
+        for name, constraint in study.constraints.items()
+        if (reached := _best(constraint, complete)) is not None
+    }
+    if not best:
         return ()
-    broken = [{*violated(study, trial), *uncertain(study, trial)} for trial in complete]
-    never = [c for name, c in study.constraints.items() if all(name in names for names in broken)]
-    sentences = [line for c in never for line in _of_limit(study, c, complete)]
-    if not never and len(study.constraints) > 1 and all(broken):
-        fewest = min(range(len(complete)), key=lambda k: len(broken[k]))
-        names = " and ".join(sorted(broken[fewest]))
-        sentences.append(
-            "Each limit alone is kept by a trial, but no trial keeps all of them: loosen one, or "
-            f"widen the ranges. Trial {complete[fewest].number} breaks {names} alone."
-        )
+    broken = {name for name, (_, value) in best.items() if study.constraints[name].violations(value)}
+    # The one that leaves the least to spare.
+    hardest = max(best, key=lambda name: study.constraints[name].excess(best[name][1]))
+    chosen = [name for name in best if name in broken] or [hardest]
+    sentences = []
+    for name in chosen:
+        sentences += _of_limit(study, study.constraints[name], *best[name])
     return tuple(sentences)
 
 
-def _of_limit(study: Study, constraint: Constraint, trials: Sequence[Trial]) -> list[str]:
+def _best(constraint: Constraint, trials: Sequence[Trial]) -> tuple[Trial, float] | None:
+    """Return the trial with the best value of what a limit is held against; None without any."""
+    reached = [(trial, value) for trial in trials if isfinite(value := _decisive(constraint, trial))]
+    return min(reached, key=lambda pair: constraint.sign * pair[1], default=None)
+
+
+def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) -> list[str]:
     """Say what the best trial reached, and what stands in its way."""
-    reached = {k: v for k, trial in enumerate(trials) if (v := _decisive(constraint, trial)) == v}
-    if not reached:
-        return []
-    best = min(reached, key=lambda k: constraint.sign * reached[k])
-    trial, value = trials[best], reached[best]
     unit = study.metrics[constraint.metric].unit
     number = f"{shown_beside(value, constraint.limit)} {unit}".rstrip()
-    extreme = "smallest" if constraint.sign > 0.0 else "largest"
-    where = " in the worst context" if constraint.name in trial.worst_cases and study.contexts else ""
     limit = f"{constraint.limit:g} {unit}".rstrip()
+    upper = constraint.sign > 0.0
+    where = " in the worst context" if constraint.name in trial.worst_cases and study.contexts else ""
     found = [
-        f"In reach: the {extreme} {constraint.metric} of any trial{where} is {number} (trial "
-        f"{trial.number}), the limit is {limit}."
+        f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} of any "
+        f"trial{where} is {number} (trial {trial.number}), the limit is {limit}."
     ]
     if bounds := at_bounds(study, trial.parameters):
         names = " and ".join(f"the {b.side} bound of {b.parameter}" for b in bounds)
         found.append(f"That trial is at {names}: widen the range first.")
-    elif (others := _elsewhere(constraint, trial)) is not None and study.contexts:
-        elsewhere = f"{shown_beside(others, constraint.limit)} {unit}".rstrip()
+    elif not constraint.violations(value):
         found.append(
-            f"In the contexts that were drawn at random it is {elsewhere} on average: the limit is "
-            "lost in extreme contexts. Narrow them if the machine cannot differ so much, or loosen "
+            "It keeps this limit by its own few test runs, but no trial is sure enough to keep all "
+            "of them: run more trials, or loosen this limit, which leaves the least to spare."
+        )
+    elif (elsewhere := _elsewhere(constraint, trial)) is not None and study.contexts:
+        there = f"{shown_beside(elsewhere, constraint.limit)} {unit}".rstrip()
+        found.append(
+            f"In the contexts that were drawn at random it is {there} on average, so the limit is "
+            "lost in extreme contexts: narrow them if the machine cannot differ so much, or loosen "
             "the limit."
         )
     else:
+        most = "at least" if upper else "at most"
         found.append(
-            f"Loosen the limit to at least {number}, with some margin, or tune other parameters."
-            if constraint.sign > 0.0
-            else f"Loosen the limit to at most {number}, with some margin, or tune other parameters."
+            f"Loosen the limit to {most} {number}, with some margin, or tune other parameters."
         )
     return found
 
@@ -78,8 +85,8 @@ def _decisive(constraint: Constraint, trial: Trial) -> float:
     values = sorted(trial.observations(constraint.metric), key=lambda v: constraint.sign * v)
     if not values:
         return float("nan")
-    # The value that as many of the runs keep as must.
-    return values[min(len(values) - 1, int(constraint.level * len(values)))]
+    # As many of the runs as must keep the limit have this value or a better one.
+    return values[max(ceil(constraint.level * len(values) - 1e-9), 1) - 1]
 
 
 def _elsewhere(constraint: Constraint, trial: Trial) -> float | None:

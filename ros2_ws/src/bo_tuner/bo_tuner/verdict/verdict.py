@@ -368,6 +368,13 @@ class Verdict:
         ]
 
     @property
+    def file_warnings(self) -> tuple[str, ...]:
+        """What a file of the parameter set is to say ahead of its values, a line each."""
+        if self.state is not State.INFEASIBLE:
+            return ()
+        return (f"DO NOT USE: {self.headline}.", *(f"{reason}." for reason in self.reasons))
+
+    @property
     def default_in_words(self) -> str:
         """What the same evidence says of the default."""
         if self.default_reasons is None:

@@ -128,13 +128,13 @@ class LiveState:
         self.complete = True
         self._publish()
 
-    async def _and_rest(self, making: Awaitable[object], factor: float) -> None:
+    async def _and_rest(self, making: Awaitable[object]) -> None:
         """Wait for what is made, and if that took long for a pause or until the run is over."""
         clock = asyncio.get_running_loop().time
         begin = clock()
         await making
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(factor * (clock() - begin - QUICK)):
+            async with asyncio.timeout(REST * (clock() - begin - QUICK)):
                 await self._over.wait()
 
     async def _make(self, *, ended: bool) -> None:
@@ -161,7 +161,7 @@ class LiveState:
         self._publish()
 
     def _tell(self, problem: str) -> None:
-        """Tell of a problem, or with an empty text that there is none any more."""
+        """Tell of a problem."""
         if problem != self.problem:
             self.problem = problem
             self._publish()

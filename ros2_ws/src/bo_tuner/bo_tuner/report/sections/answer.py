@@ -17,7 +17,7 @@ from bo_tuner.study.limits import Standing
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
 from bo_tuner.text import with_unit
-from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict
+from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, State, Status, Verdict
 from bo_tuner.verdict.what_to_set import what_to_set
 
 FILES = (
@@ -56,6 +56,8 @@ class Answer:
         What to set, and why, in one line.
     status
         How good that is, as a mark.
+    advice
+        What to change where nothing was found feasible.
     values
         The parameters of default and result; None before there is any.
     file
@@ -78,6 +80,7 @@ class Answer:
 
     headline: str
     status: Status
+    advice: Sequence[str]
     values: Table | None
     file: str
     tiles: Sequence[Tile]
@@ -95,7 +98,9 @@ def answer(analysis: Analysis) -> Answer:
     result = analysis.answer
     parameters = {} if result is None else result.parameters
     remarks = set(verdict.remarks)
-    sentences = [line for line in verdict.sentences if line not in remarks]
+    advice = verdict.advice if verdict.state is State.INFEASIBLE else ()
+    apart = {*remarks, *advice}
+    sentences = [line for line in verdict.sentences if line not in apart]
     if verdict.quantities:
         tiles = [*_objectives(verdict), *_limits(analysis), _trust(analysis)]
     else:
@@ -106,6 +111,7 @@ def answer(analysis: Analysis) -> Answer:
     return Answer(
         headline=what_to_set(study, verdict, parameters),
         status=verdict.status,
+        advice=advice,
         values=_values(analysis),
         file=to_yaml(node_values(study, parameters)) if usable else "",
         tiles=tiles,
@@ -154,8 +160,10 @@ def _limits(analysis: Analysis) -> list[Tile]:
     if not limited:
         return []
     status = _status(limited[0])
+    if analysis.verdict.standing is Standing.VIOLATED:
+        status = Status.BAD
     value = {
-        Status.BAD: "not kept",
+        Status.BAD: "no",
         Status.WARNING: "more runs over a limit than permitted",
         Status.OPEN: "not proven",
         Status.GOOD: "proven",
@@ -198,6 +206,8 @@ def _trust(analysis: Analysis) -> Tile:
         return Tile("trust", value, "", [scope], Status.WARNING)
     if analysis.certificate_problem:
         return Tile("trust", "certificate not readable", "", ["run validate again"], Status.WARNING)
+    if verdict.state is State.INFEASIBLE:
+        return Tile("trust", "do not use it", "", [*verdict.reasons, verdict.evidence], Status.BAD)
     return Tile("trust", verdict.trust, "", [verdict.evidence, "validate certifies it"])
 
 
@@ -208,7 +218,11 @@ def _values(analysis: Analysis) -> Table | None:
         return None
     marks = {each.parameter: f"at its {each.side} bound" for each in analysis.verdict.at_bounds}
     items = sorted(analysis.study.parameters.items(), key=lambda pair: not pair[1].is_tuned)
-    marks |= {name: "not tuned" for name, item in items if not item.is_tuned}
+    marks |= {
+        name: f"as {item.tied_to}" if item.tied_to else "not tuned"
+        for name, item in items
+        if not item.is_tuned
+    }
     return Table(
         caption=f"Values of the {analysis.answer_set}",
         header=["parameter", analysis.answer_name, "default"],

@@ -133,7 +133,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     header = ["trial"]
     for name, unit in units.items():
         header += [with_unit(f"mean {name}", unit), f"± of {name}"]
-    header += ["test runs", "likely within limits", *names]
+    header += ["test runs", "likely within limits [%]", *names]
     return Table(
         caption="The front, by the first objective",
         header=header,
@@ -142,7 +142,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
                 str(point.trial),
                 *(number(v) for mean in point.means.values() for v in (mean.value, mean.error)),
                 str(next(iter(point.means.values())).count),
-                f"{100.0 * point.feasibility:.0f} %",
+                f"{100.0 * point.feasibility:.0f}",
                 *(number(by_number[point.trial].parameters[name]) for name in names),
             ]
             for point in points

@@ -124,9 +124,9 @@ def trajectories(analysis: Analysis) -> Section | None:
     if analysis.answer is None:
         return None
     found = responses(analysis)
-    figures = []
+    figures: tuple[Figure, ...] = ()
     if found.panels:
-        figures.append(
+        figures = (
             Figure(
                 name="trajectories",
                 title="What does it do? Each signal of default and "
@@ -137,7 +137,7 @@ def trajectories(analysis: Analysis) -> Section | None:
                 panels=found.panels,
                 columns=found.columns,
                 panel_height=260,
-            )
+            ),
         )
     return Section(name="trajectories", title="", lead=found.lead, figures=figures)
 
