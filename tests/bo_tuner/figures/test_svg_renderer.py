@@ -71,9 +71,7 @@ def test_a_limit_crosses_the_panel():
 def test_a_field_is_a_picture_with_a_pixel_for_each_value():
     colors = ColorScale(label="z", low=0.0, high=1.0)
     z = np.array([[0.0, 1.0, np.nan], [1.0, 0.0, 0.0]])
-    image = drawn(
-        Heatmap(x=[0.0, 5.0, 10.0], y=[0.25, 0.75], z=z, colors=colors)
-    ).find("image")
+    image = drawn(Heatmap(x=[0.0, 5.0, 10.0], y=[0.25, 0.75], z=z, colors=colors)).find("image")
     data = base64.b64decode(image.get("href").removeprefix("data:image/png;base64,"))
     width, height = struct.unpack(">II", data[16:24])
     length = struct.unpack(">I", data[33:37])[0]

@@ -237,7 +237,9 @@ class TestTerminal:
         trial = make_trial(4, {"gain": 0.5}, [1.0])
         out = console(200, terminal=True)
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
-        assert "none of the trials is likely within limits (closest: trial 4)" in ESCAPE.sub("", text(out))
+        assert "none of the trials is likely within limits (closest: trial 4)" in ESCAPE.sub(
+            "", text(out)
+        )
 
     def test_a_fault_puts_the_terminal_back(self, make_study):
         out = console(terminal=True)

@@ -183,7 +183,7 @@ def test_what_it_says_of_the_context_is_what_the_report_says(certified, tuned):
     }
     section = tolerance(Analysis(certified(json.dumps(ours))))
     assert "by 0.123 N (0.023 to 0.223)" in section.lead
-    assert "From 1234 evaluations" in section.notes[0]
+    assert "From 1234 test runs" in section.notes[0]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])

@@ -84,9 +84,7 @@ def test_a_far_value_is_off_the_scale_above_all_that_is_on_it(analysis):
     found = far_off(analysis, 123.4)
     default = 6.5
     verdict = found.verdict
-    quantities = [
-        replace(q, default=default) if q.objective else q for q in verdict.quantities
-    ]
+    quantities = [replace(q, default=default) if q.objective else q for q in verdict.quantities]
     vars(found)["verdict"] = replace(verdict, quantities=tuple(quantities))
     figure, _ = convergence(found).figures
     (panel,) = figure.panels

@@ -6,8 +6,8 @@ from signal_runs import ANGLE, SETPOINT, record_run, signal_study
 from bo_tuner.figures.figure import Band, Color, Dash, Line
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.sections.trajectories import panels, response, trajectories
 from bo_tuner.report.sections.trajectories import Signal as Traced
+from bo_tuner.report.sections.trajectories import panels, response, trajectories
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 

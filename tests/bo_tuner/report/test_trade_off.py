@@ -50,7 +50,9 @@ def test_limits_that_make_no_difference_beyond_the_noise_share_a_row(analysis):
             replace(e, outcome=replace(e.outcome, metrics={**e.outcome.metrics, "error": value}))
             if e.outcome.metrics
             else e
-            for e, value in zip(trial.evaluations, itertools.cycle((1.0, 9.0 + 0.01 * trial.number)))
+            for e, value in zip(
+                trial.evaluations, itertools.cycle((1.0, 9.0 + 0.01 * trial.number))
+            )
         ]
         return replace(trial, evaluations=tuple(evaluations))
 

@@ -99,6 +99,6 @@ def test_before_there_is_a_result(make_study):
 
 def test_many_values_stand_below_the_line(make_study):
     item = {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}
-    study = make_study(parameters={name: item for name in "abcde"})
+    study = make_study(parameters=dict.fromkeys("abcde", item))
     line = what_to_set(study, verdict(-2.5), dict.fromkeys("abcde", 0.1))
     assert line.startswith("Set the 5 values below: ")

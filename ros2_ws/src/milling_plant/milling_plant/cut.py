@@ -42,7 +42,7 @@ def overshoot(reference: Array, velocity: Array, window: int) -> Array:
 
 
 def ceiling(reference: Array, window: int) -> Array:
-    """Highest reference (N,) within `window` samples of each k, above which v_k overshoots [m/s]."""
+    """Highest reference (N,) within `window` samples of k, above which v_k overshoots [m/s]."""
     return np.asarray(maximum_filter1d(reference, 2 * window + 1, mode="nearest"))
 
 

@@ -131,7 +131,9 @@ class TestVerdict:
         monkeypatch.setenv("PEAK", "2")
         code, out, err = here(folder, "--draws", "120")
         assert code == 3, err
-        assert out.startswith("FAIL: the tuned parameter set is not proven to stay within all limits\n")
+        assert out.startswith(
+            "FAIL: the tuned parameter set is not proven to stay within all limits\n"
+        )
         found = certificate(folder)
         assert found["verdict"] == "FAIL"
         # It is clear after a few draws.

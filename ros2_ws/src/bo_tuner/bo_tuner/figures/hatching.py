@@ -33,14 +33,20 @@ def hatching(region: Region) -> tuple[Array, Array]:
     level = _bilinear(np.asarray(region.z, dtype=float), u, np.clip(v, 0.0, 1.0))
     inside = (v >= 0.0) & (v <= 1.0) & (level > region.above)
     # A gap behind each line.
-    u, v, inside = (
-        np.pad(item, [(0, 0), (0, 1)], constant_values=0).ravel() for item in (u, v, inside)
-    )
-    places = (np.interp(w * (len(a) - 1), np.arange(len(a)), a) for w, a in ((u, x), (v, y)))
-    x, y = (np.where(inside, place, np.nan) for place in places)
+    drawn = np.pad(inside, [(0, 0), (0, 1)]).ravel()
     # One NaN is enough of a gap.
-    kept = inside | np.r_[False, inside[:-1]]
-    return x[kept], y[kept]
+    kept = drawn | np.r_[False, drawn[:-1]]
+    across, up = (
+        np.where(drawn, _along(places, np.pad(w, [(0, 0), (0, 1)]).ravel()), np.nan)[kept]
+        for places, w in ((x, u), (y, v))
+    )
+    return across, up
+
+
+def _along(places: Array, share: Array) -> Array:
+    """Return where shares (n,) of the way along the places of a grid are, 0 to 1."""
+    found: Array = np.interp(share * (len(places) - 1), np.arange(len(places)), places)
+    return found
 
 
 def _bilinear(z: Array, u: Array, v: Array) -> Array:

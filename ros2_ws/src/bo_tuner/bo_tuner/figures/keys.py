@@ -31,8 +31,10 @@ SHADES = 255
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """The entry for all elements of one name; ``kind`` is line, bar, area, hatched or
-    a marker's name."""
+    """The entry for all elements of one name.
+
+    Its ``kind`` is line, bar, area, hatched or a marker's name.
+    """
 
     name: str
     kind: str

@@ -300,7 +300,10 @@ def _contour(ax: Any, contour: Contour, order: int) -> Any:
 def _region(ax: Any, region: Region, order: int) -> Any:
     color = LIGHT[region.color]
     if region.hatched:
-        ax.plot(*hatching(region), "-", color=color, linewidth=0.8, zorder=order)
+        lines = hatching(region)
+        # With a halo, which keeps it visible on any colour of a field.
+        ax.plot(*lines, "-", color=LIGHT[Color.PAPER], linewidth=2.4, alpha=0.6, zorder=order)
+        ax.plot(*lines, "-", color=color, linewidth=0.9, zorder=order)
         return mpl.patches.Patch(facecolor="none", edgecolor=color, hatch="////")
     shade = to_rgba(color, 0.4)
     if np.nanmax(region.z) > region.above:

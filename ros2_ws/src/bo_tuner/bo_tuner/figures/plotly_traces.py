@@ -61,7 +61,7 @@ def traces(element: Element) -> list[Trace]:
         case Contour():
             return [_contour(element, level) for level in element.levels]
         case Region():
-            return [_region(element)]
+            return _region(element)
         case Limit():
             return []
 
@@ -191,9 +191,9 @@ def _contour(contour: Contour, level: float) -> Trace:
     }
 
 
-def _region(region: Region) -> Trace:
+def _region(region: Region) -> list[Trace]:
     if not region.hatched:
-        return {
+        shade = {
             "type": "contour",
             "name": text_of(region.name),
             "x": _numbers(region.x),
@@ -206,16 +206,21 @@ def _region(region: Region) -> Trace:
             "showscale": False,
             "hoverinfo": "skip",
         }
-    x, y = hatching(region)
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": text_of(region.name),
-        "x": _numbers(x),
-        "y": _numbers(y),
-        "line": {"color": f"@{region.color}", "width": 1.0},
-        "hoverinfo": "skip",
-    }
+        return [shade]
+    x, y = map(_numbers, hatching(region))
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": text_of(region.name),
+            "x": x,
+            "y": y,
+            "line": {"color": color, "width": width},
+            "hoverinfo": "skip",
+        }
+        # With a halo, which keeps it visible on any colour of a field.
+        for color, width in ((f"@{Color.PAPER}/0.6", 3.0), (f"@{region.color}", 1.2))
+    ]
 
 
 def _hover(texts: Sequence[str], otherwise: str) -> Trace:

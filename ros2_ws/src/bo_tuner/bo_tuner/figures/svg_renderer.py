@@ -50,7 +50,8 @@ SHAPES = {
     Marker.DIAMOND: "M0,-1.25L1.25,0L0,1.25L-1.25,0z",
     Marker.TRIANGLE: "M0,-1.2L1.1,.8L-1.1,.8z",
     Marker.CROSS: "M-1,-1L1,1M-1,1L1,-1",
-    Marker.STAR: "M0,-1.3L.3,-.4L1.24,-.4L.48,.15L.76,1.05L0,.5L-.76,1.05L-.48,.15L-1.24,-.4L-.3,-.4z",
+    Marker.STAR: "M0,-1.3L.3,-.4L1.24,-.4L.48,.15L.76,1.05L0,.5L-.76,1.05L-.48,.15L-1.24,-.4"
+    "L-.3,-.4z",
 }
 """Outlines of markers with a radius of 1."""
 
@@ -207,7 +208,10 @@ def _element(element: Element, panel: Panel, x: _Ruler, y: _Ruler) -> Iterator[s
         case Region():
             if element.hatched:
                 across, up = hatching(element)
-                yield _stroke(_path(x(across), y(up)), element.color, Dash.SOLID, 0.8)
+                lines = _path(x(across), y(up))
+                # With a halo, which keeps it visible on any colour of a field.
+                yield _stroke(lines, Color.PAPER, Dash.SOLID, 3.0)
+                yield _stroke(lines, element.color, Dash.SOLID, 1.2)
             else:
                 yield _filled(element, x, y)
         case Limit():
@@ -222,9 +226,7 @@ def _shade(color: Color) -> str:
 
 def _stroke(path: str, color: Color, dash: Dash, width: float) -> str:
     dashes = f' stroke-dasharray="{DASHES[dash]}"' if DASHES[dash] else ""
-    return (
-        f'<path d="{path}" fill="none" stroke="{_shade(color)}" stroke-width="{width}"{dashes}/>'
-    )
+    return f'<path d="{path}" fill="none" stroke="{_shade(color)}" stroke-width="{width}"{dashes}/>'
 
 
 def _path(x: Array, y: Array, *, step: bool = False) -> str:

@@ -89,9 +89,7 @@ def chapter(analysis: Analysis, outline: Outline) -> Chapter | None:
     found = [section for section in made if section is not None]
     if not found:
         return None
-    return Chapter(
-        name=outline.name, title=outline.title, sections=found, closed=outline.closed
-    )
+    return Chapter(name=outline.name, title=outline.title, sections=found, closed=outline.closed)
 
 
 def figures(parts: Sequence[Section]) -> list[Figure]:

@@ -49,8 +49,10 @@ def is_zero_of(name: str) -> str:
     return last.removesuffix(ZERO) if last.endswith(ZERO) else ""
 
 
-def bounds_beside(constraints: Mapping[str, Constraint], name: str, x: Array, y: Array) -> list[Bound]:
-    """Return the limits on a metric that is 0 where its signal is at y (n,), at the times x (n,)."""
+def bounds_beside(
+    constraints: Mapping[str, Constraint], name: str, x: Array, y: Array
+) -> list[Bound]:
+    """Return the limits on a metric that is 0 where its signal is at y (n,), at times x (n,)."""
     return [
         Bound(constraint.limited, x, y + constraint.limit, constraint.sign)
         for constraint in constraints.values()
@@ -59,14 +61,17 @@ def bounds_beside(constraints: Mapping[str, Constraint], name: str, x: Array, y:
 
 
 def bounds_of_signal(study: Study, name: str, end: float) -> list[Bound]:
-    """Return the limits on the largest or smallest value of a signal of a study, up to `end` [s]."""
+    """Return the limits on the largest or smallest value of a signal, up to `end` [s]."""
     found = []
     for constraint in study.constraints.values():
         metric = study.metrics[constraint.metric]
-        if isinstance(metric, SignalMetric) and metric.of.strip() == name:
-            if EXTREMES.get(metric.measure) == constraint.sign:
-                y = np.full(2, constraint.limit)
-                found.append(Bound(metric.name, np.array([0.0, end]), y, constraint.sign))
+        if (
+            isinstance(metric, SignalMetric)
+            and metric.of.strip() == name
+            and EXTREMES.get(metric.measure) == constraint.sign
+        ):
+            y = np.full(2, constraint.limit)
+            found.append(Bound(metric.name, np.array([0.0, end]), y, constraint.sign))
     return found
 
 

@@ -1,4 +1,4 @@
-"""What is in reach where no trial keeps all limits, and what to change: limit, range or contexts."""
+"""What is in reach where no trial keeps all limits: change the limit, the range or contexts."""
 
 from collections.abc import Sequence
 from math import ceil, isfinite
@@ -28,7 +28,9 @@ def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
     }
     if not best:
         return ()
-    broken = {name for name, (_, value) in best.items() if study.constraints[name].violations(value)}
+    broken = {
+        name for name, (_, value) in best.items() if study.constraints[name].violations(value)
+    }
     # The one that leaves the least to spare.
     hardest = max(best, key=lambda name: study.constraints[name].excess(best[name][1]))
     chosen = [name for name in best if name in broken] or [hardest]
@@ -40,7 +42,9 @@ def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
 
 def _best(constraint: Constraint, trials: Sequence[Trial]) -> tuple[Trial, float] | None:
     """Return the trial with the best value of what a limit is held against; None without any."""
-    reached = [(trial, value) for trial in trials if isfinite(value := _decisive(constraint, trial))]
+    reached = [
+        (trial, value) for trial in trials if isfinite(value := _decisive(constraint, trial))
+    ]
     return min(reached, key=lambda pair: constraint.sign * pair[1], default=None)
 
 
@@ -50,7 +54,9 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
     number = f"{shown_beside(value, constraint.limit)} {unit}".rstrip()
     limit = f"{constraint.limit:g} {unit}".rstrip()
     upper = constraint.sign > 0.0
-    where = " in the worst context" if constraint.name in trial.worst_cases and study.contexts else ""
+    where = (
+        " in the worst context" if constraint.name in trial.worst_cases and study.contexts else ""
+    )
     found = [
         f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} of any "
         f"trial{where} is {number} (trial {trial.number}), the limit is {limit}."

@@ -106,9 +106,14 @@ def validated(
         is_default=same,
         outliers=tuple(outliers),
         at_bounds=at_bounds(study, tuned.parameters),
-        advice=in_reach(study, trials) if state is State.INFEASIBLE else (),
+        advice=_advice(study, trials, outliers) if state is State.INFEASIBLE else (),
         default_lost=default.lost,
     )
+
+
+def _advice(study: Study, trials: Sequence[Trial], outliers: Sequence[int]) -> tuple[str, ...]:
+    """Return what is in reach of the trials that were candidates."""
+    return in_reach(study, [trial for trial in trials if trial.number not in outliers])
 
 
 def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:

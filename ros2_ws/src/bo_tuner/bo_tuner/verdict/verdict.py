@@ -386,7 +386,8 @@ class Verdict:
             reasons = "; ".join(self.default_reasons)
             return f"The default is not proven to stay within all limits: {reasons}."
         if self.certificate and self.default_certified:
-            return f"The default is proven to stay within all limits{', too' if self.feasible else ''}."
+            too = ", too" if self.feasible else ""
+            return f"The default is proven to stay within all limits{too}."
         return f"The default by the same evidence: {_found_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:

@@ -138,7 +138,7 @@ class LiveState:
                 await self._over.wait()
 
     async def _make(self, *, ended: bool) -> None:
-        """Make the parts and show them, all at once; once the run is over, only those of its end."""
+        """Make the parts and show them, all at once; after the end only those of the end."""
         try:
             made = await self.call(self.models, partial(self.sections.made, ended=ended))
         except BoTunerError as error:

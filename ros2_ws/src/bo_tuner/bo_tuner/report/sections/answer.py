@@ -14,9 +14,9 @@ from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.limits import Standing
+from bo_tuner.text import with_unit
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
-from bo_tuner.text import with_unit
 from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, State, Status, Verdict
 from bo_tuner.verdict.what_to_set import what_to_set
 

@@ -104,7 +104,8 @@ def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
 
 def _steps(analysis: Analysis, steps: ParameterSensitivity, name: str) -> list[str]:
     """Return what is predicted one step down and one up in a parameter."""
-    down, up = [], []
+    down: list[str] = []
+    up: list[str] = []
     for neighbour in steps.neighbours:
         if name in neighbour.changed:
             old, new = steps.optimum.parameters[name], neighbour.changed[name]
@@ -220,7 +221,9 @@ def _notes(
             for n in steps.neighbours
             if n.feasibility < BELIEVED_FEASIBLE <= steps.optimum.feasibility
         ]
-        within = f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
+        within = (
+            f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
+        )
         notes.append(
             f"Steps: the {predicted_axis(analysis.study).label} as the models predict it. A step "
             f"is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A step "

@@ -27,7 +27,9 @@ def failures(analysis: Analysis) -> Section:
     return Section(
         name="failures",
         title="What failed?",
-        lead=lead if failed or outliers else "No test run failed, and no trial is far off all others.",
+        lead=lead
+        if failed or outliers
+        else "No test run failed, and no trial is far off all others.",
         tables=tables,
         notes=[
             *warnings,

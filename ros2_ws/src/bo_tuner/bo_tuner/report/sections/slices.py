@@ -53,8 +53,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
         "two standard deviations of the prediction, without the noise of a test run. Dotted: "
         "trials near there failed or were far off and are not in the models, which say nothing "
         "there. Where the line ends, the values would break the order of the parameters or a "
-        "condition."
-        + _of_noise(limited),
+        "condition." + _of_noise(limited),
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,

@@ -47,7 +47,8 @@ def timing(analysis: Analysis) -> Section | None:
     figure = Figure(
         name="time",
         title="Time of each trial",
-        caption="A proposal includes fitting the models and maximizing the acquisition function. The search for the worst context between test runs is in neither.",
+        caption="A proposal includes fitting the models and maximizing the acquisition function. "
+        "The search for the worst context between test runs is in neither.",
         alternative=lead,
         panels=[
             Panel(

@@ -71,7 +71,7 @@ def _table(found: ContextTolerance) -> Table:
 
 def _note(found: ContextTolerance, subject: str) -> str:
     return (
-        f"From {found.evaluations} evaluations of the {subject}. The mean "
+        f"From {found.evaluations} test runs of the {subject}. The mean "
         f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
         f"nominal context and {quantity(found.worst.median, found.unit)} "
         f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "

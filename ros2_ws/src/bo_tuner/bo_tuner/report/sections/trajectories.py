@@ -334,9 +334,7 @@ def _panel(
     for name in [name for name in names if is_zero_of(name)]:
         del names[name]
         some = next(trace for trace in sides.values() if name in trace)
-        bounds += bounds_beside(
-            constraints, is_zero_of(name), some[TIME].values, some[name].values
-        )
+        bounds += bounds_beside(constraints, is_zero_of(name), some[TIME].values, some[name].values)
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:

@@ -4,7 +4,7 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const PRINT_WIDTH = 680; // of an A4 page between its margins [px]
   const GAP = 6; // between panels [px]
-  const PRINT_SCALE = 0.62; // of the height of panels, as in the style sheet
+  const PRINT_SCALE = 0.52; // of the height of panels, as in the style sheet
   const config = {
     displaylogo: false,
     responsive: false,
