@@ -33,7 +33,7 @@ CONTENTS = {
         "live", "deploy", "guard", "procedure", "systems", "campaigns", "security",
         "troubleshooting",
     ],
-    "Reference": ["commands", "study_file", "interfaces", "python_reference"],
+    "Reference": ["commands", "study_file", "glossary", "interfaces", "python_reference"],
     "Explanation": [
         "method", "certificate", "architecture", "examples", "results", "performance",
     ],

@@ -37,7 +37,7 @@ def test_it_follows_the_run(chromium, run):
     chromium.open(run.entrance)
     # The token is in no address that the browser keeps.
     assert chromium.evaluate("location.href") == run.address
-    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.wait_for("document.querySelector('#details') !== null")
     before = chromium.evaluate(TRIALS)
     assert 0 < before < 7
     chromium.evaluate("document.querySelector('#trials details').open = true; window.stays = 1")
@@ -48,10 +48,17 @@ def test_it_follows_the_run(chromium, run):
         "document.querySelectorAll('#trials thead button')[0].click(); })()"
     )
     order = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.hash)")
-    assert order[:3] == ["#now", "#answer", "#convergence"]
+    assert order[:2] == ["#now", "#answer"]
+    titles = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.textContent)")
+    assert titles[:2] == ["Now", "Result"]
+    assert titles[-1] == "Details"
+    stamp = chromium.evaluate("document.querySelector('.stamp').textContent")
+    assert stamp.startswith(f"As of {before} trial")
 
     run.go_on()
-    chromium.wait_for("document.querySelector('#answer h2').textContent.includes('parameter set')")
+    chromium.wait_for(
+        "!document.querySelector('#answer h2').textContent.startsWith('No result yet')"
+    )
     chromium.wait_for(f"{TRIALS} === 7")
     # The same page, with what was unfolded.
     assert chromium.evaluate("window.stays") == 1
@@ -84,7 +91,7 @@ def test_a_trial_has_a_page(chromium, shown_run):
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
 def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
     chromium.open(shown_run.entrance, theme=theme, width=width)
-    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.wait_for("document.querySelector('#details') !== null")
     chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
     assert axe(chromium) == []
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
@@ -103,7 +110,7 @@ def test_it_pauses_continues_and_ends_the_run(chromium, run):
         return f"document.querySelector('[data-request={request}]').checkVisibility()"
 
     chromium.open(run.entrance)
-    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.wait_for("document.querySelector('#details') !== null")
     assert chromium.evaluate(f"{shown('pause')} && !{shown('continue')} && !{shown('abort')}")
     press("pause")
     chromium.wait_for(shown("continue"))
@@ -119,7 +126,7 @@ def test_it_pauses_continues_and_ends_the_run(chromium, run):
 
 def test_it_ends_the_run(chromium, run):
     chromium.open(run.entrance)
-    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.wait_for("document.querySelector('#details') !== null")
     chromium.evaluate("document.querySelector('.control summary').click()")
     chromium.evaluate("document.querySelector('[data-request=abort]').click()")
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('the run ends')")

@@ -28,7 +28,7 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.replay.replay import BEST as THE_BEST
 from bo_tuner.replay.replay import WORST, find_evaluation, find_trial, replay
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import sections
+from bo_tuner.report.page import chapters
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import COLUMNS, checksum
@@ -180,7 +180,7 @@ def _read(folder):
 def _report(folder):
     analysis = Analysis(with_summary(read_run(folder), one_line))
     answer(analysis)
-    sections(analysis)
+    chapters(analysis)
 
 
 def _replay(folder):

@@ -101,6 +101,13 @@ def feed_axis_study(**budget):
     return study_to_yaml(load_study("benchmark").replace(**small | budget))
 
 
+def sections(analysis):
+    """All sections of the chapters of a report, in order."""
+    from bo_tuner.report.page import chapters
+
+    return [section for chapter in chapters(analysis) for section in chapter.sections]
+
+
 def run_axis(folder: Path, **sections) -> Path:
     """Run a study of the object, with changed sections, and return its run folder."""
     return run_study(folder, yaml.safe_dump(axis_study(**sections)))

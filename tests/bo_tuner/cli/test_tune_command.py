@@ -116,7 +116,8 @@ class TestRun:
     def test_not_feasible(self, tune, tmp_path):
         code, out, err = finish(tune(environment={"PEAK": "2"}))
         assert code == 3, err
-        assert (latest(tmp_path) / "best.yaml").exists()
+        text = (latest(tmp_path) / "best.yaml").read_text()
+        assert text.startswith("# DO NOT USE: ")
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
         assert out.startswith("No feasible parameter set was found\n")
         assert "best.yaml holds this parameter set; do not use it." in out
@@ -161,7 +162,7 @@ class TestRun:
         assert process.wait(DEADLINE) == 0, shown
         text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
         assert "5/5" in text
-        assert "incumbent: trial" in text
+        assert "best so far: trial" in text
         assert "validation" in text
 
     def test_a_terminal_without_our_signs(self, fresh_tune):

@@ -115,7 +115,7 @@ def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
         verdict = run_verdict(made(run, draws, draws, passed_check))
         assert verdict.is_default
         assert verdict.reasons == verdict.default_reasons
-        assert verdict.keeps_in_words == (("not shown",) * 2 if passed_check else ("NO",) * 2)
+        assert verdict.keeps_in_words == (("not proven",) * 2 if passed_check else ("NO",) * 2)
 
 
 def test_a_feasible_default_beside_an_infeasible_result_is_not_kept_quiet(tuned):
@@ -143,7 +143,7 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     verdict = certified(run, other, run.path / "certificates" / "0001.json")
     assert verdict.certificate == PASS
     assert not verdict.is_result
-    assert verdict.keeps_in_words == ("not shown", "yes")
+    assert verdict.keeps_in_words == ("not proven", "yes")
     assert verdict.evidence == (
         "40 fresh draws of context and noise, and the default in the 40 draws of the validation"
     )

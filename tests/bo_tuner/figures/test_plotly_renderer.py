@@ -160,4 +160,4 @@ def test_the_legend_names_each_element_once(full_figure):
     names = [entry.name for entry in entries]
     assert names == ["out", "edge", "cut", "band", "line", "points", "limit", "here", "a", "b"]
     kinds = {entry.name: entry.kind for entry in entries}
-    assert (kinds["line"], kinds["out"], kinds["points"]) == ("line", "area", "cross")
+    assert (kinds["line"], kinds["out"], kinds["points"]) == ("line", "hatched", "cross")

@@ -172,7 +172,7 @@ class TestTerminal:
         shown = ESCAPE.sub("", text(out))
         assert "1/5" in shown
         if width >= 80:
-            assert "incumbent: trial 3, error 0.25, P(feasible) 0.90" in shown
+            assert "best so far: trial 3, error 0.25, 90 % likely within limits" in shown
 
     def test_shows_time_left_and_the_optimizer_s_share(self, make_study, make_trial):
         """Trials of 60 s in two runs and 20 s for the proposal: 20 / 80, and 2 of 5 are left."""
@@ -203,7 +203,7 @@ class TestTerminal:
             progress.recall(trials, candidate(trials[1]))
         shown = ESCAPE.sub("", text(out))
         assert "3/5" in shown
-        assert "incumbent: trial 1" in shown
+        assert "best so far: trial 1" in shown
         assert "gain 0.5" not in shown
 
     def test_the_validation_has_a_bar_of_its_own(self, make_study):
@@ -238,7 +238,9 @@ class TestTerminal:
         trial = make_trial(4, {"gain": 0.5}, [1.0])
         out = console(200, terminal=True)
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
-        assert "no feasible point yet (least violating: trial 4)" in ESCAPE.sub("", text(out))
+        assert "none of the trials is likely within limits (closest: trial 4)" in ESCAPE.sub(
+            "", text(out)
+        )
 
     def test_a_fault_puts_the_terminal_back(self, make_study):
         out = console(terminal=True)

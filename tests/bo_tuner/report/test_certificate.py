@@ -8,7 +8,6 @@ from made_certificates import content_of, made_certificate
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.store import next_path
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import sections
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.report.sections.tolerance import tolerance
@@ -124,7 +123,7 @@ def test_what_it_says_of_the_context_is_what_the_report_says(certified, content,
     ours = content("PASS", answer) | {"context_tolerances": [found]}
     section = tolerance(Analysis(certified(json.dumps(ours))))
     assert "by 0.123 N (0.023 to 0.223)" in section.lead
-    assert "From 1234 evaluations" in section.notes[0]
+    assert "From 1234 test runs" in section.notes[0]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])
@@ -139,11 +138,13 @@ def test_a_certificate_of_another_version_does_not_keep_the_report_from_being_ma
 ):
     analysis = Analysis(certified(json.dumps(content("PASS") | {"format": 3})))
     assert analysis.certificate is None
+    from report_runs import sections
+
     first = sections(analysis)[0]
     assert first.title == "Certificate: not readable"
     assert "0001.json: not a certificate of this version of bo_tuner; run validate" in first.lead
-    (tile,) = [tile for tile in answer(analysis).tiles if tile.label == "certificate"]
-    assert (tile.value, tile.remarks) == ("not readable", ["run validate"])
+    (tile,) = [tile for tile in answer(analysis).tiles if tile.label == "trust"]
+    assert (tile.value, tile.remarks) == ("certificate not readable", ["run validate again"])
 
 
 def test_the_worst_case_is_shown_beside_a_parameter_set_without_one(certified, content):

@@ -18,10 +18,10 @@ def test_the_share_above_the_limit_is_that_of_the_record(analysis):
     (limit,) = [e for e in panel.elements if isinstance(e, Limit)]
     assert (limit.value, limit.vertical) == (1.0, True)
     lines = {e.name: e for e in panel.elements if isinstance(e, Line)}
-    # No line is at the border, where half of it would be seen.
+    # No line is at the border, where half of it would be seen, and the axis begins at 0.
     seen = [limit.value, *(x for line in lines.values() for x in line.x)]
     low, high = panel.x.limits
-    assert low < min(seen) <= max(seen) < high
+    assert 0.0 == low < min(seen) <= max(seen) < high
     for side, name in enumerate(("default", "tuned")):
         values = [
             e.outcome.metrics["peak"]

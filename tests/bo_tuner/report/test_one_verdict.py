@@ -24,6 +24,7 @@ from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.table import print_verdict
 from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
+from bo_tuner.evidence.what_to_set import what_to_set
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
 from bo_tuner.monitoring.display import Result
@@ -31,6 +32,7 @@ from bo_tuner.monitoring.json_lines import JsonLines
 from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
+from bo_tuner.report.content import Chapter
 from bo_tuner.report.page import answer_html, render, section_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
@@ -54,7 +56,8 @@ def on_terminal(run, verdict):
 def on_page(run):
     analysis = Analysis(run)
     found = analysis.certificate_section
-    return render(analysis, [] if found is None else [found])
+    sections = [] if found is None else [found]
+    return render(analysis, [Chapter(name="evidence", title="Evidence", sections=sections)])
 
 
 @pytest.fixture(scope="session")
@@ -109,7 +112,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     shown = certificate is not None
     both = list(verdict.keeps_in_words)
     assert both == [
-        ("yes" if shown else "not shown") if unrefuted else "NO"
+        ("yes" if shown else "not proven") if unrefuted else "NO"
         for unrefuted in (verdict.default_unrefuted, verdict.feasible)
     ]
     assert shown or "kept" not in verdict.headline
@@ -123,11 +126,14 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
 
     page = on_page(run)
     (title,) = re.findall(r'<h2 id="answer-title">(.*?)</h2>', page)
-    assert unescape(title) == verdict.headline
+    tuned_set = run.trials[run.summary["trial"]].parameters
+    told = what_to_set(run.study, verdict, tuned_set)
+    assert unescape(title) == told
+    assert told.startswith("Set ") <= verdict.feasible
     (mark,) = re.findall(r'<section id="answer" class="answer (\w+)"', page)
     assert (mark == "bad") == (not verdict.feasible)
     (row,) = re.findall(r"keeps all limits</th>(.*?)</tr>", page, re.DOTALL)
-    assert re.findall(r"<td[^>]*>(yes|NO|not shown)</td>", row) == both
+    assert re.findall(r"<td[^>]*>(yes|NO|not proven)</td>", row) == both
     shown = set(re.findall(rf">\s*({PASS}|{FAIL})\s", page))
     assert shown <= {verdict.certificate}
     text = unescape(page)
@@ -137,7 +143,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
 
     mapping = json.loads(json.dumps(verdict.to_mapping(), allow_nan=False))
     assert mapping["headline"] == verdict.headline
-    said = {"yes": True, "NO": False, "not shown": None}
+    said = {"yes": True, "NO": False, "not proven": None}
     assert list(mapping["keeps_limits"].values()) == [said[words] for words in both]
     topic = progress(run.study, Snapshot(verdict=verdict))
     assert topic.message == verdict.headline
@@ -150,7 +156,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     assert row[1] == marks[verdict.status] + verdict.headline
     assert row[3] == verdict.evidence
     live = unescape(answer_html(analysis))
-    assert f'<h2 id="answer-title">{verdict.headline}</h2>' in live
+    assert f'<h2 id="answer-title">{told}</h2>' in live
     assert all(sentence in live for sentence in verdict.sentences)
     for trial in run.trials:
         texts = unescape(section_html(trial_sections(analysis, trial)[0]))
@@ -237,13 +243,15 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     verdict = run_verdict(run)
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
     assert error.difference.count == (40 if with_default else 5)
-    told = "" if with_default else "default in 5 draws, tuned in 40, difference in the 5 of both"
+    told = "" if with_default else "in the 5 draws that both completed"
     assert error.draws == told
-    gain = "" if with_default else "mean error by -"
-    assert any(gain in line for line in verdict.sentences if line.startswith("Better: "))
+    # The two numbers are of these draws, and subtract to the difference.
+    assert error.tuned - error.default == pytest.approx(error.difference.mean)
+    if with_default:
+        assert (error.default, error.tuned) == (2.0, 1.0)
     lines = on_terminal(run, verdict).splitlines()
     assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
-    assert (told in on_page(run)) if told else ("tuned in" not in on_page(run))
+    assert (told in on_page(run)) if told else ("draws that both" not in on_page(run))
     assert verdict.evidence == (
         "the same 40 fresh draws of context and noise"
         if with_default
@@ -343,8 +351,8 @@ def test_a_certificate_is_of_a_parameter_set_whichever_trial_it_names(run):
     other = dataclasses.replace(run, summary=dict(run.summary) | {"trial": again.number})
     certify(made(other, kept, kept, True), kept, kept, repeated=40)
     found = answer(Analysis(made(run, kept, kept, True)))
-    assert found.verdict.certificate == PASS
-    (tile,) = [tile for tile in found.tiles if tile.label == "certificate"]
+    assert "certified (PASS)" in found.headline
+    (tile,) = [tile for tile in found.tiles if tile.label == "trust"]
     assert (tile.value, tile.remarks) == (PASS, [Analysis(run).certificate.scope])
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import render, sections, write_report
+from bo_tuner.report.page import chapters, render, write_report
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Stage
@@ -83,6 +83,8 @@ def table(page, beginning):
 
 
 def test_the_answer_is_that_of_the_journal(page, tuned):
+    from report_runs import HARM
+
     rows = table(page, "Default and tuned")
     for column in (0, 1):
         evaluations = [
@@ -92,10 +94,12 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
         ]
         errors = [metrics["error"] for metrics in evaluations]
         mean = math.fsum(errors) / len(errors)
-        assert rows["mean error"][column] == f"{mean:.4g}"
-        assert rows["largest peak"][column] == f"{max(m['peak'] for m in evaluations):.4g}"
+        assert rows[f"objective: mean error [{HARM}]"][column] == f"{mean:.4g}"
+        assert rows["largest peak [N]"][column] == f"{max(m['peak'] for m in evaluations):.4g}"
     best = tuned.trials[tuned.summary["trial"]].parameters["gain"]
-    assert rows["gain"][:2] == ["0.5", f"{best:.4g}"]
+    values = table(page, "Values of the")
+    (gain,) = [row for name, row in values.items() if name.startswith("gain")]
+    assert gain == [f"{best:.4g}", "0.5"]
 
 
 def test_what_to_do_next_names_the_folder_that_the_run_is_in(tuned, tmp_path):
@@ -142,7 +146,7 @@ def test_the_result_and_the_nearest_trials_are_marked(page, tuned):
 
 
 def test_failures_are_listed_with_what_repeats_them(page, tuned):
-    (rows,) = [rows for name, rows in page.tables.items() if name.startswith("Failed evaluations")]
+    (rows,) = [rows for name, rows in page.tables.items() if name.startswith("Failed test runs")]
     failed = [r for r in tuned.evaluations if r.outcome.state is not EvaluationState.COMPLETE]
     assert failed
     assert [row[0] for row in rows[1:]] == [str(evaluation.trial) for evaluation in failed]
@@ -193,7 +197,7 @@ def test_no_text_of_a_study_steers_or_reorders_the_page(tuned):
     }
     run = replace(tuned, study=replace(study, description=hostile, **named))
     analysis = Analysis(run)
-    text = render(analysis, sections(analysis))
+    text = render(analysis, chapters(analysis))
     assert not characters & set(unescape(text))
     data = re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', text, re.DOTALL)
     assert len(data) > 1
@@ -239,7 +243,7 @@ def test_a_run_in_progress_has_a_report(tuned, tmp_path):
         evaluations=tuple(recorded for recorded in tuned.evaluations if recorded.trial < 4),
     )
     page = page_of(going_on, tmp_path)
-    assert "Default and best parameter set so far" in page.tables
+    assert "Values of the best parameter set so far" in page.tables
     assert "4 trials" in page.tables
     # What is marked is no result yet.
     drawn = "".join(text for _, text in page.scripts)
@@ -258,7 +262,7 @@ def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
     page = page_of(run, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "All 7 trials failed: axis: " in text
-    assert len(page.tables["Failed evaluations, in the order in which they ran"]) == 1 + 7
+    assert len(page.tables["Failed test runs, in the order in which they ran"]) == 1 + 7
 
 
 def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
@@ -270,7 +274,7 @@ def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
 
 def test_a_study_without_contexts_and_limits_has_a_report(axis_run, tmp_path):
     page = page_of(axis_run(contexts={}, constraints={}), tmp_path)
-    assert "largest peak" not in table(page, "Default and tuned")
+    assert "largest peak [N]" not in table(page, "Default and tuned")
     ids = [attributes.get("id") for _, attributes in page.elements]
     assert "contexts" not in ids
     assert "figure-slices" in ids

@@ -99,5 +99,5 @@ def test_a_damaged_bag_is_no_failure_of_the_report(folder):
     (folder / "bags" / "trial_0001" / "metadata.yaml").write_text("nothing")
     section = trajectories(Analysis(read_run(folder)))
     assert section.figures == ()
-    assert section.lead.startswith("No trajectories: ")
+    assert section.lead.startswith("No signals: ")
     assert "cannot be read" in section.lead

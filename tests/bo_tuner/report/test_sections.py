@@ -8,14 +8,14 @@ import pytest
 
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
 from bo_tuner.report import content
-from bo_tuner.report.analysis import Analysis, Preliminary, TrialOutcome
+from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.grid import parameter_grid, permitted
-from bo_tuner.report.sections.appendix import RESULT, all_trials
+from bo_tuner.report.sections.appendix import all_trials
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.contours import contours
 from bo_tuner.report.sections.convergence import MOST_INCUMBENTS, _counts, convergence
+from bo_tuner.report.sections.effects import effects
 from bo_tuner.report.sections.failures import failures
-from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.slices import slices
 from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
@@ -31,10 +31,10 @@ def named(panel, name, kind):
     return found[0] if found else None
 
 
-def test_the_incumbent_is_the_one_that_rank_names(analysis):
+def test_the_best_so_far_is_the_one_that_rank_names(analysis):
     figure, _ = convergence(analysis).figures
-    over_trials, over_evaluations = figure.panels
-    line = named(over_trials, "incumbent", Line)
+    (panel,) = figure.panels
+    line = named(panel, "best so far", Line)
     trials = analysis.record.trials
     expected = {}
     for n in range(1, len(trials) + 1):
@@ -44,25 +44,6 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
             expected[n - 1.0] = first.objective if first.believed_feasible else math.nan
     np.testing.assert_array_equal(line.x, list(expected))
     np.testing.assert_array_equal(line.y, list(expected.values()))
-    evaluations = np.cumsum([len(trial.evaluations) for trial in trials])
-    np.testing.assert_array_equal(
-        named(over_evaluations, "incumbent", Line).x, [evaluations[int(k)] for k in expected]
-    )
-
-
-def test_a_trial_that_is_not_in_the_models_yet_is_in_the_table(analysis):
-    record = replace(analysis.record, summary=None)
-    fewer = Analysis(replace(record, trials=record.trials[:-1]))
-    before, now, after = (
-        all_trials(run).tables[0].rows
-        for run in (fewer, Preliminary(record, earlier=fewer), Analysis(record))
-    )
-    # What the trial was; worst cases and marks are those of the models.
-    assert [row[:4] for row in now] == [row[:4] for row in after]
-    assert [row[-2] for row in now] == [row[-2] for row in after]
-    assert [row[0] for row in now if row[-1] == RESULT] == [
-        row[0] for row in before if row[-1] == RESULT
-    ]
 
 
 def test_the_table_has_the_worst_cases_that_were_recorded(analysis):
@@ -87,28 +68,81 @@ def test_incumbents_of_a_long_run_are_few_and_known_when_a_trial_has_been_added(
     assert set(counts[:-1]) < set(_counts(total + 1))
 
 
-def test_an_incumbent_far_above_the_others_is_at_the_top_as_its_trial_is(analysis):
-    first, *others = analysis.record.trials
-    far = [
-        replace(
-            e, outcome=replace(e.outcome, metrics={**e.outcome.metrics, "error": 100.0 + e.index})
-        )
-        for e in first.evaluations
+def far_off(analysis, value, index=0):
+    """The run with values of the objective far off in one of its trials."""
+    trials = list(analysis.record.trials)
+    changed = [
+        replace(e, outcome=replace(e.outcome, metrics={**e.outcome.metrics, "error": value}))
+        for e in trials[index].evaluations
     ]
-    trials = (replace(first, evaluations=tuple(far)), *others)
-    figure, _ = convergence(Analysis(replace(analysis.record, trials=trials))).figures
-    for panel in figure.panels:
-        points = [y for e in panel.elements if isinstance(e, Points) for y in e.y]
-        lines = [y for e in panel.elements if isinstance(e, Line) for y in e.y if not math.isnan(y)]
-        assert max(lines) == max(points) < 50.0
+    trials[index] = replace(trials[index], evaluations=tuple(changed))
+    return Analysis(replace(analysis.record, trials=tuple(trials)))
+
+
+def test_a_far_value_is_off_the_scale_above_all_that_is_on_it(analysis):
+    """The line of the default included, which no trial need be near to."""
+    found = far_off(analysis, 123.4)
+    default = 6.5
+    verdict = found.verdict
+    quantities = [replace(q, default=default) if q.objective else q for q in verdict.quantities]
+    vars(found)["verdict"] = replace(verdict, quantities=tuple(quantities))
+    figure, _ = convergence(found).figures
+    (panel,) = figure.panels
+    mark = named(panel, "off the scale, to 123.4", Points)
+    assert list(mark.x) == [0.0]
+    assert "off the scale: 123.4" in mark.hover[0]
+    others = [
+        y
+        for e in panel.elements
+        if isinstance(e, (Points, Line)) and e is not mark
+        for y in e.y
+        if not math.isnan(y)
+    ]
+    assert named(panel, "default", Limit).value == default
+    assert mark.y[0] >= max([*others, default])
+    assert 0.0 not in [
+        x
+        for e in panel.elements
+        if isinstance(e, Points) and e is not mark
+        for x, y in zip(e.x, e.y, strict=True)
+        if not math.isnan(y)
+    ]
+
+
+def test_the_worst_case_of_a_trial_is_what_its_limit_is_held_against(analysis):
+    """Of single runs a quantile: the mean plus so many standard deviations."""
+    constraint = replace(analysis.study.constraints["peak"], probability=0.9)
+    study = replace(analysis.study, constraints={"peak": constraint})
+    noisy = tuple(
+        replace(t, worst_cases={n: replace(w, noise=0.01) for n, w in t.worst_cases.items()})
+        for t in analysis.record.trials
+    )
+    evaluations = tuple(e for e in analysis.record.evaluations if e.stage not in CHECKS)
+    record = replace(analysis.record, study=study, trials=noisy, evaluations=evaluations)
+    _, figure = convergence(Analysis(replace(record, summary=None))).figures
+    (panel,) = figure.panels
+    assert panel.y.label == "worst 0.9 quantile of peak"
+    drawn = {
+        int(x): y
+        for e in panel.elements
+        if isinstance(e, Points) and not e.name.startswith("off the scale")
+        for x, y in zip(e.x, e.y, strict=True)
+        if not math.isnan(y)
+    }
+    complete = [t for t in noisy if t.worst_cases and t.number in drawn]
+    assert len(complete) > 2
+    for trial in complete:
+        # 1.2816 standard deviations are between the mean and nine tenths of a normal variable.
+        expected = trial.worst_cases["peak"].value + 1.2816 * 0.01
+        assert drawn[trial.number] == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("probability", [None, 0.9])
-def test_the_caption_says_what_the_line_of_a_limit_is_for_single_runs(analysis, probability):
+def test_the_caption_says_what_the_limit_is_held_against(analysis, probability):
     constraint = replace(analysis.study.constraints["peak"], probability=probability)
     study = replace(analysis.study, constraints={"peak": constraint})
     _, figure = convergence(Analysis(replace(analysis.record, study=study))).figures
-    assert ("with a probability of 0.9 " in figure.caption) == (probability is not None)
+    assert ("with a probability of 0.9" in figure.caption) == (probability is not None)
 
 
 def test_every_trial_is_a_point_of_its_kind(analysis):
@@ -144,8 +178,8 @@ def test_the_report_calls_a_trial_what_the_console_calls_it(analysis):
         for t in analysis.record.trials
     ]
     found = Analysis(replace(analysis.record, study=study, trials=tuple(noisy)))
-    words = {"within limits": "within limits", "may violate peak": "may violate"}
-    words |= {"violates peak": "violating", "failed": "failed"}
+    words = {"within limits": "within limits", "may violate peak": "margin too small"}
+    words |= {"violates peak": "over the limit", "failed": "failed"}
     named = [(found.outcome(t), words[outcome_in_words(study, t)]) for t in noisy]
     assert all(outcome in (TrialOutcome.OUTLIER, word) for outcome, word in named)
     assert TrialOutcome.UNCERTAIN in {outcome for outcome, _ in named}
@@ -178,20 +212,25 @@ def test_with_an_objective_to_maximize_they_are_below_all_others(analysis, scale
     figure, *_ = convergence(Analysis(record)).figures
     panel = figure.panels[0]
     failed = named(panel, TrialOutcome.FAILED, Points)
-    shown = [y for element in panel.elements if isinstance(element, Points) for y in element.y]
+    seen = [e for e in panel.elements if isinstance(e, Points)]
+    shown = [y for element in seen for y in element.y if not math.isnan(y)]
     assert max(failed.y) == min(failed.y) == min(shown)
     assert min(shown) > 1e-9 or scale == "linear"
-    assert "are at the bottom" in figure.caption
+    assert "At the bottom" in figure.caption
 
 
 def test_the_slice_is_the_surrogate(analysis):
     figure = slices(analysis, analysis.answer)
     objective, peak = figure.panels
-    line = named(objective, "posterior mean", Line)
+    line = named(objective, "predicted mean", Line)
     space = analysis.study.search_space()
-    for k in (0, 17, 80):
+    # Trials with a gain above 0.6 failed, so the models say nothing of a gain of 1.
+    dotted = named(objective, "not in the models", Line)
+    assert math.isnan(line.y[80])
+    assert math.isnan(dotted.y[0])
+    for k, shown in ((0, line), (17, line), (80, dotted)):
         x = space.to_cube({"gain": float(line.x[k])})[None]
-        assert line.y[k] == pytest.approx(float(analysis.models.objective.predict(x)[0][0]))
+        assert shown.y[k] == pytest.approx(float(analysis.models.objective.predict(x)[0][0]))
     tuned = named(objective, "tuned", Limit)
     assert tuned.value == analysis.answer.parameters["gain"]
     assert named(objective, "default", Limit).value == 0.5
@@ -281,7 +320,7 @@ def test_contours_show_what_the_models_say(axis_run):
     analysis = Analysis(run)
     (panel,) = contours(analysis, analysis.answer).panels
     (heatmap,) = [e for e in panel.elements if isinstance(e, Heatmap)]
-    edge = named(panel, "limit of feasibility", Contour)
+    edge = named(panel, "50 % likely within limits", Contour)
     x = analysis.study.search_space().to_cube(
         {"gain": float(heatmap.x[7]), "other": float(heatmap.y[11])}
     )[None]
@@ -297,19 +336,23 @@ def test_the_map_has_every_evaluation_of_both(analysis):
     best = analysis.answer.parameters["gain"]
     for panel, gain in ((default, 0.5), (tuned, best)):
         evaluations = [r for r in analysis.record.evaluations if r.parameters["gain"] == gain]
-        points = named(panel, "evaluation", Points)
+        points = named(panel, "test run", Points)
         assert sorted(points.x) == sorted(evaluation.context["load"] for evaluation in evaluations)
         np.testing.assert_allclose(points.y, 2.0 * gain * np.array(points.x))
         assert named(panel, "limit", Limit).value == 1.0
 
 
 def test_neighbours_are_a_step_away(analysis):
-    section = sensitivity(analysis)
-    (table,) = section.tables
-    assert [row[0] for row in table.rows] == ["tuned", "gain -0.05", "gain +0.05"]
-    for row, step in zip(table.rows, (0.0, -0.05, 0.05), strict=True):
-        x = np.array([[analysis.answer.parameters["gain"] + step]])
-        assert row[1] == f"{analysis.models.objective.predict_mean(x)[0]:.4g}"
+    (table,) = effects(analysis).tables
+    ((name, value, *steps, _),) = table.rows
+    gain = analysis.answer.parameters["gain"]
+    assert (name, value) == ("gain", f"{gain:.4g}")
+    model = analysis.models.objective
+    best = model.predict_mean(np.array([[gain]]))[0]
+    for cell, step in zip(steps, (-0.05, 0.05), strict=True):
+        there = model.predict_mean(np.array([[gain + step]]))[0]
+        assert cell.startswith(f"{step:+.3g}: {100.0 * (there / best - 1.0):+.1f} %, ")
+        assert cell.endswith("% likely within limits")
 
 
 def with_metric(analysis, change, unit=""):
@@ -336,25 +379,21 @@ def with_metric(analysis, change, unit=""):
 def test_changes_of_a_negative_objective_are_in_its_unit(analysis):
     """A percentage of it would have the wrong sign."""
     found = with_metric(analysis, lambda error: error - 5.0, "mm")
-    section = sensitivity(found)
-    (figure,), (table,) = section.figures, section.tables
-    (panel,) = figure.panels
-    optimum, *others = (float(row[1]) for row in table.rows)
+    (table,) = effects(found).tables
+    model, gain = found.models.objective, found.answer.parameters["gain"]
+    optimum = model.predict_mean(np.array([[gain]]))[0]
     assert optimum < 0.0
-    assert panel.y.title == "change of the mean error [mm]"
-    heights = [y for bars in panel.elements for y in bars.y]
-    np.testing.assert_allclose(sorted(heights), sorted(o - optimum for o in others), atol=2e-3)
-    assert "%" not in figure.alternative
+    for cell, step in zip(table.rows[0][2:4], (-0.05, 0.05), strict=True):
+        there = model.predict_mean(np.array([[gain + step]]))[0]
+        assert cell.startswith(f"{step:+.3g}: {there - optimum:+.3g} mm, ")
 
 
 def test_an_objective_of_zero_has_no_change_in_percent(analysis):
-    figure = sensitivity(with_metric(analysis, lambda _: 0.0)).figures[0]
-    assert "+0" in figure.alternative
+    (table,) = effects(with_metric(analysis, lambda _: 0.0)).tables
+    assert table.rows[0][2].startswith("-0.05: +0, ")
 
 
-def test_headings_of_a_metric_without_a_unit(analysis):
-    plain = with_metric(analysis, lambda error: error)
-    assert sensitivity(plain).tables[0].header[1] == "mean error"
+def test_the_heading_of_a_metric_without_a_unit(analysis):
     far = iter([1e6])
     outlying = with_metric(analysis, lambda error: next(far, error))
     assert outlying.models.outliers
@@ -369,7 +408,7 @@ def test_an_outlier_is_called_so_on_the_page_of_its_trial(analysis):
     (number,) = outlying.models.outliers
     (trial,) = [trial for trial in outlying.trials if trial.number == number]
     summary, *_ = trial_sections(outlying, trial)
-    assert summary.title == f"Trial {number}: outlying"
+    assert summary.title == f"Trial {number}: far off"
 
 
 @pytest.mark.parametrize(
@@ -423,7 +462,7 @@ def test_what_starts_with_other_values_took_is_told(analysis):
         for evaluation, told in zip((first, second), details, strict=True)
     ]
     record = replace(analysis.record, evaluations=(*evaluations, *others))
-    told = "Of the evaluations 4.5 s went into 3 starts of nodes with other values, 1.5 s each."
+    told = "Of the test runs 4.5 s went into 3 starts of nodes with other values, 1.5 s each."
     assert timing(Analysis(record)).lead.endswith(told)
     assert "starts" not in timing(analysis).lead
 

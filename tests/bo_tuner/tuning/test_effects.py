@@ -13,7 +13,7 @@ from bo_tuner.evidence.effects import effects_in_words, file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
-from bo_tuner.report.sections.influence import influence
+from bo_tuner.report.sections.effects import effects
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import from_yaml
 from bo_tuner.storage.record import read_run
@@ -182,7 +182,7 @@ def test_every_screen_and_file_of_a_run_says_it(run):
     assert sentence in summary["verdict"]["sentences"]
     # The live page shows this part of the report.
     assert sentence.split(" (")[0] in answer_html(Analysis(run))
-    section = influence(Analysis(run))
+    section = effects(Analysis(run))
     assert sentence in section.lead
     assert "most by idle" not in section.lead
 

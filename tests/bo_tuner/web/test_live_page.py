@@ -28,7 +28,7 @@ class TestWhatItShows:
     def test_trials_and_then_the_result(self, held):
         # Evaluations 1 to 8 are those of trials 0 and 1.
         run = held(9)
-        sections = run.state_when(lambda state, made: "trials" in made and "provenance" in made)
+        sections = run.state_when(lambda state, made: "trials" in made and "details" in made)
         assert "<caption" in sections["trials"]
         assert ">2 trials<" in sections["trials"]
         assert "No result yet: 2 of 5 trials" in sections["answer"]
@@ -38,7 +38,7 @@ class TestWhatItShows:
         run.go_on()
         sections = run.state_when(lambda state, made: state["complete"])
         assert ">5 trials<" in sections["trials"]
-        assert "No limit broken" in sections["answer"]
+        assert "no limit broken" in sections["answer"]
         assert run.finished() == 0
         assert run.page_processes() == []
 
@@ -52,12 +52,12 @@ class TestWhatItShows:
         # Names and values are told apart, also without the columns of a terminal.
         latest = now["texts"]["latest trial"]
         assert re.match(r"trial 1: gain \S+, error \S+, worst peak \S+, limit 1, ", latest)
-        assert re.match(r"trial 2, (no|1) evaluation finished", now["texts"]["running"])
+        assert re.match(r"trial 2, (no|1) test run finished", now["texts"]["running"])
 
     def test_a_failure_with_its_reason_and_its_page(self, held):
         run = held(3, FAILING="1000")
-        sections = run.state_when(lambda state, made: "failures" in made)
-        assert "axis: stalled [/x] for good" in sections["failures"]
+        sections = run.state_when(lambda state, made: "details" in made)
+        assert "axis: stalled [/x] for good" in sections["details"]
         status, _, page = run.ask("/trials/0")
         assert status == 200
         assert "Trial 0: failed" in page

@@ -29,7 +29,7 @@ class TestOtherRuns:
     def test_the_report_of_one(self, beside):
         status, _, page = beside.ask(f"/runs/{beside.finished_one}")
         assert status == 200
-        assert "No limit broken" in page
+        assert "no limit broken" in page
         # The server gives no files.
         assert "journal.sqlite" not in page
 

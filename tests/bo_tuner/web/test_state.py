@@ -1,4 +1,4 @@
-"""What the page shows first, and what it makes when; the sections are made by the tests."""
+"""What the page shows, and what it makes when; the parts are made by the tests."""
 
 import asyncio
 import threading
@@ -9,33 +9,27 @@ from waiting import DEADLINE
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.web import state as state_module
-from bo_tuner.web.sections import Part
+from bo_tuner.web.sections import Made, Part
 from bo_tuner.web.state import LiveState
 
 
 class Sections:
-    """Sections of a run with so many trials; the models of it take until `fitted` is set."""
+    """Parts of a run with so many trials; the models of it take until `fitted` is set."""
 
     def __init__(self):
         self.trials = 1
         self.fitted = threading.Event()
-        self.made = []
+        self.calls = []
 
-    def preliminary(self):
-        self.made.append(("first", self.trials))
-        yield self.table(self.trials)
-
-    def parts(self, *, ended):
+    def made(self, *, ended):
         trials = self.trials
-        self.made.append(("result" if ended else "all", trials))
+        self.calls.append(("result" if ended else "all", trials))
         assert self.fitted.wait(DEADLINE)
-        yield self.table(trials)
-        yield Part("answer", 0, f"{'result' if ended else 'best'} of {trials}", trials)
+        parts = [Part("answer", "Result", f"{'result' if ended else 'best'} of {trials}")]
+        parts.append(Part("trials", "Trials", f"{trials} trials"))
         if trials < 3:
-            yield Part("early", 2, "few trials", trials)
-
-    def table(self, trials):
-        return Part("table", 1, f"{trials} trials", trials)
+            parts.append(Part("early", "Early", "few trials"))
+        return Made(tuple(parts), f"As of {trials} trials")
 
 
 class Page:
@@ -75,21 +69,50 @@ def play():
     return lambda story: asyncio.run(played(story))
 
 
-def test_a_trial_shows_before_the_models_are_fitted(play):
+def test_all_that_is_shown_is_of_one_state(play, monkeypatch):
+    """Whatever the run does while the parts are made, and while others are shown."""
+
     async def story(page):
+        states = set()
+        publish = page.state._publish
+
+        def noted():
+            states.add((page.state.stamp, *page.shown().values()))
+            publish()
+
+        monkeypatch.setattr(page.state, "_publish", noted)
         page.advance(1)
-        await page.until(lambda: ("all", 1) in page.sections.made)
+        await page.until(lambda: ("all", 1) in page.sections.calls)
         page.advance(2)
-        await page.until(lambda: page.shown() == {"table": "2 trials"})
-        # Those of the models with one trial come now, but its table does not come back.
         page.sections.fitted.set()
-        await page.until(lambda: "answer" in page.shown())
-        assert page.shown()["table"] == "2 trials"
+        await page.until(lambda: page.shown().get("answer") == "best of 2")
+        page.advance(3)
+        await page.until(lambda: page.shown().get("answer") == "best of 3")
+        assert states == {
+            ("",),
+            ("As of 1 trials", "best of 1", "1 trials", "few trials"),
+            ("As of 2 trials", "best of 2", "2 trials", "few trials"),
+            ("As of 3 trials", "best of 3", "3 trials"),
+        }
 
     play(story)
 
 
-def test_sections_rest_until_the_run_is_over(play, monkeypatch):
+def test_what_has_not_changed_is_not_sent_again(play):
+    async def story(page):
+        page.sections.fitted.set()
+        page.advance(1)
+        await page.until(lambda: "early" in page.state.parts)
+        since = page.state.parts["early"][0]
+        page.advance(2)
+        await page.until(lambda: page.shown()["answer"] == "best of 2")
+        assert page.state.parts["early"][0] == since
+        assert page.state.parts["answer"][0] > since
+
+    play(story)
+
+
+def test_it_rests_until_the_run_is_over(play, monkeypatch):
     monkeypatch.setattr(state_module, "REST", 1e9)
     monkeypatch.setattr(state_module, "QUICK", 0.0)
 
@@ -99,15 +122,11 @@ def test_sections_rest_until_the_run_is_over(play, monkeypatch):
         await page.until(lambda: "answer" in page.shown())
         for trials in (2, 3):
             page.advance(trials)
-            await page.until(lambda: page.shown()["table"] == f"{trials} trials")  # noqa: B023
         assert page.shown()["answer"] == "best of 1"
         page.advance(4, ended=True, verdict="kept")
         await page.until(lambda: page.state.complete)
-        assert page.shown() == {"table": "4 trials", "answer": "result of 4"}
-        assert [made for made in page.sections.made if made[0] != "first"] == [
-            ("all", 1),
-            ("result", 4),
-        ]
+        assert page.shown() == {"answer": "result of 4", "trials": "4 trials"}
+        assert page.sections.calls == [("all", 1), ("result", 4)]
 
     play(story)
 
@@ -141,11 +160,10 @@ def test_a_record_that_cannot_be_read_is_told_of_until_it_can(play, monkeypatch)
     async def story(page):
         def unreadable(*, ended):
             raise BoTunerError("no disk")
-            yield
 
         page.sections.fitted.set()
         with monkeypatch.context() as patch:
-            patch.setattr(page.sections, "parts", unreadable)
+            patch.setattr(page.sections, "made", unreadable)
             page.advance(1)
             await page.until(lambda: page.state.problem.endswith("no disk"))
         page.advance(2)
@@ -155,20 +173,18 @@ def test_a_record_that_cannot_be_read_is_told_of_until_it_can(play, monkeypatch)
     play(story)
 
 
-@pytest.mark.parametrize("name", ["preliminary", "parts"])
-def test_an_unexpected_error_holds_up_neither_the_rest_nor_the_result(play, monkeypatch, name):
+def test_an_unexpected_error_does_not_hold_up_the_result(play, monkeypatch):
     async def story(page):
         def broken(**_):
             raise ValueError("a matrix is singular")
-            yield
 
         with monkeypatch.context() as patch:
-            patch.setattr(page.sections, name, broken)
+            patch.setattr(page.sections, "made", broken)
             page.advance(1)
             await page.until(
                 lambda: page.state.problem.endswith("ValueError: a matrix is singular")
             )
-        # Not before: the problem is over as soon as all sections are made.
+        # Not before: the problem is over as soon as all parts are made.
         page.sections.fitted.set()
         page.advance(2)
         await page.until(lambda: page.shown().get("answer") == "best of 2")

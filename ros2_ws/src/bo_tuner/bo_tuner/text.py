@@ -97,6 +97,17 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
+def percent(probability: float) -> str:
+    """Format a probability in percent, not nearer to 0 or 1 than one in a thousand tells."""
+    if math.isnan(probability):
+        return "–"
+    if 0.0 < probability < 0.001:
+        return "less than 0.1 %"
+    if 0.999 < probability < 1.0:
+        return "more than 99.9 %"
+    return f"{100.0 * probability:.3g} %"
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with what it counts: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -37,8 +37,13 @@ def overshoot(reference: Array, velocity: Array, window: int) -> Array:
     The window keeps a late step down from counting as overshoot. Never below 0. Shape (...) for
     velocities (..., N).
     """
-    ceiling = maximum_filter1d(reference, 2 * window + 1, mode="nearest")
-    return np.asarray(np.maximum(np.max(velocity - ceiling, axis=-1), 0.0))
+    excess = velocity - ceiling(reference, window)
+    return np.asarray(np.maximum(np.max(excess, axis=-1), 0.0))
+
+
+def ceiling(reference: Array, window: int) -> Array:
+    """Highest reference (N,) within `window` samples of k, above which v_k overshoots [m/s]."""
+    return np.asarray(maximum_filter1d(reference, 2 * window + 1, mode="nearest"))
 
 
 def effort(commands: Array) -> float:
@@ -228,6 +233,7 @@ class MillingPlant:
         dict from str to (str, ndarray)
             By name, each with its unit and its values (n,), of the n samples that were run.
             ``time`` is that of the others; what stands before a slash is what they have in common.
+            At ``velocity/overshoot = 0`` the overshoot begins.
         """
         return dict(self._trace)
 
@@ -238,6 +244,10 @@ class MillingPlant:
             "time": ("s", self.settings.sample_time * np.arange(n, dtype=np.float64)),
             "velocity/reference": ("m/s", reference),
             "velocity/actual": ("m/s", velocity),
+            "velocity/overshoot = 0": (
+                "m/s",
+                ceiling(cut.reference, self.settings.overshoot_window)[:n],
+            ),
             "velocity error": ("m/s", reference - velocity),
             "position error": ("m", self.settings.sample_time * np.cumsum(reference - velocity)),
             "command": ("m/s", commands),

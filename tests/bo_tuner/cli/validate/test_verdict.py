@@ -21,7 +21,7 @@ class TestVerdict:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         code, out, err = run("validate", folder, "--draws", 120, folder=runs)
         assert code == 0, err
-        assert out.startswith("PASS: the tuned parameter set is shown to keep all limits\n")
+        assert out.startswith("PASS: the tuned parameter set is proven to stay within all limits\n")
         assert f"certificate: {folder}/certificates/0001.json" in out
         # What it takes at most, then one line for each phase, since this is no terminal.
         most, *phases = err.splitlines()
@@ -130,7 +130,9 @@ class TestVerdict:
         monkeypatch.setenv("PEAK", "2")
         code, out, err = here(folder, "--draws", "120")
         assert code == 3, err
-        assert out.startswith("FAIL: the tuned parameter set is not shown to keep all limits\n")
+        assert out.startswith(
+            "FAIL: the tuned parameter set is not proven to stay within all limits\n"
+        )
         found = certificate(folder)
         assert found["verdict"] == "FAIL"
         # It is clear after a few draws.

@@ -14,8 +14,9 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
 from bo_tuner.report.page import (
     FORMATS,
+    chapters,
     figures,
-    sections,
+    report_figures,
     write_comparison,
     write_figure,
     write_page,
@@ -26,8 +27,8 @@ from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
-Explain a run in one HTML file: the answer first, then convergence, contexts,
-trajectories, surrogates, sensitivity to the parameters, times and failures.
+Explain a run in one HTML file: the result first, then the evidence for it, the
+signals, what the parameters do, the trials, and details.
 The file needs no network; the run may still be in progress. Of several runs,
 compare verdicts, parameters, numbers, convergence and trajectories.
 """
@@ -101,22 +102,25 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         number = trial_of(analysis.record, arguments.trial).number
         (trial,) = [trial for trial in analysis.trials if trial.number == number]
         parts = trial_sections(analysis, trial)
+        drawn = figures(parts)
         interruption.check()
         of_trial = analysis.record.path / f"trial_{number:04d}.html"
         path = write_trial(analysis, trial, parts, arguments.output or of_trial)
     elif len(analyses) == 1:
         (analysis,) = analyses
-        parts = sections(analysis)
+        found = chapters(analysis)
+        drawn = report_figures(analysis, found)
         interruption.check()
-        path = write_page(analysis, parts, arguments.output or analysis.record.path / REPORT)
+        path = write_page(analysis, found, arguments.output or analysis.record.path / REPORT)
     else:
         parts = comparison(dict(zip(names(analyses), analyses, strict=True)))
+        drawn = figures(parts)
         interruption.check()
         title = f"{len(analyses)} runs side by side"
         path = write_comparison(title, parts, arguments.output or Path(COMPARISON))
     say(f"report: {path}")
     if arguments.figures is not None:
-        for figure in figures(parts):
+        for figure in drawn:
             for written in write_figure(figure, arguments.figures, arguments.format):
                 say(f"figure: {written}")
             interruption.check()

@@ -441,7 +441,7 @@ class Session:
     def _report(self, found: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
         parameters = found.recommendation.candidate.trial.parameters
-        notes = file_notes(self._study, verdict.unseen)
+        notes = (*verdict.file_warnings, *file_notes(self._study, verdict.unseen))
         path = folder.write_parameters(self._study, parameters, notes)
         summary |= verdict.to_summary()
         folder.write_json(SUMMARY, summary)

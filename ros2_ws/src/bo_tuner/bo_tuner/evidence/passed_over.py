@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.text import percent, shown
 
 NAMED = 3
 """Largest number of them that are named; the summary has all."""
@@ -34,6 +34,6 @@ def passed_over_in_words(study: Study, found: Sequence[Mapping[str, Any]]) -> tu
 def _in_words(study: Study, item: Mapping[str, Any]) -> str:
     metric = study.metrics[study.objective.metric]
     mean = f"{metric.name} {shown(float(item['objective']))} {metric.unit}".rstrip()
-    kept = f"keeps all limits with a probability of {float(item['feasibility']):.3g}"
-    why = "no runs were left to confirm it" if item["shown"] else "which is too low"
+    kept = f"{percent(float(item['feasibility']))} likely within limits"
+    why = "no runs were left to confirm it" if item["shown"] else "too little"
     return f"trial {int(item['trial'])} ({mean}, {kept}, {why})"

@@ -59,14 +59,19 @@ def quantities(
         for objective in study.objectives:
             if name == objective.metric:
                 sign = objective.sign
-        difference = _paired(default, tuned, name)
+        pairs = _pairs(default, tuned, name)
+        difference = paired([pair[0] for pair in pairs], [pair[1] for pair in pairs])
+        # Of the same draws, so that they subtract to the difference.
+        means = [sum(side) / len(pairs) for side in zip(*pairs, strict=True)] or [
+            side.mean(name) for side in (default, tuned)
+        ]
         found.append(
             Quantity(
                 label=f"mean {name}",
                 metric=name,
                 unit=metric.unit,
-                default=default.mean(name),
-                tuned=tuned.mean(name),
+                default=means[0],
+                tuned=means[1],
                 difference=difference,
                 change=difference.change(sign),
                 limit=nan,
@@ -135,17 +140,17 @@ def _of_constraint(
 def _draws(default: Observed, tuned: Observed, metric: str, difference: Difference | None) -> str:
     """Tell how many draws each number is from, unless all are from the same number of draws."""
     m, n = (sum(metric in found for found in side.drawn.values()) for side in (default, tuned))
-    if m == n and (difference is None or difference.count == n):
-        return ""
-    text = f"default in {m} draws, tuned in {n}"
-    return text if difference is None else f"{text}, difference in the {difference.count} of both"
+    if difference is not None and difference.count:
+        if difference.count == m == n:
+            return ""
+        return f"in the {difference.count} draws that both completed"
+    return "" if m == n else f"default in {m} draws, tuned in {n}"
 
 
-def _paired(default: Observed, tuned: Observed, metric: str) -> Difference:
-    """Return the difference over the draws that both parameter sets completed."""
-    both = [
+def _pairs(default: Observed, tuned: Observed, metric: str) -> list[tuple[float, float]]:
+    """Return the values of a metric in the draws that both parameter sets completed."""
+    return [
         (default.pairs[k][metric], tuned.pairs[k][metric])
         for k in default.pairs.keys() & tuned.pairs.keys()
         if metric in default.pairs[k] and metric in tuned.pairs[k]
     ]
-    return paired([pair[0] for pair in both], [pair[1] for pair in both])

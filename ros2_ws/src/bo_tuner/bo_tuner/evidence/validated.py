@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.in_reach import in_reach
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.quantities import quantities
@@ -105,8 +106,14 @@ def validated(
         is_default=same,
         outliers=tuple(outliers),
         at_bounds=at_bounds(study, tuned.parameters),
+        advice=_advice(study, trials, outliers) if state is State.INFEASIBLE else (),
         default_lost=default.lost,
     )
+
+
+def _advice(study: Study, trials: Sequence[Trial], outliers: Sequence[int]) -> tuple[str, ...]:
+    """Return what is in reach of the trials that were candidates."""
+    return in_reach(study, [trial for trial in trials if trial.number not in outliers])
 
 
 def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:

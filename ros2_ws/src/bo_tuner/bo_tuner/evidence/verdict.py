@@ -118,19 +118,19 @@ class Quantity:
         found = self.difference
         if found is None or not isfinite(found.mean):
             return "–"
+        text = f"{abs(found.mean):.3g} {'lower' if found.mean < 0.0 else 'higher'}"
         if not (isfinite(found.low) and isfinite(found.high)):
-            return f"{found.mean:+.3g}"
-        return f"{found.mean:+.3g} ({found.low:+.3g} to {found.high:+.3g})"
+            return text
+        interval = f"{100.0 * CONFIDENCE:g} % CI"
+        if found.low <= 0.0 <= found.high:
+            # Neither side is shown.
+            return f"{found.mean:+.3g} ({interval} {found.low:+.3g} to {found.high:+.3g})"
+        near, far = sorted((abs(found.low), abs(found.high)))
+        return f"{text} ({interval} {near:.3g} to {far:.3g})"
 
     @property
     def gain_in_words(self) -> str:
-        """The two values, with the change in percent where the default is positive.
-
-        Only their difference where they are not of the same draws.
-        """
-        if self.draws:
-            # The values are of other draws than their difference, and may seem to contradict it.
-            return f"{self.label} by {self.change_in_words} {self.unit}".rstrip()
+        """The two values, with the change in percent where the default is positive."""
         text = f"{self.label} {' → '.join(self.values_in_words)} {self.unit}".rstrip()
         if self.default > 0.0 and isfinite(self.tuned):
             text += f" ({100.0 * (self.tuned / self.default - 1.0):+.0f} %)"
@@ -182,6 +182,8 @@ class Verdict:
         What the trials tell of each tuned parameter.
     of_parameters
         What is to know of those that were not seen to move any metric, in sentences.
+    advice
+        What is in reach where nothing was found feasible, and what to change, in sentences.
     """
 
     state: State
@@ -203,6 +205,7 @@ class Verdict:
     default_lost: int = 0
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -254,9 +257,13 @@ class Verdict:
     @property
     def default_preferred(self) -> bool:
         """Whether the default is another one that nothing speaks against, and is better."""
+        return self.default_unrefuted and self.objective_worse
+
+    @property
+    def objective_worse(self) -> bool:
+        """Whether an objective is worse than that of the default, and none is better."""
         changes = {quantity.change for quantity in self.quantities if quantity.objective}
-        worse = Change.WORSE in changes and Change.BETTER not in changes
-        return self.default_unrefuted and worse and not self.is_default
+        return Change.WORSE in changes and Change.BETTER not in changes and not self.is_default
 
     @property
     def gained(self) -> bool:
@@ -281,7 +288,7 @@ class Verdict:
         if not self.feasible:
             return Status.BAD
         exceeds = any(found.exceeds for found in self._tuned_limits.values())
-        gained = self.gained or self.default_reasons is None
+        gained = (self.gained or self.default_reasons is None) and not self.objective_worse
         if not gained or (exceeds and self.standing is Standing.OPEN):
             return Status.WARNING
         return Status.GOOD if self.standing is Standing.SHOWN else Status.OPEN
@@ -304,11 +311,26 @@ class Verdict:
                     return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
             case State.VALIDATED:
-                return f"{_found_in_words(self._tuned_limits)}; not certified yet"
+                return f"{_found_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
-                return f"{PASS}: the tuned parameter set is shown to keep all limits"
+                return f"{PASS}: the tuned parameter set is proven to stay within all limits"
             case State.REFUSED:
-                return f"{FAIL}: the tuned parameter set is not shown to keep all limits"
+                return f"{FAIL}: the tuned parameter set is not proven to stay within all limits"
+
+    @property
+    def limits_in_words(self) -> str:
+        """What was found of the limits of a result that may be used, beside the default."""
+        if self.state is State.CERTIFIED:
+            return "proven to stay within all limits"
+        text = _found_in_words(self._tuned_limits)
+        over = sum(found.violations for found in self._default_limits.values())
+        beside = f" (default: {over})" if over and not self.is_default else ""
+        return f"{text[:1].lower()}{text[1:]}{beside}"
+
+    @property
+    def trust(self) -> str:
+        """Whether the result is certified."""
+        return f"certified ({PASS})" if self.certificate == PASS else "not certified yet"
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -322,6 +344,7 @@ class Verdict:
             found += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:
             found += self._not_to_be_used()
+            found += self.advice
         found.append(self.default_in_words)
         found += self._changes()
         found += [bound.sentence for bound in self.at_bounds]
@@ -345,6 +368,13 @@ class Verdict:
         ]
 
     @property
+    def file_warnings(self) -> tuple[str, ...]:
+        """What a file of the parameter set is to say ahead of its values, a line each."""
+        if self.state is not State.INFEASIBLE:
+            return ()
+        return (f"DO NOT USE: {self.headline}.", *(f"{reason}." for reason in self.reasons))
+
+    @property
     def default_in_words(self) -> str:
         """What the same evidence says of the default."""
         if self.default_reasons is None:
@@ -354,9 +384,10 @@ class Verdict:
             return f"The default was not evaluated in full: {runs} lost or disturbed by others."
         if self.default_reasons:
             reasons = "; ".join(self.default_reasons)
-            return f"The default is not shown to keep all limits: {reasons}."
+            return f"The default is not proven to stay within all limits: {reasons}."
         if self.certificate and self.default_certified:
-            return f"The default is shown to keep all limits{', too' if self.feasible else ''}."
+            too = ", too" if self.feasible else ""
+            return f"The default is proven to stay within all limits{too}."
         return f"The default by the same evidence: {_found_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:
@@ -393,7 +424,7 @@ class Verdict:
     @property
     def keeps_in_words(self) -> tuple[str, str]:
         """Whether default and tuned parameter set keep all limits; a dash for one not evaluated."""
-        words = {Standing.SHOWN: "yes", Standing.OPEN: "not shown", Standing.VIOLATED: "NO"}
+        words = {Standing.SHOWN: "yes", Standing.OPEN: "not proven", Standing.VIOLATED: "NO"}
         default = self.default_standing
         return "–" if default is None else words[default], words[self.standing]
 
@@ -437,9 +468,14 @@ class Verdict:
 
 
 def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:
-    """Order quantities: what improved first, the objective's mean after the others alike."""
-    rank = {Change.BETTER: 0, Change.LOWER: 0, Change.WORSE: 1, Change.HIGHER: 1}
-    return tuple(sorted(quantities, key=lambda q: (rank.get(q.change, 2), q.metric == objective)))
+    """Order quantities: the objectives, the first one of the study first; limits; the others."""
+
+    def rank(quantity: Quantity) -> int:
+        if quantity.objective:
+            return 0 if quantity.metric == objective else 1
+        return 2 if quantity.constraint else 3
+
+    return tuple(sorted(quantities, key=rank))
 
 
 def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:

@@ -28,8 +28,8 @@ Grid = NDArray[np.float64]
 class Color(StrEnum):
     """Colours by name, after Okabe and Ito (2008), "Color Universal Design".
 
-    Ink is the text colour, paper the background, with which a region is faded. Black is the same on
-    light and dark backgrounds, for elements on a heatmap, whose colours are the same as well.
+    Ink is the text colour, paper the background. Black is the same on light and dark backgrounds,
+    for elements on a heatmap, whose colours are the same as well.
     """
 
     BLUE = "blue"
@@ -253,14 +253,15 @@ class Contour:
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """The area where a field z (rows, columns) over x and y exceeds `above`, shaded."""
+    """The area where a field z (rows, columns) over x and y exceeds `above`: hatched, or filled."""
 
     x: Values
     y: Values
     z: Grid
     above: float
     name: str = ""
-    color: Color = Color.PAPER
+    color: Color = Color.INK
+    hatched: bool = True
 
     def __post_init__(self) -> None:
         _grid(self, self.x, self.y, self.z)
@@ -327,7 +328,7 @@ class Figure:
     name
         Name of its files and identifier in a page: lower-case letters, digits, ``-`` and ``_``.
     title
-        Heading.
+        What it is for, in one line.
     caption
         How to read it, in one to three sentences.
     alternative

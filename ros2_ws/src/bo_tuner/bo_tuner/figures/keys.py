@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -17,17 +18,23 @@ from bo_tuner.figures.figure import (
     Limit,
     Line,
     Points,
+    Region,
     Scale,
 )
 from bo_tuner.figures.palette import DIVERGING, SEQUENTIAL
 
 STOPS = 33
 """Number of colours for a scale that is logarithmic or diverging."""
+SHADES = 255
+"""Steps between the shades of a picture."""
 
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """The entry for all elements of one name; ``kind`` is line, bar, area or a marker's name."""
+    """The entry for all elements of one name.
+
+    Its ``kind`` is line, bar, area, hatched or a marker's name.
+    """
 
     name: str
     kind: str
@@ -63,6 +70,8 @@ def legend(figure: Figure) -> list[LegendEntry]:
                 entry = LegendEntry(name, element.marker, color, filled=element.filled)
             case Bars():
                 entry = LegendEntry(name, "bar", element.color)
+            case Region():
+                entry = LegendEntry(name, "hatched" if element.hatched else "area", element.color)
             case _:
                 entry = LegendEntry(name, "area", element.color)
         # In the legend, black elements are on the background of the page, not on a heatmap.
@@ -93,6 +102,12 @@ def place(scale: ColorScale, value: float) -> float:
     return (value - scale.low) / (scale.high - scale.low)
 
 
+def color_of(scale: ColorScale, value: float) -> str:
+    """Return the colour of a value; beyond the ends of the scale that of the end."""
+    at = place(scale, min(max(value, scale.low), scale.high))
+    return _shade(scale.middle is not None, round(at * SHADES) / SHADES)
+
+
 def stops(scale: ColorScale) -> list[tuple[float, str]]:
     """Return colours at positions that are evenly spaced in the value, as Plotly needs them."""
     if scale.middle is None and scale.scale is Scale.LINEAR:
@@ -105,7 +120,12 @@ def stops(scale: ColorScale) -> list[tuple[float, str]]:
 
 
 def _color(scale: ColorScale, at: float) -> str:
-    colors = SEQUENTIAL if scale.middle is None else DIVERGING
+    return _shade(scale.middle is not None, at)
+
+
+@cache
+def _shade(is_diverging: bool, at: float) -> str:
+    colors = DIVERGING if is_diverging else SEQUENTIAL
     places = [p for p, _ in colors]
     channels = [
         np.interp(at, places, [int(c[k : k + 2], 16) for _, c in colors]) for k in (1, 3, 5)

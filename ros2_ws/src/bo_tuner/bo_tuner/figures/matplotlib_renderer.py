@@ -37,6 +37,7 @@ from bo_tuner.figures.figure import (
     Scale,
     Values,
 )
+from bo_tuner.figures.hatching import hatching
 from bo_tuner.figures.palette import DIVERGING, LIGHT, SEQUENTIAL
 from bo_tuner.text import printable
 
@@ -215,13 +216,7 @@ def _element(ax: Any, element: Element, together: Sequence[Bars], order: int) ->
         case Contour():
             return _contour(ax, element, order)
         case Region():
-            color = to_rgba(LIGHT[element.color], 0.6)
-            if np.nanmax(element.z) > element.above:
-                ax.contourf(
-                    element.x, element.y, element.z, levels=[element.above, math.inf],
-                    colors=[color], zorder=order,
-                )  # fmt: skip
-            return mpl.patches.Patch(facecolor=color, edgecolor=LIGHT[Color.GRAY])
+            return _region(ax, element, order)
         case Limit():
             across = ax.axvline if element.vertical else ax.axhline
             return across(
@@ -300,6 +295,23 @@ def _contour(ax: Any, contour: Contour, order: int) -> Any:
         if contour.labelled:
             ax.clabel(lines, fontsize=7)
     return mpl.lines.Line2D([], [], color=color, linestyle=dash, linewidth=contour.width)
+
+
+def _region(ax: Any, region: Region, order: int) -> Any:
+    color = LIGHT[region.color]
+    if region.hatched:
+        lines = hatching(region)
+        # With a halo, which keeps it visible on any colour of a field.
+        ax.plot(*lines, "-", color=LIGHT[Color.PAPER], linewidth=2.4, alpha=0.6, zorder=order)
+        ax.plot(*lines, "-", color=color, linewidth=0.9, zorder=order)
+        return mpl.patches.Patch(facecolor="none", edgecolor=color, hatch="////")
+    shade = to_rgba(color, 0.4)
+    if np.nanmax(region.z) > region.above:
+        ax.contourf(
+            region.x, region.y, region.z, levels=[region.above, math.inf], colors=[shade],
+            zorder=order,
+        )  # fmt: skip
+    return mpl.patches.Patch(facecolor=shade)
 
 
 def _colormap(scale: ColorScale) -> LinearSegmentedColormap:

@@ -23,6 +23,7 @@ from bo_tuner.figures.figure import (
     Region,
     Values,
 )
+from bo_tuner.figures.hatching import hatching
 from bo_tuner.figures.keys import stops
 from bo_tuner.text import printable
 
@@ -60,7 +61,7 @@ def traces(element: Element) -> list[Trace]:
         case Contour():
             return [_contour(element, level) for level in element.levels]
         case Region():
-            return [_region(element)]
+            return _region(element)
         case Limit():
             return []
 
@@ -190,20 +191,36 @@ def _contour(contour: Contour, level: float) -> Trace:
     }
 
 
-def _region(region: Region) -> Trace:
-    return {
-        "type": "contour",
-        "name": text_of(region.name),
-        "x": _numbers(region.x),
-        "y": _numbers(region.y),
-        "z": _rows(region.z),
-        # Plotly shades the region where the constraint is violated.
-        "contours": {"type": "constraint", "operation": "<=", "value": region.above},
-        "fillcolor": f"@{region.color}/0.6",
-        "line": {"width": 0},
-        "showscale": False,
-        "hoverinfo": "skip",
-    }
+def _region(region: Region) -> list[Trace]:
+    if not region.hatched:
+        shade = {
+            "type": "contour",
+            "name": text_of(region.name),
+            "x": _numbers(region.x),
+            "y": _numbers(region.y),
+            "z": _rows(region.z),
+            # Plotly shades the region where the constraint is violated.
+            "contours": {"type": "constraint", "operation": "<=", "value": region.above},
+            "fillcolor": f"@{region.color}/0.4",
+            "line": {"width": 0},
+            "showscale": False,
+            "hoverinfo": "skip",
+        }
+        return [shade]
+    x, y = map(_numbers, hatching(region))
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": text_of(region.name),
+            "x": x,
+            "y": y,
+            "line": {"color": color, "width": width},
+            "hoverinfo": "skip",
+        }
+        # With a halo, which keeps it visible on any colour of a field.
+        for color, width in ((f"@{Color.PAPER}/0.6", 3.0), (f"@{region.color}", 1.2))
+    ]
 
 
 def _hover(texts: Sequence[str], otherwise: str) -> Trace:

@@ -16,7 +16,7 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.text import JOIN, printable, shown
+from bo_tuner.text import JOIN, percent, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 
 NUMBER_WIDTH = 9
@@ -172,12 +172,12 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
     if best is None:
         return "no complete trial yet"
     if not best.believed_feasible:
-        return f"no feasible point yet (least violating: trial {best.trial.number})"
+        return f"none of the trials is likely within limits (closest: trial {best.trial.number})"
     metric = study.metrics[study.objective.metric]
     value = f"{best.objective:.4g} {metric.unit}".rstrip()
     return (
-        f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
-        f"P(feasible) {best.feasibility:.2f}"
+        f"best so far: trial {best.trial.number}, {metric.name} {value}, "
+        f"{percent(best.feasibility)} likely within limits"
     )
 
 

@@ -7,6 +7,9 @@ from enum import StrEnum
 from functools import cached_property
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
@@ -14,9 +17,11 @@ from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.figures.figure import Panel
 from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.certificate import certificate
+from bo_tuner.report.time_response import Responses
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
@@ -29,9 +34,9 @@ class TrialOutcome(StrEnum):
     """Outcome of a trial, as displayed; the rule is that of `study.limits`."""
 
     WITHIN = "within limits"
-    UNCERTAIN = "may violate"
-    VIOLATES = "violating"
-    OUTLIER = "outlying"
+    UNCERTAIN = "margin too small"
+    VIOLATES = "over the limit"
+    OUTLIER = "far off"
     FAILED = "failed"
     LOST = "lost"
     DISTURBED = "disturbed"
@@ -55,10 +60,13 @@ class Known:
         By the number of trials that they are the best of.
     trajectories
         Panels of simulated signals, by the name and number of a trial and the contexts.
+    responses
+        Signals of default and answer, by the name and number of a trial and the evaluations.
     """
 
     incumbents: dict[int, Candidate | None] = field(default_factory=dict)
     trajectories: dict[tuple[str, int, str], list[Panel]] = field(default_factory=dict)
+    responses: dict[tuple[str, int, int], Responses] = field(default_factory=dict)
 
 
 def remembered(known: dict[K, T], key: K, make: Callable[[], T]) -> T:
@@ -66,6 +74,10 @@ def remembered(known: dict[K, T], key: K, make: Callable[[], T]) -> T:
     if key not in known:
         known[key] = make()
     return known[key]
+
+
+NOT_BLIND = 0.5
+"""Probability of a trial that is in the models, from which on they are taken to tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +90,13 @@ class Analysis:
         The run.
     known
         A page of a run in progress hands it on from one analysis to the next.
+    quick
+        Whether to leave out what may take longer than a trial.
     """
 
     record: RunRecord
     known: Known = field(default_factory=Known)
+    quick: bool = False
 
     @property
     def study(self) -> Study:
@@ -198,6 +213,16 @@ class Analysis:
             return TrialOutcome.VIOLATES
         return TrialOutcome.UNCERTAIN if uncertain(self.study, trial) else TrialOutcome.WITHIN
 
+    def blind(self, points: Array) -> NDArray[np.bool_]:
+        """Return where trials nearby are not in the models, at points (n, d) of the unit cube.
+
+        They failed, or were outliers of the objective: what the models predict there is that of
+        trials farther away.
+        """
+        good = np.sum([c.log_complement(points) for c in self.models.classifiers], axis=0)
+        found: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
+        return found
+
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""
         mean = trial.mean(self.study.objective.metric)
@@ -216,38 +241,3 @@ class Analysis:
             for evaluation in self.record.evaluations
             if evaluation.outcome.complete and space.key(evaluation.parameters) == key
         ]
-
-
-@dataclass(frozen=True, eq=False)
-class Preliminary(Analysis):
-    """A run before the models of all its trials are fitted: those of fewer trials stand in.
-
-    Attributes
-    ----------
-    earlier
-        The run with fewer trials.
-    """
-
-    earlier: Analysis = field(kw_only=True)
-
-    @cached_property
-    def trials(self) -> tuple[Trial, ...]:
-        """The trials; worst cases are estimated as in the `earlier` run, as far as it had them."""
-        known = {trial.number: trial for trial in self.earlier.trials}
-        return tuple(
-            known[trial.number]
-            if trial.number in known
-            and len(known[trial.number].evaluations) == len(trial.evaluations)
-            else trial
-            for trial in self._checked
-        )
-
-    @cached_property
-    def models(self) -> Surrogates:
-        """Surrogates of the `earlier` run."""
-        return self.earlier.models
-
-    @cached_property
-    def answer(self) -> Trial | None:
-        """The answer of the `earlier` run."""
-        return self.earlier.answer

@@ -225,17 +225,19 @@ def _trajectories(runs: Mapping[str, Analysis]) -> Section:
         except (NoTraceError, StudyError, BackendError) as error:
             notes.append(f"{name}: no trajectories: {error}.")
     columns = {title: sides for title, sides in columns.items() if sides}
+    same = all(analysis.study.constraints == first.study.constraints for analysis in runs.values())
+    common = first.study.constraints if same else {}
     looks = {name: (color, dash) for name, (dash, color) in zip(runs, cycle(LINES), strict=False)}
     figures = []
     if columns:
         figures.append(
             Figure(
                 name="trajectories",
-                title="One evaluation of the result of each run, with the same noise",
+                title="What does each do? One run of each result, with the same noise",
                 caption="Simulated in process by each study's objects, not recorded. Drag across "
                 "a panel to zoom in; double-click to zoom out.",
                 alternative=f"Signals over time of {', '.join(columns[NOMINAL])}.",
-                panels=panels(columns, looks),
+                panels=panels(columns, looks, common),
                 columns=len(columns),
                 panel_height=260,
             )

@@ -1,4 +1,4 @@
-"""The content of a report without markup: sections with text, tables and figures."""
+"""The content of a report without markup: chapters of sections with text, tables and figures."""
 
 import math
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ class Section:
     name
         Its identifier in the page and its entry in the navigation.
     title
-        Heading.
+        Heading; empty for the only section of a chapter.
     lead
         The message, in a sentence or two.
     figures, tables
@@ -64,6 +64,28 @@ class Section:
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chapter:
+    """Sections that answer one question of a reader.
+
+    Attributes
+    ----------
+    name
+        Its identifier in the page and its entry in the navigation.
+    title
+        Heading.
+    sections
+        At least one.
+    closed
+        Whether it is collapsed at first.
+    """
+
+    name: str
+    title: str
+    sections: Sequence[Section]
+    closed: bool = False
 
 
 def number(value: Value | None) -> str:

@@ -5,7 +5,7 @@ import hashlib
 import importlib.resources
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,18 @@ from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.plotly_renderer import figure_data
+from bo_tuner.figures.svg_renderer import panel_svg
 from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.content import Section
+from bo_tuner.report.content import Chapter, Section
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
 from bo_tuner.report.sections.draws import draws
+from bo_tuner.report.sections.effects import effects
 from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.sections.front import front
-from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.sections.parallel import parallel
-from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
@@ -39,6 +39,9 @@ from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.text import printable
 from bo_tuner.trials import Trial
+
+PICTURE_WIDTH, LEAST_PICTURE_WIDTH = 1080, 340
+"""Width of the pictures of a row of panels, and of one at least [px]."""
 
 FORMATS = ("png", "svg")
 """Kinds of image files of a figure."""
@@ -51,36 +54,54 @@ def certificate(analysis: Analysis) -> Section | None:
     return analysis.certificate_section
 
 
-SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (
-    certificate,
-    draws,
-    convergence,
-    front,
-    trade_off,
-    parallel,
-    contexts,
-    tolerance,
-    trajectories,
-    surrogates,
-    sensitivity,
-    influence,
-    timing,
-    failures,
-    all_trials,
-    provenance,
+Maker = Callable[[Analysis], Section | None]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What makes the sections of a chapter, in order; each returns None if it does not apply."""
+
+    name: str
+    title: str
+    makers: tuple[Maker, ...]
+    closed: bool = False
+
+
+OUTLINES = (
+    Outline("evidence", "Evidence", (certificate, draws, contexts, tolerance)),
+    Outline("signals", "Signals", (trajectories,)),
+    Outline("parameters", "Parameters", (effects, surrogates, parallel)),
+    Outline("trials", "Trials", (convergence, front, trade_off, all_trials)),
+    Outline("details", "Details", (failures, timing, provenance), closed=True),
 )
-"""What makes the sections of a report, in order; each returns None if it does not apply."""
+"""The chapters of a report behind the result, in order."""
 
 
-def sections(analysis: Analysis) -> list[Section]:
-    """Return the sections of a run's report in order, without those that do not apply."""
-    made = (make(analysis) for make in SECTIONS)
-    return [section for section in made if section is not None]
+def chapters(analysis: Analysis) -> list[Chapter]:
+    """Return the chapters of a run's report in order, without what does not apply."""
+    made = (chapter(analysis, outline) for outline in OUTLINES)
+    return [found for found in made if found is not None]
+
+
+def chapter(analysis: Analysis, outline: Outline) -> Chapter | None:
+    """Return a chapter of a run's report; None if none of its sections applies."""
+    made = (make(analysis) for make in outline.makers)
+    found = [section for section in made if section is not None]
+    if not found:
+        return None
+    return Chapter(name=outline.name, title=outline.title, sections=found, closed=outline.closed)
 
 
 def figures(parts: Sequence[Section]) -> list[Figure]:
-    """Return the figures of all sections."""
+    """Return the figures of sections."""
     return [figure for section in parts for figure in section.figures]
+
+
+def report_figures(analysis: Analysis, parts: Sequence[Chapter]) -> list[Figure]:
+    """Return the figures of a run's report: those of the result and of chapters."""
+    of_result = answer(analysis).figure
+    found = figures([section for part in parts for section in part.sections])
+    return found if of_result is None else [of_result, *found]
 
 
 def write_report(run: RunRecord, path: Path, known: Known | None = None) -> Path:
@@ -103,11 +124,11 @@ def write_report(run: RunRecord, path: Path, known: Known | None = None) -> Path
         If summary or certificate do not fit the record.
     """
     analysis = Analysis(run, known or Known())
-    return write_page(analysis, sections(analysis), path)
+    return write_page(analysis, chapters(analysis), path)
 
 
-def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path:
-    """Write the page with these sections to `path` and return it; raises as `write_atomically`."""
+def write_page(analysis: Analysis, parts: Sequence[Chapter], path: Path) -> Path:
+    """Write the page with these chapters to `path` and return it; raises as `write_atomically`."""
     return _write(path, render(analysis, parts, os.path.relpath(analysis.record.path, path.parent)))
 
 
@@ -149,23 +170,29 @@ def section_html(section: Section) -> str:
     return str(_macros().show_section(section))
 
 
+def chapter_html(part: Chapter) -> str:
+    """Return the HTML of a chapter by itself."""
+    return str(_macros().show_chapter(part))
+
+
 def answer_html(analysis: Analysis) -> str:
     """Return the HTML of the answer by itself, without links to files.
 
     Without a result there are no steps either: the run is going on.
     """
     found = replace(answer(analysis), files=())
-    if found.verdict.state is State.OPEN:
+    if analysis.verdict.state is State.OPEN:
         found = replace(found, steps=())
     return str(_macros().show_answer(found, ""))
 
 
-def render(analysis: Analysis, parts: Sequence[Section], run: str | None = os.curdir) -> str:
+def render(analysis: Analysis, parts: Sequence[Chapter], run: str | None = os.curdir) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any."""
     found = answer(analysis)
     return fill(
         "report.html",
-        sections=parts,
+        sections=[],
+        chapters=parts,
         study=analysis.study,
         record=analysis.record,
         answer=replace(found, files=()) if run is None else found,
@@ -203,7 +230,14 @@ def _environment() -> Environment:
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
     environment.filters["figure_data"] = figure_data
+    environment.filters["pictures"] = _pictures
     return environment
+
+
+def _pictures(figure: Figure) -> list[str]:
+    """Return each panel of a figure as a picture."""
+    width = max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
+    return [panel_svg(panel, width, figure.panel_height) for panel in figure.panels]
 
 
 def _shown(value: Any) -> Any:

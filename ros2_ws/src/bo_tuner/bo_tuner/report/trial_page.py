@@ -138,7 +138,7 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
         run = recorded(analysis, worst)
         if run is not None:
             figure = _figure(
-                signal_panels({"recorded": run}, {"recorded": LOOKS[TUNED]}),
+                signal_panels(analysis.study, {"recorded": run}, {"recorded": LOOKS[TUNED]}),
                 "As received by the tuner; each value holds until the next message.",
             )
             lead = f"Recorded in {BAGS}/{run.bag}: {where}."
@@ -159,7 +159,8 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
 def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:
     default = replace(worst, parameters=analysis.defaults)
     of_default, of_trial = simulate(analysis.study, [default, worst])
-    drawn = panels({"": {DEFAULT: of_default, name: of_trial}}, side_looks(name))
+    sides = {DEFAULT: of_default, name: of_trial}
+    drawn = panels({"": sides}, side_looks(name), analysis.study.constraints)
     return _figure(drawn, "Drag across a panel to zoom in; double-click to zoom out.")
 
 

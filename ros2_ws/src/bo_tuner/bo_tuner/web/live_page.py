@@ -20,13 +20,12 @@ from bo_tuner.monitoring.progress import (
     advice_in_words,
     describe,
     duration,
-    incumbent_in_words,
 )
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import LOGS, open_file
 from bo_tuner.study.study import Study
-from bo_tuner.text import JOIN, printable
+from bo_tuner.text import JOIN, counted, printable
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.web.address import Address
@@ -205,7 +204,6 @@ class LivePage(RunObserver):
         now, ended = self._status.now, self._ended
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
-            "so far": "" if ended else incumbent_in_words(now.incumbent, self._study),
             "running": "" if ended else self._present(),
             "asked": "" if ended else self._asked,
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
@@ -236,8 +234,8 @@ class LivePage(RunObserver):
         now = self._status.now
         what = f"trial {now.trials}" if now.phase == "tuning" else now.phase
         if not self._running:
-            return f"{what}, no evaluation finished yet"
-        return f"{what}, {self._running} evaluation{'s' * (self._running > 1)} finished"
+            return f"{what}, no test run finished yet"
+        return f"{what}, {counted(self._running, 'test run')} finished"
 
     def _send(self, message: dict[str, object]) -> None:
         # The path of the run need not be UTF-8.

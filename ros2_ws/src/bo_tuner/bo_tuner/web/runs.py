@@ -9,7 +9,7 @@ from bo_tuner.errors import BoTunerError
 from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
-from bo_tuner.report.page import fill, render, sections
+from bo_tuner.report.page import chapters, fill, render
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.text import counted
 from bo_tuner.web.sections import read_as_it_stands
@@ -94,7 +94,7 @@ class Runs:
         if name not in self.names():
             return None
         analysis = self._analysis(name)
-        return render(analysis, sections(analysis), None)
+        return render(analysis, chapters(analysis), None)
 
     def compared(self, names: Sequence[str]) -> str | None:
         """Return the page that compares runs; None if one does not exist.

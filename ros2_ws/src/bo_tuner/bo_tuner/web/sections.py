@@ -1,52 +1,55 @@
-"""The sections of the page, made anew from the journal whenever the run has come further."""
+"""The parts of the page, made anew from the journal whenever the run has come further."""
 
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
-from bo_tuner.report.analysis import Analysis, Known, Preliminary
-from bo_tuner.report.content import Section
-from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html, trial_html
-from bo_tuner.report.sections.appendix import all_trials
-from bo_tuner.report.sections.failures import failures
-from bo_tuner.report.sections.influence import influence
+from bo_tuner.report.analysis import Analysis, Known
+from bo_tuner.report.page import answer_html, chapter_html, chapters, fill, trial_html
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.text import counted
+from bo_tuner.trials import count_trials
 from bo_tuner.tuning.summary import with_summary
 
-Maker = Callable[[Analysis], Section | None]
-
 ANSWER = "answer"
-SLOW = (influence,)
-"""Sections that take longer than a trial may, and are made at the end only."""
-FAST = (failures, all_trials)
-"""Sections that are made first, also before a new trial is in the models: it shows at once."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A section as it stands on the page.
+    """A chapter as it stands on the page, or the result.
 
     Attributes
     ----------
-    name
-        Its name.
-    place
-        Its place from the top.
+    name, title
+        Its name, and its entry in the navigation.
     html
         Its HTML.
-    trials
-        Number of trials in the run that it shows.
     """
 
     name: str
-    place: int
+    title: str
     html: str
-    trials: int
+
+
+@dataclass(frozen=True)
+class Made:
+    """All parts of the page as of one state of the run, from the top.
+
+    Attributes
+    ----------
+    parts
+        The result, and the chapters behind it.
+    stamp
+        What state that is, in words.
+    """
+
+    parts: tuple[Part, ...]
+    stamp: str
 
 
 class LiveSections:
-    """Makes the sections of a run in progress.
+    """Makes the parts of the page of a run in progress.
 
     Parameters
     ----------
@@ -57,7 +60,6 @@ class LiveSections:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._known = Known()
-        self._earlier: Analysis | None = None
 
     def analysis(self, *, ended: bool) -> Analysis:
         """Read the run as it stands now.
@@ -67,27 +69,20 @@ class LiveSections:
         RunRecordError
             If it cannot be read.
         """
-        return Analysis(self._record(ended=ended), self._known)
+        record = read_as_it_stands(self._folder, ended=ended)
+        return Analysis(record, self._known, quick=not ended)
 
-    def _record(self, *, ended: bool) -> RunRecord:
-        return read_as_it_stands(self._folder, ended=ended)
-
-    def preliminary(self) -> Iterator[Part]:
-        """Yield the first sections of a run that goes on, by the models of `parts` before.
-
-        This may be called while `parts` makes others. Nothing before `parts` had models.
-        """
-        if (earlier := self._earlier) is not None:
-            yield from _made(Preliminary(self._record(ended=False), earlier=earlier), FAST)
-
-    def parts(self, *, ended: bool) -> Iterator[Part]:
-        """Yield the sections in the order in which they are ready."""
+    def made(self, *, ended: bool) -> Made:
+        """Make all parts as of now; raises as `analysis`."""
         analysis = self.analysis(ended=ended)
-        later = [make for make in SECTIONS if make not in FAST and (ended or make not in SLOW)]
-        yield from _made(analysis, FAST)
-        self._earlier = analysis
-        yield Part(ANSWER, 0, answer_html(analysis), len(analysis.record.trials))
-        yield from _made(analysis, later)
+        when = datetime.now().astimezone().strftime("%H:%M:%S")
+        count = count_trials(analysis.record.trials)
+        stamp = f"As of {counted(count, 'trial')}, {when}"
+        parts = [Part(ANSWER, "Result", answer_html(analysis))]
+        parts += [
+            Part(found.name, found.title, chapter_html(found)) for found in chapters(analysis)
+        ]
+        return Made(tuple(parts), stamp)
 
     def shell(self, control: str) -> str:
         """Return the page without sections, which the browser asks for.
@@ -120,13 +115,6 @@ def read_as_it_stands(folder: Path, *, ended: bool) -> RunRecord:
     record = read_run(folder)
     # The summary of a run that goes on is one of an earlier session.
     return with_summary(record, _ignore) if ended else replace(record, summary=None)
-
-
-def _made(analysis: Analysis, makers: Iterable[Maker]) -> Iterator[Part]:
-    for make in makers:
-        if (section := make(analysis)) is not None:
-            place, trials = 1 + SECTIONS.index(make), len(analysis.record.trials)
-            yield Part(section.name, place, section_html(section), trials)
 
 
 def _ignore(_: str) -> None:

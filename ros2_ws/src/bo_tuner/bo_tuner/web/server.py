@@ -111,7 +111,7 @@ class Page(RequestHandler):
 
 
 class Home(Page):
-    """The page without sections."""
+    """The page without its parts."""
 
     async def get(self) -> None:
         """Put the token into a cookie, or answer with the page."""
@@ -122,7 +122,7 @@ class Home(Page):
         self.state.watch()
         state = self.state
         try:
-            page = await state.call(state.tables, state.sections.shell, state.control)
+            page = await state.call(state.pages, state.sections.shell, state.control)
         except BoTunerError as error:
             # There is a record once the nodes are up.
             self.set_status(503)
@@ -133,7 +133,7 @@ class Home(Page):
 
 
 class State(Page):
-    """What is new since a version: the present state, and the sections that have changed."""
+    """What is new since a version: the present state, and the parts that have changed."""
 
     async def get(self) -> None:
         """Answer once there is something new."""
@@ -157,7 +157,8 @@ class State(Page):
                     "now": state.now,
                     "problem": printable(state.problem),
                     "complete": state.complete,
-                    "order": sorted(state.parts, key=lambda name: state.parts[name][1].place),
+                    "stamp": state.stamp,
+                    "order": {name: part.title for name, (_, part) in state.parts.items()},
                     "sections": {
                         name: part.html
                         for name, (since, part) in state.parts.items()
@@ -335,7 +336,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
     await _last_look(state)
     keeping_up.cancel()
     server.stop()
-    # Without waiting for a section that is still being made.
+    # Without waiting for what is still being made.
     os._exit(0)
 
 

@@ -3,38 +3,39 @@
 import asyncio
 import contextlib
 import secrets
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.web.address import TOKEN_BYTES
 from bo_tuner.web.runs import Runs
-from bo_tuner.web.sections import LiveSections, Part
+from bo_tuner.web.sections import LiveSections, Made, Part
 
 LONGEST_WAIT = 20.0
 """Time [s] after which a request for news is answered without any."""
 WATCHED = 30.0
-"""Time [s] for which the sections are kept up to date after a request."""
+"""Time [s] for which the parts are kept up to date after a request."""
 QUICK = 0.5
-"""Time [s] up to which sections that are made need no pause after them."""
+"""Time [s] up to which parts that are made need no pause after them."""
 REST = 4.0
-"""Pause after all sections were made, in multiples of the time beyond `QUICK` that this took.
+"""Pause after all parts were made, in multiples of the time beyond `QUICK` that this took.
 
 The models of many trials take seconds, and the run may need the processor. A trial that takes
 longer than that is in the models at once.
 """
-SHORT_REST = 1.0
-"""As `REST`, of the sections that show what a trial was."""
 
 
 class LiveState:
     """What the page shows, with the version of each part; changed in the server's thread only.
 
+    All parts are of one state of the run, that of the `stamp`.
+
     Parameters
     ----------
     sections
-        Makes the sections.
+        Makes the parts.
     runs
         Makes the pages about other runs.
     requests
@@ -42,8 +43,12 @@ class LiveState:
 
     Attributes
     ----------
-    models, tables, others
-        Threads of the sections with models, of those without, and of the pages about other runs.
+    parts
+        By the name of a part, in their order, since which version it is as it is.
+    stamp
+        Which state of the run they show, in words.
+    models, pages, others
+        Threads of the parts, of the page around them, and of the pages about other runs.
     """
 
     def __init__(self, sections: LiveSections, runs: Runs, requests: int | None) -> None:
@@ -54,6 +59,7 @@ class LiveState:
         self.version = 0
         self.now: Mapping[str, Any] = {}
         self.parts: dict[str, tuple[int, Part]] = {}
+        self.stamp = ""
         self.problem = ""
         self.complete = False
         self.shown = False
@@ -62,10 +68,10 @@ class LiveState:
         self._changed = asyncio.Event()
         self._due = asyncio.Event()
         self._over = asyncio.Event()
-        # One thread: the sections share what they know.
+        # One thread: what is made shares what it knows.
         self.models = ThreadPoolExecutor(1)
-        # Another for those that need not wait for the models.
-        self.tables = ThreadPoolExecutor(1)
+        # Another for the page, which need not wait for the models.
+        self.pages = ThreadPoolExecutor(1)
         # Another, so that a comparison does not hold up the page of the run.
         self.others = ThreadPoolExecutor(1)
 
@@ -82,7 +88,7 @@ class LiveState:
         self._publish()
 
     def watch(self) -> None:
-        """Keep the sections up to date for a while."""
+        """Keep the parts up to date for a while."""
         self._watched_until = asyncio.get_running_loop().time() + WATCHED
         self._due.set()
 
@@ -99,95 +105,63 @@ class LiveState:
                     await self._changed.wait()
 
     async def keep_up(self) -> None:
-        """Make the sections anew whenever the run has come further and somebody looks."""
+        """Make the parts anew whenever the run has come further and somebody looks."""
         made: object = None
-        behind = False
-        others = asyncio.create_task(asyncio.sleep(0.0))
         while True:
             await self._due.wait()
             self._due.clear()
-            if not self.watched:
-                continue
             reached = (self.now.get("trials"), self.now.get("phase"), self.now.get("ended"))
-            if self._over.is_set():
-                await asyncio.wait([others])
-                if reached != made:
-                    made = reached
-                    await self._finish()
+            if reached == made or not self.watched:
                 continue
-            if reached != made:
-                made, behind = reached, True
-                first = self._make(self.tables, self.sections.preliminary())
-                await self._and_rest(first, SHORT_REST)
-            # The end may have come meanwhile; the result need not wait for what it replaces.
-            if behind and others.done() and not self._over.is_set():
-                behind = False
-                others = asyncio.create_task(self._make_all())
+            made = reached
+            if self._over.is_set():
+                await self._finish()
+            else:
+                await self._and_rest(self._make(ended=False))
+                # What has come meanwhile is due now.
+                self._due.set()
 
     async def _finish(self) -> None:
         """Show the result; a run that was interrupted has none."""
         if self.now.get("verdict"):
-            await self._make_whole(self.sections.parts(ended=True), last=True)
+            await self._make(ended=True)
         self.complete = True
         self._publish()
 
-    async def _make_all(self) -> None:
-        """Make all sections of a run that goes on, and rest."""
-        await self._and_rest(self._make_whole(self.sections.parts(ended=False)), REST)
-        # What has come meanwhile is due now.
-        self._due.set()
-
-    async def _and_rest(self, making: Awaitable[object], factor: float) -> None:
+    async def _and_rest(self, making: Awaitable[object]) -> None:
         """Wait for what is made, and if that took long for a pause or until the run is over."""
         clock = asyncio.get_running_loop().time
         begin = clock()
         await making
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(factor * (clock() - begin - QUICK)):
+            async with asyncio.timeout(REST * (clock() - begin - QUICK)):
                 await self._over.wait()
 
-    async def _make_whole(self, parts: Iterator[Part], *, last: bool = False) -> None:
-        """Show the parts of the page, and no others; once the run is over, only the `last` ones."""
-        names = await self._make(self.models, parts, lambda: self._over.is_set() and not last)
-        if names is not None:
-            self.parts = {name: self.parts[name] for name in names}
-            self._tell("")
-
-    async def _make(
-        self,
-        thread: Executor,
-        parts: Iterator[Part],
-        stop: Callable[[], bool] = lambda: False,
-    ) -> list[str] | None:
-        """Show parts as they are ready, and return their names; None if not all were made."""
-        names = []
+    async def _make(self, *, ended: bool) -> None:
+        """Make the parts and show them, all at once; after the end only those of the end."""
         try:
-            while (part := await self.call(thread, next, parts, None)) is not None:
-                if stop():
-                    return None
-                names.append(part.name)
-                self._show(part)
+            made = await self.call(self.models, partial(self.sections.made, ended=ended))
         except BoTunerError as error:
             self._tell(f"The page cannot be brought up to date: {error}")
-            return None
         except Exception as error:
-            # Unexpected, but the other sections, and the result, are to be shown all the same.
+            # Unexpected, but the result is to be shown all the same.
             self._tell(f"The page cannot be brought up to date: {type(error).__name__}: {error}")
-            return None
-        return names
+        else:
+            if ended or not self._over.is_set():
+                self._show(made)
 
-    def _show(self, part: Part) -> None:
-        """Show a part, unless one of more trials is there already."""
-        version, shown = self.parts.get(part.name, (-1, None))
-        if shown is not None and part.trials < shown.trials:
-            return
-        new = shown is None or part.html != shown.html
-        self.parts[part.name] = (self.version + 1 if new else version, part)
-        if new:
-            self._publish()
+    def _show(self, made: Made) -> None:
+        """Show parts in place of those before."""
+        version = self.version + 1
+        before, self.parts = self.parts, {}
+        for part in made.parts:
+            since, old = before.get(part.name, (version, None))
+            self.parts[part.name] = (since if part == old else version, part)
+        self.stamp, self.problem = made.stamp, ""
+        self._publish()
 
     def _tell(self, problem: str) -> None:
-        """Tell of a problem, or with an empty text that there is none any more."""
+        """Tell of a problem."""
         if problem != self.problem:
             self.problem = problem
             self._publish()

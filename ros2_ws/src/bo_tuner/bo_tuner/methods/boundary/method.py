@@ -33,6 +33,7 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
 from bo_tuner.study.study import Study
+from bo_tuner.text import percent
 from bo_tuner.trials import (
     Context,
     Evaluation,
@@ -164,10 +165,7 @@ class Boundary(Method):
 
     def doubt(self, feasibility: float) -> str:
         """Return why an answer is doubtful."""
-        return (
-            "By the model of all evaluations it keeps its limits with a probability of only "
-            f"{feasibility:.3g}, which is too low"
-        )
+        return f"By the model of all test runs it is {percent(feasibility)} likely within limits"
 
     def continued(
         self, trials: Sequence[Trial], evaluations: Sequence[Evaluation], *, more: bool

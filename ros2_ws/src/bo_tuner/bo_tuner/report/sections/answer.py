@@ -1,32 +1,38 @@
 """The first screen of a report: the verdict on the result, its numbers, and what to do next."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 from bo_tuner.deploy.bundle import DEPLOY
 from bo_tuner.evidence.differences import CONFIDENCE, Change
 from bo_tuner.evidence.next_steps import Step, next_steps
-from bo_tuner.evidence.verdict import Quantity, Status, Verdict
+from bo_tuner.evidence.verdict import FAIL, PASS, Quantity, State, Status, Verdict
+from bo_tuner.evidence.what_to_set import what_to_set
+from bo_tuner.figures.figure import Figure
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
+from bo_tuner.report.sections.trajectories import response
+from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.limits import Standing
+from bo_tuner.text import with_unit
 
 FILES = (
-    (BEST, "the tuned parameters"),
-    (f"{DEPLOY}/", "bundle with rollback and digests"),
+    (BEST, "the values as a parameter file"),
+    (f"{DEPLOY}/", "deployment folder, with undo"),
     ("trials.csv", "all trials"),
-    ("evaluations.csv", "all evaluations"),
+    ("evaluations.csv", "all test runs"),
     (JOURNAL, "the record"),
     (f"{BAGS}/", "bags of notable trials"),
     ("certificates/", "certificates"),
 )
-
-
-MOST_NUMBERS = 3
-"""Numbers beside the certificate: more tiles than four are not read at a glance."""
+DO_NOT_USE = "not within limits: do not use it"
+"""What is said of a parameter file, and of values, where nothing was found feasible."""
+MOST_LIMITS = 4
+"""Limits that a tile has room for; the table has all."""
 
 
 @dataclass(frozen=True)
@@ -46,158 +52,214 @@ class Answer:
 
     Attributes
     ----------
-    verdict
-        The verdict, with its words.
+    headline
+        What to set, and why, in one line.
+    status
+        How good that is, as a mark.
+    advice
+        What to change where nothing was found feasible.
+    values
+        The parameters of default and result; None before there is any.
+    file
+        The values as a parameter file, to copy; empty if they are not to be used.
+    tiles
+        Objective, limits and trust.
+    figure
+        Default and result over time; None if there are no signals.
     sentences
         The explanation.
-    tiles
-        Key figures.
+    remarks
+        What else to know.
     steps
         Commands that come next.
     files
         Names of the files and folders of the run that exist, with their content.
     table
-        Default and tuned parameter set, side by side.
-    notes
-        What else the table needs to be read.
+        The numbers of default and result, side by side; None before there are any.
     """
 
-    verdict: Verdict
-    sentences: Sequence[str]
+    headline: str
+    status: Status
+    advice: Sequence[str]
+    values: Table | None
+    file: str
     tiles: Sequence[Tile]
+    figure: Figure | None
+    sentences: Sequence[str]
+    remarks: Sequence[str]
     steps: Sequence[Step]
     files: Sequence[tuple[str, str]]
-    table: Table
-    notes: Sequence[str]
+    table: Table | None
 
 
 def answer(analysis: Analysis) -> Answer:
     """Return the answer of a run, or its state so far."""
-    verdict, record = analysis.verdict, analysis.record
-    sentences = list(verdict.sentences)
+    verdict, record, study = analysis.verdict, analysis.record, analysis.study
+    result = analysis.answer
+    parameters = {} if result is None else result.parameters
+    remarks = set(verdict.remarks)
+    advice = verdict.advice if verdict.state is State.INFEASIBLE else ()
+    apart = {*remarks, *advice}
+    sentences = [line for line in verdict.sentences if line not in apart]
     if verdict.quantities:
-        tiles, table = _tiles(analysis), _comparison(analysis)
+        tiles = [*_objectives(verdict), *_limits(analysis), _trust(analysis)]
     else:
-        tiles, table = [], _parameters(analysis)
-        leader = analysis.leader
-        found = incumbent_in_words(leader, analysis.study)
-        sentences.append(f"{found[0].upper()}{found[1:]}.")
+        tiles = []
+        words = incumbent_in_words(analysis.leader, study)
+        sentences.append(f"{words[0].upper()}{words[1:]}.")
+    usable = verdict.feasible and result is not None
     return Answer(
-        verdict=verdict,
-        sentences=sentences,
+        headline=what_to_set(study, verdict, parameters),
+        status=verdict.status,
+        advice=advice,
+        values=_values(analysis),
+        file=to_yaml(node_values(study, parameters)) if usable else "",
         tiles=tiles,
+        figure=response(analysis),
+        sentences=sentences,
+        remarks=[
+            *verdict.remarks,
+            *(f"{line}." for line in verdict.draws_in_words),
+            *_details(verdict),
+        ],
         # The page may be opened from any folder.
         steps=next_steps(verdict, str(record.path.resolve())),
-        files=[(name, what) for name, what in FILES if (record.path / name).exists()],
-        table=table,
-        notes=[f"{line}." for line in verdict.draws_in_words],
+        files=[
+            (name, DO_NOT_USE if name == BEST and not verdict.feasible else what)
+            for name, what in FILES
+            if (record.path / name).exists()
+        ],
+        table=_comparison(analysis) if verdict.quantities else None,
     )
 
 
-def _tiles(analysis: Analysis) -> list[Tile]:
-    """Return the certificate, and the numbers that matter most."""
-    verdict = analysis.verdict
-    tiles = [_of_quantity(q) for q in _that_matter(analysis)]
-    found, result = analysis.certificate, analysis.answer
-    if found is not None and result is not None and found.is_of(result):
-        tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
-    elif found is not None:
-        scope = f"of trial {found.trial}, which is not the result"
-        tiles.insert(0, Tile("certificate", found.verdict, "", [scope], Status.WARNING))
-    else:
-        value = "not readable" if analysis.certificate_problem else "none yet"
-        tiles.insert(0, Tile("certificate", value, "", ["run validate"], Status.OPEN))
-    return tiles
+def _objectives(verdict: Verdict) -> Iterator[Tile]:
+    """Yield a tile for each objective, the first one of the study first."""
+    for quantity in verdict.quantities:
+        if quantity.objective:
+            default, tuned = quantity.values_in_words
+            change = str(quantity.change)
+            if quantity.difference is not None:
+                change = f"{change}: {quantity.change_in_words}"
+            remarks = [f"default {default}", change, quantity.draws]
+            marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
+            yield Tile(
+                f"objective: {quantity.label}",
+                tuned,
+                quantity.unit,
+                list(filter(None, remarks)),
+                marks.get(quantity.change, Status.OPEN),
+            )
 
 
-def _that_matter(analysis: Analysis) -> list[Quantity]:
-    """Return the numbers with a tile in the order of the verdict: `MOST_NUMBERS`, if possible.
-
-    Each limit that is violated has one. Then come the worst case, the objective, the other metrics
-    without a limit, and the other limits; all others stand in the table.
-    """
-    study, found = analysis.study, analysis.verdict.quantities
-    limited = {constraint.metric for constraint in study.constraints.values()}
-    worst = {constraint.metric for constraint in study.worst_case_constraints}
-
-    def rank(quantity: Quantity) -> int:
-        if _violated(quantity):
-            return 0
-        if quantity.found is not None and quantity.metric in worst:
-            return 1
-        if quantity.metric == study.objective.metric:
-            return 2
-        return 3 if quantity.found is None else 4
-
-    eligible = [q for q in found if q.found is not None or q.metric not in limited]
-    broken = sum(map(_violated, eligible))
-    chosen = sorted(eligible, key=rank)[: max(MOST_NUMBERS, broken)]
-    return [quantity for quantity in found if quantity in chosen]
+def _limits(analysis: Analysis) -> list[Tile]:
+    """Return the tile of all limits, the worst of them first; none without limits."""
+    order = (Status.BAD, Status.WARNING, Status.OPEN, Status.GOOD)
+    limited = [q for q in analysis.verdict.quantities if q.found is not None]
+    limited.sort(key=lambda quantity: order.index(_status(quantity)))
+    if not limited:
+        return []
+    status = _status(limited[0])
+    if analysis.verdict.standing is Standing.VIOLATED:
+        status = Status.BAD
+    value = {
+        Status.BAD: "no",
+        Status.WARNING: "more runs over a limit than permitted",
+        Status.OPEN: "not proven",
+        Status.GOOD: "proven",
+    }[status]
+    remarks = [_limit(quantity) for quantity in limited[:MOST_LIMITS]]
+    if len(limited) > MOST_LIMITS:
+        remarks.append(f"{len(limited) - MOST_LIMITS} more are in the table below")
+    return [Tile("within all limits", value, "", remarks, status)]
 
 
-def _violated(quantity: Quantity) -> bool:
-    return quantity.found is not None and quantity.found.standing is Standing.VIOLATED
-
-
-def _of_quantity(quantity: Quantity) -> Tile:
+def _limit(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
-    remarks = [f"default {default}"]
-    if quantity.found is not None:
-        remarks[0] += f", limit {quantity.limit_in_words}: {quantity.found.words}"
-    if quantity.difference is not None:
-        remarks.append(f"{quantity.change}: {quantity.change_in_words}")
-    remarks += filter(None, (quantity.bound_in_words, quantity.draws, quantity.remark))
-    return Tile(quantity.label, tuned, quantity.unit, remarks, _status(quantity))
+    found = "" if quantity.found is None else quantity.found.words
+    return f"{quantity.label} {tuned} (default {default}), limit {quantity.limit_in_words}: {found}"
+
+
+def _details(verdict: Verdict) -> Iterator[str]:
+    """Yield what else is known of each limit."""
+    for quantity in verdict.quantities:
+        if more := "; ".join(filter(None, (quantity.bound_in_words, quantity.remark))):
+            yield f"{quantity.label}: {more}."
 
 
 def _status(quantity: Quantity) -> Status:
-    """Return the mark of a number: good only for a limit that is shown to be kept."""
-    if (found := quantity.found) is not None:
-        if found.standing is Standing.OPEN:
-            return Status.WARNING if found.exceeds else Status.OPEN
-        return Status.GOOD if found.standing is Standing.SHOWN else Status.BAD
-    marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
-    return marks.get(quantity.change, Status.OPEN)
+    """Return the mark of a limit: good only for one that is shown to be kept."""
+    if (found := quantity.found) is None or found.standing is Standing.OPEN:
+        return Status.WARNING if found is not None and found.exceeds else Status.OPEN
+    return Status.GOOD if found.standing is Standing.SHOWN else Status.BAD
+
+
+def _trust(analysis: Analysis) -> Tile:
+    """Return the tile of the certificate."""
+    verdict = analysis.verdict
+    found, result = analysis.certificate, analysis.answer
+    if found is not None and result is not None and found.is_of(result):
+        return Tile("trust", verdict.certificate, "", [found.scope], verdict.status)
+    if found is not None:
+        scope = f"of trial {found.trial}, which is not the result"
+        value = PASS if found.passed else FAIL
+        return Tile("trust", value, "", [scope], Status.WARNING)
+    if analysis.certificate_problem:
+        return Tile("trust", "certificate not readable", "", ["run validate again"], Status.WARNING)
+    if verdict.state is State.INFEASIBLE:
+        return Tile("trust", "do not use it", "", [*verdict.reasons, verdict.evidence], Status.BAD)
+    return Tile("trust", verdict.trust, "", [verdict.evidence, "validate certifies it"])
+
+
+def _values(analysis: Analysis) -> Table | None:
+    """Return the parameters of default and answer, those that are tuned first."""
+    result = analysis.answer
+    if result is None:
+        return None
+    marks = {each.parameter: f"at its {each.side} bound" for each in analysis.verdict.at_bounds}
+    items = sorted(analysis.study.parameters.items(), key=lambda pair: not pair[1].is_tuned)
+    marks |= {
+        name: f"as {item.tied_to}" if item.tied_to else "not tuned"
+        for name, item in items
+        if not item.is_tuned
+    }
+    return Table(
+        caption=f"Values of the {analysis.answer_set}",
+        header=["parameter", analysis.answer_name, "default"],
+        rows=[
+            [
+                with_unit(name, item.unit) + (f" ({marks[name]})" if name in marks else ""),
+                number(result.parameters[name]),
+                number(analysis.defaults[name]),
+            ]
+            for name, item in items
+        ],
+        numeric=[1, 2],
+        marked=[k for k, (_, item) in enumerate(items) if item.is_tuned],
+    )
 
 
 def _comparison(analysis: Analysis) -> Table:
     verdict = analysis.verdict
-    rows = _parameter_rows(analysis)
+    rows = []
     for quantity in verdict.quantities:
+        name = f"objective: {quantity.label}" if quantity.objective else quantity.label
+        change = str(quantity.change) if quantity.difference is not None else ""
+        if change and quantity.difference is not None and isfinite(quantity.difference.mean):
+            change += f": {quantity.change_in_words}"
         rows.append(
             [
-                quantity.label,
+                with_unit(name, quantity.unit),
                 *quantity.values_in_words,
-                quantity.unit,
-                quantity.change_in_words,
-                str(quantity.change) if quantity.difference is not None else "",
+                change,
                 quantity.limit_in_words,
             ]
         )
-    rows.append(["keeps all limits", *verdict.keeps_in_words, *[""] * 4])
+    rows.append(["keeps all limits", *verdict.keeps_in_words, "", ""])
     return Table(
         caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
-        f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval",
-        header=["", "default", "tuned", "unit", "difference", "", "limit"],
+        f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval (CI)",
+        header=["", "default", "tuned", "difference", "limit"],
         rows=rows,
-        numeric=[1, 2, 4, 6],
-    )
-
-
-def _parameter_rows(analysis: Analysis) -> list[list[str]]:
-    parameters = analysis.answer.parameters if analysis.answer is not None else {}
-    return [
-        [name, number(value), number(parameters.get(name)), item.unit, *[""] * 3]
-        for (name, value), item in zip(
-            analysis.defaults.items(), analysis.study.parameters.values(), strict=True
-        )
-    ]
-
-
-def _parameters(analysis: Analysis) -> Table:
-    return Table(
-        caption="Default and best parameter set so far",
-        header=["", "default", "best so far", "unit"],
-        rows=[row[:4] for row in _parameter_rows(analysis)],
-        numeric=[1, 2],
+        numeric=[1, 2, 4],
     )

@@ -21,7 +21,7 @@ def all_trials(analysis: Analysis) -> Section:
     header = ["trial", "origin", *(with_unit(n, study.parameters[n].unit) for n in names)]
     header += [with_unit(f"mean {metric.name}", metric.unit) for metric in metrics]
     header += [with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
-    header += ["evaluations", "outcome", "mark"]
+    header += ["test runs", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
@@ -32,13 +32,13 @@ def all_trials(analysis: Analysis) -> Section:
         row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]
         rows.append(row)
     return Section(
-        name="trials",
+        name="all-trials",
         title="All trials",
-        lead="Click a heading to sort. The outcome of a trial is judged by what was known when it "
-        "was run, and again after a repetition; it is not the verdict on the result. Marked are "
-        f"the result and the {NEIGHBOURS} trials nearest to it, by distances relative to the "
-        "bounds of the parameters: if these are far worse, the result is sensitive. As a table "
-        "for other programs: trials.csv and evaluations.csv in the run folder.",
+        lead="The outcome of a trial is judged by what was known when it was run, and again "
+        "after a repetition; it is not the verdict on the result. Marked are the result and the "
+        f"{NEIGHBOURS} trials nearest to it, relative to the bounds of the parameters: if these "
+        "are far worse, the result is sensitive. Other programs read trials.csv and "
+        "evaluations.csv in the run folder.",
         tables=[
             Table(
                 caption=f"{len(rows)} trials",
@@ -72,7 +72,7 @@ def provenance(analysis: Analysis) -> Section:
     rows = [["run folder", record.path.resolve().name], *map(list, record.provenance.items())]
     return Section(
         name="provenance",
-        title="Provenance",
+        title="What made this report?",
         lead=f"Algorithm {record.algorithm}, backend {record.backend}, seed {record.study.seed}.",
         tables=[
             Table(caption="Versions, sources and machine", header=["", "value"], rows=rows),

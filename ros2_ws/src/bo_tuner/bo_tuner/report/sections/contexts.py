@@ -51,7 +51,7 @@ def contexts(analysis: Analysis) -> Section | None:
     shown: Sequence[Constraint | None] = study.worst_case_constraints or (None,)
     return Section(
         name="contexts",
-        title="Worst contexts",
+        title="Where is it worst?",
         lead=" ".join(_lead(study, sides, constraint) for constraint in shown),
         figures=[
             _map(study, sides, constraint, numbered("contexts", k))
@@ -74,7 +74,7 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
         for worst in (max(evaluations, key=lambda e: sign * e.outcome.metrics[metric.name]),)
     )
     extreme = "Largest" if sign > 0.0 else "Smallest"
-    where = "in the tuning run (evaluations of certificates excluded)"
+    where = "in the tuning run (without those of certificates)"
     text = f"{extreme} {metric.name} {where}: {found}."
     if constraint is None:
         return text
@@ -82,7 +82,7 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
     counts = "; ".join(
         f"{name} {_violating(evaluations, constraint)}" for name, evaluations in sides
     )
-    return f"{text} Evaluations {constraint.beyond} the limit of {limit}: {counts}."
+    return f"{text} Test runs {constraint.beyond} the limit of {limit}: {counts}."
 
 
 def _metric(study: Study, constraint: Constraint | None) -> Metric:
@@ -116,9 +116,9 @@ def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, nam
     return Figure(
         name=name,
         title=f"{metric.name} over the contexts: {' and '.join(name for name, _ in sides)}",
-        caption="Each point is an evaluation, of any stage. The colours between them are the "
-        "posterior mean of a Gaussian process; the line is the limit. Points cluster where the "
-        "metric is bad because the search looks for the worst case.",
+        caption="Each point is a test run, of any stage. The colours between them are predicted by "
+        "a model; the line is the limit. Points cluster where the metric is bad, because the "
+        "search looks for the worst case.",
         alternative="; ".join(_summary(side, metric) for side in sides),
         panels=panels,
         columns=min(2, len(panels)),
@@ -133,7 +133,7 @@ def _panel_1d(study: Study, side: Side, metric: Metric, limit: float | None, y: 
         Points(
             x=_numbers(study, variable, evaluations),
             y=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
-            name="evaluation",
+            name="test run",
             color=Color.BLUE,
             filled=False,
             hover=[_describe(evaluation, metric) for evaluation in evaluations],
@@ -172,7 +172,7 @@ def _panel_2d(
         Points(
             x=_numbers(study, a, evaluations),
             y=_numbers(study, b, evaluations),
-            name="evaluation",
+            name="test run",
             color=Color.INK,
             marker=Marker.CIRCLE,
             values=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
@@ -237,7 +237,7 @@ def _summary(side: Side, metric: Metric) -> str:
     name, evaluations = side
     seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
     low, high = quantity(min(seen), metric.unit), quantity(max(seen), metric.unit)
-    return f"{name}: {len(evaluations)} evaluations from {low} to {high}"
+    return f"{name}: {len(evaluations)} test runs from {low} to {high}"
 
 
 def _describe(evaluation: Evaluation, metric: Metric) -> str:

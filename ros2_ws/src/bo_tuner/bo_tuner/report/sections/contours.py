@@ -10,7 +10,6 @@ from bo_tuner.figures.figure import (
     Color,
     ColorScale,
     Contour,
-    Dash,
     Element,
     Figure,
     Heatmap,
@@ -47,11 +46,12 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
     label = predicted_axis(study).label
     return Figure(
         name="contours",
-        title=f"{label[:1].upper()}{label[1:]} and feasible region, for pairs of parameters",
-        caption="Colour: posterior mean of the objective, with the other parameters as "
+        title=f"Where is the {label} best, and what stays within limits?",
+        caption="Colour: predicted mean of the objective, with the other parameters as "
         f"in the {analysis.answer_set}. "
-        "Faded: probability of feasibility below 0.5. Inside the dotted line: a failure or an "
-        "outlier is likely. Points are trials, projected onto the pair.",
+        "Hatched: less than 50 % likely within limits. Gray: trials near there failed or were far "
+        "off and are not in the models, which say nothing there. Points are trials, projected onto "
+        "the pair.",
         alternative=_feasible_shares(pairs, fields, analysis),
         panels=panels,
         columns=min(len(panels), 2 if len(panels) in (2, 4) else 3) if len(panels) > 1 else 1,
@@ -60,7 +60,10 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
 
 
 Field = tuple[Array, Array, Array]
-"""Objective, probability of feasibility, and that of a failure or an outlier (rows, columns)."""
+"""Objective, probability of feasibility, and 1 where the models say nothing (rows, columns).
+
+The objective is NaN where the models say nothing.
+"""
 
 
 def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid) -> Field:
@@ -75,12 +78,12 @@ def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid
     allowed = permitted(study, points)
     objective = study.from_predicted_cost(models.objective.predict_mean(points))
     feasible = models.feasibility(points)
-    good = np.exp(np.sum([c.log_complement(points) for c in models.classifiers], axis=0))
-    objective, feasible, bad = (
+    blind = analysis.blind(points)
+    objective, feasible, blank = (
         np.where(allowed, values, math.nan).reshape(shape)
-        for values in (objective, feasible, 1.0 - good)
+        for values in (np.where(blind, math.nan, objective), feasible, blind.astype(float))
     )
-    return objective, feasible, bad
+    return objective, feasible, blank
 
 
 def _contour_panel(
@@ -91,41 +94,42 @@ def _contour_panel(
     colors: ColorScale,
 ) -> Panel:
     a, b = grids
-    objective, feasible, bad = field
+    objective, feasible, blank = field
     x, y = a.values, b.values
     # Points that are not permitted are shaded as well; gaps would make the edge ragged.
     infeasible = np.where(np.isnan(feasible), 1.0, 1.0 - feasible)
-    elements: list[Element] = [Heatmap(x=x, y=y, z=objective, colors=colors)]
+    elements: list[Element] = []
+    if np.nanmax(blank, initial=0.0) > 0.0:
+        elements.append(
+            Region(
+                x=x, y=y, z=blank, above=0.5, name="not in the models", color=Color.GRAY,
+                hatched=False,
+            )
+        )  # fmt: skip
+    elements.append(Heatmap(x=x, y=y, z=objective, colors=colors))
     if analysis.models.constraints:
         elements.append(
             Region(
                 x=x, y=y, z=infeasible, above=1.0 - BELIEVED_FEASIBLE,
-                name="believed infeasible",
+                name="not likely within limits",
             )
         )  # fmt: skip
         elements.append(
             Contour(
-                x=x, y=y, z=feasible, levels=[BELIEVED_FEASIBLE], name="limit of feasibility",
+                x=x, y=y, z=feasible, levels=[BELIEVED_FEASIBLE], name="50 % likely within limits",
                 color=Color.INK, width=2.0,
-            )
-        )  # fmt: skip
-    if np.nanmax(bad) > 0.5:
-        elements.append(
-            Contour(
-                x=x, y=y, z=bad, levels=[0.5], name="failure or outlier likely",
-                color=Color.VERMILION, dash=Dash.DOTTED,
             )
         )  # fmt: skip
     of_a, of_b = (np.array([float(t.parameters[g.name]) for t in analysis.trials]) for g in grids)
     elements += outcome_points(analysis, analysis.trials, of_a, of_b, size=5)
     for name, parameters, marker, color in (
         ("default", analysis.defaults, Marker.SQUARE, Color.INK),
-        (analysis.answer_name, answer.parameters, Marker.STAR, Color.BLUE),
+        (analysis.answer_name, answer.parameters, Marker.STAR, Color.VERMILION),
     ):
         elements.append(
             Points(
                 x=[float(parameters[a.name])], y=[float(parameters[b.name])], name=name,
-                color=color, marker=marker, size=11, hover=[name],
+                color=color, marker=marker, size=13, hover=[name],
             )
         )  # fmt: skip
     return Panel(x=a.axis, y=b.axis, elements=elements)
@@ -161,10 +165,10 @@ def _feasible_shares(
     pairs: Sequence[tuple[str, str]], fields: Sequence[Field], analysis: Analysis
 ) -> str:
     if not analysis.models.constraints:
-        return f"Posterior mean over {', '.join(f'{a} and {b}' for a, b in pairs)}."
+        return f"Predicted mean over {', '.join(f'{a} and {b}' for a, b in pairs)}."
     shares = [
         100.0 * float(np.mean(feasible[np.isfinite(feasible)] >= BELIEVED_FEASIBLE))
         for _, feasible, _ in fields
     ]
     texts = [f"{a} and {b}: {s:.0f} %" for (a, b), s in zip(pairs, shares, strict=True)]
-    return f"Share of the area believed feasible: {'; '.join(texts)}."
+    return f"Share of the area likely within limits: {'; '.join(texts)}."

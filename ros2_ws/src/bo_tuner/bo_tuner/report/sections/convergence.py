@@ -1,4 +1,4 @@
-"""Convergence: every trial, and the incumbent after each."""
+"""Convergence: every trial, and the best so far (incumbent) after each."""
 
 import itertools
 import math
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bo_tuner.figures.figure import (
     Axis,
@@ -24,7 +25,7 @@ from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
-from bo_tuner.report.content import Section, numbered, quantity
+from bo_tuner.report.content import Section, number, numbered, quantity
 from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import worst_case_holds
@@ -36,6 +37,7 @@ from bo_tuner.trials import (
     EvaluationState,
     Trial,
     TrialState,
+    WorstCase,
     count_evaluations,
     count_trials,
 )
@@ -63,7 +65,7 @@ LOOKS = {
 
 
 def convergence(analysis: Analysis) -> Section:
-    """Show the trials, and the incumbent over trials and over evaluations."""
+    """Show the trials, and the best so far after each."""
     study, trials = analysis.study, analysis.record.trials
     complete = any(trial.state is TrialState.COMPLETE for trial in trials)
     figures = [_objective(analysis)] if complete else []
@@ -74,17 +76,21 @@ def convergence(analysis: Analysis) -> Section:
         ]
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
-    evaluations = count_evaluations(trials)
-    lead = f"{count_trials(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
-    if study.budget.evaluations is not None:
-        lead += f" of {study.budget.evaluations}"
+    lead = f"{count_trials(trials)} of {study.budget.trials} trials, in {_test_runs(analysis)}"
     return Section(
         name="convergence",
-        title="Convergence",
+        title="How far has it come?",
         lead=f"{lead}: {outcomes}." if outcomes else f"{lead}.",
         figures=figures,
         notes=_notes(analysis),
     )
+
+
+def _test_runs(analysis: Analysis) -> str:
+    evaluations = count_evaluations(analysis.record.trials)
+    text = counted(evaluations, "test run")
+    budget = analysis.study.budget.evaluations
+    return text if budget is None else f"{text} of {budget}"
 
 
 def describe(analysis: Analysis, trial: Trial) -> str:
@@ -108,73 +114,84 @@ def describe(analysis: Analysis, trial: Trial) -> str:
 
 def _objective(analysis: Analysis) -> Figure:
     study, trials = analysis.study, analysis.trials
-    y = mean_axis(study, study.objective)
+    y, sign = mean_axis(study, study.objective), study.objective.sign
     means = np.array([analysis.mean_objective(trial) for trial in trials])
     found = incumbents(analysis)
-    line = "the posterior mean of the surrogate, which a single lucky sample hardly changes"
+    line = "predicted by the models, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:
-        line = "the mean of its evaluations; it may rise where another objective gains more"
-    shown = _within_sight(analysis, means, y.scale, study.objective.sign)
-    edge = "top" if study.objective.sign > 0 else "bottom"
-    worst = float(np.nanmax(shown) if study.objective.sign > 0 else np.nanmin(shown))
-    evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
-    panels = [
-        Panel(
-            title=title,
-            x=Axis(label=label),
-            y=y,
-            elements=[
-                *_incumbent_lines(found, places, worst, study),
-                *_default_line(analysis),
-                *trial_points(analysis, analysis.trials, places, shown),
-            ],
-        )
-        for title, label, places in (
-            ("over trials", "trial", np.arange(len(trials), dtype=float)),
-            ("over evaluations", "evaluations so far", evaluations.astype(float)),
-        )
-    ]
+        line = "the mean of its test runs; it may rise where another objective gains more"
+    default = _default_line(analysis)
+    edge = _edge(analysis, means, y.scale, sign, [limit.value for limit in default])
+    places = np.arange(len(trials), dtype=float)
+    far = _off_scale(analysis, places, means, edge, sign)
     return Figure(
         name="convergence",
-        title=f"Mean {study.objective.metric} of each trial, and of the incumbent",
-        caption="The incumbent is the parameter set that would be the result if the run ended "
-        f"there; its line is {line}. Failed and lost trials, which have no value, and values far "
-        f"worse than the others are at the {edge}, and so is the line.",
+        title="Would more trials help? "
+        f"Mean {study.objective.metric} of each trial, and of the best so far",
+        caption="The best so far is the parameter set that would be the result if the run ended "
+        f"there; its line is {line}. {_edge_in_words(sign)}",
         alternative=_summary(analysis, found),
-        panels=panels,
-        columns=2,
+        panels=[
+            Panel(
+                x=Axis(label="trial"),
+                y=y,
+                elements=[
+                    *_incumbent_lines(found, places, edge, study),
+                    *default,
+                    *trial_points(analysis, trials, places, _on_scale(means, edge, sign)),
+                    *far,
+                ],
+            )
+        ],
+        panel_height=320,
     )
 
 
 def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure:
-    study, sign = analysis.study, constraint.sign
-    metric = study.metrics[constraint.metric]
+    """Show what the limit is held against: the mean in the worst context, or a quantile there."""
+    sign, metric = constraint.sign, analysis.study.metrics[constraint.metric]
     estimates = [t.worst_cases.get(constraint.name) for t in analysis.trials]
-    found = np.array([math.nan if worst is None else worst.value for worst in estimates])
-    shown = _within_sight(analysis, found, Scale.LINEAR, sign)
+    found = np.array(
+        [math.nan if worst is None else _decisive(constraint, worst) for worst in estimates]
+    )
+    edge = _edge(analysis, found, Scale.LINEAR, sign, [constraint.limit])
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
-    edge, kept = ("top", "Below") if sign > 0.0 else ("bottom", "Above")
-    side = f"{kept} the line the limit is kept"
-    side += constraint.rule.note
+    label, side = f"worst {metric.name}", "below" if sign > 0.0 else "above"
+    if constraint.rule.on_runs:
+        level = constraint.level if sign > 0.0 else constraint.allowed
+        label = f"worst {level:.4g} quantile of {metric.name}"
     places = np.arange(len(found), dtype=float)
     return Figure(
         name=name,
-        title=f"Worst {metric.name} found for each trial",
-        caption=f"The {constraint.extreme} value over all contexts, as estimated by the search of "
-        f"stage two. {side}. Failed and lost trials, and values far beyond are at the {edge}.",
-        alternative=f"{within} of {len(found)} trials keep the limit of "
+        title=f"Which trials stay within the limit of {metric.name} in their worst context?",
+        caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. {_edge_in_words(sign)}",
+        alternative=f"{within} of {len(found)} trials stay within the limit of "
         f"{quantity(constraint.limit, metric.unit)}.",
         panels=[
             Panel(
                 x=Axis(label="trial"),
-                y=Axis(label=f"worst {metric.name}", unit=metric.unit),
+                y=Axis(label=label, unit=metric.unit),
                 elements=[
                     Limit(value=constraint.limit, name="limit"),
-                    *trial_points(analysis, analysis.trials, places, shown),
+                    *trial_points(analysis, analysis.trials, places, _on_scale(found, edge, sign)),
+                    *_off_scale(analysis, places, found, edge, sign),
                 ],
             )
         ],
         panel_height=280,
+    )
+
+
+def _decisive(constraint: Constraint, worst: WorstCase) -> float:
+    """Return the number that is held against a limit."""
+    return worst.value + constraint.sign * constraint.deviations * worst.noise
+
+
+def _edge_in_words(sign: float) -> str:
+    edge, beyond = ("top", "above") if sign > 0.0 else ("bottom", "below")
+    return (
+        f"At the {edge}: failed and lost trials, which have no value, and with a mark of their own "
+        f"values that are off the scale, {beyond} it."
     )
 
 
@@ -304,8 +321,8 @@ def _incumbent_lines(
     lines: list[Element] = []
     places = [x[k] for k, _ in found]
     for feasible, name, color, dash in (
-        (True, "incumbent", Color.BLUE, Dash.SOLID),
-        (False, "incumbent, not feasible", Color.GRAY, Dash.DOTTED),
+        (True, "best so far", Color.BLUE, Dash.SOLID),
+        (False, "best so far, not likely within limits", Color.GRAY, Dash.DOTTED),
     ):
         y = [
             within(c.objective, worst) if c.believed_feasible is feasible else math.nan
@@ -326,7 +343,7 @@ def _incumbent_lines(
     return lines
 
 
-def _default_line(analysis: Analysis) -> list[Element]:
+def _default_line(analysis: Analysis) -> list[Limit]:
     metric = analysis.study.objective.metric
     found = analysis.verdict.quantities
     values = [q.default for q in found if q.objective and q.metric == metric]
@@ -335,42 +352,93 @@ def _default_line(analysis: Analysis) -> list[Element]:
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
 
 
-def _within_sight(analysis: Analysis, seen: Array, scale: Scale, sign: float) -> Array:
-    """Return the values (n,) with NaN and values far worse than the feasible ones at the edge.
+def _edge(
+    analysis: Analysis, seen: Array, scale: Scale, sign: float, lines: Sequence[float]
+) -> float:
+    """Return the end of the scale on the side of the worse values: those beyond are off the scale.
 
-    Large values are the worse ones, and the edge is the top; with a negative sign, the bottom.
+    Parameters
+    ----------
+    analysis
+        Of the run.
+    seen
+        Values (n,) of the trials.
+    scale
+        That of the axis.
+    sign
+        1 if large values are the worse ones, so that the edge is the top; -1 if small ones are.
+    lines
+        Values that are to be on the scale, whatever the trials are.
     """
     if sign < 0:
         # Either is its own inverse.
         turned = np.reciprocal if scale is Scale.LOG else np.negative
-        turned_back: Array = turned(_within_sight(analysis, turned(seen), scale, -sign))
-        return turned_back
+        others = [float(turned(np.float64(line))) for line in lines]
+        return float(turned(_edge(analysis, turned(seen), scale, -sign, others)))
     good = [analysis.outcome(trial) == TrialOutcome.WITHIN for trial in analysis.trials]
     finite = np.isfinite(seen)
     if not finite.any():
-        return np.ones(len(seen))
+        return max([1.0, *lines])
     chosen = seen[finite & good] if (finite & good).any() else seen[finite]
-    low, high = float(seen[finite].min()), float(chosen.max())
+    low, high = float(seen[finite].min()), max([float(chosen.max()), *lines])
     if scale is Scale.LOG and low > 0.0:
         top = high * max(high / low, 1.5)
     else:
         top = high + ((high - low) or abs(high) or 1.0)
-    largest = float(seen[finite].max())
+    largest = max([float(seen[finite].max()), *lines])
     if largest <= top:
         # No value is cropped, so the top is just above all.
         top = largest * 1.1 if scale is Scale.LOG else largest + 0.1 * (largest - low)
-    return np.where(finite, np.minimum(seen, top), top)
+    return top
+
+
+def _beyond(values: Array, edge: float, sign: float) -> NDArray[np.bool_]:
+    """Return which values (n,) are off the scale."""
+    found: NDArray[np.bool_] = sign * values > sign * edge
+    return found
+
+
+def _on_scale(values: Array, edge: float, sign: float) -> Array:
+    """Return the values (n,): those that are missing are at the edge, those beyond are NaN."""
+    return np.where(
+        np.isfinite(values), np.where(_beyond(values, edge, sign), math.nan, values), edge
+    )
+
+
+def _off_scale(
+    analysis: Analysis, places: Array, values: Array, edge: float, sign: float
+) -> list[Element]:
+    """Return a mark at the edge for each trial whose value is beyond, named with the farthest."""
+    far = np.flatnonzero(_beyond(values, edge, sign))
+    if not len(far):
+        return []
+    farthest = values[far].max() if sign > 0.0 else values[far].min()
+    return [
+        Points(
+            x=places[far],
+            y=np.full(len(far), edge),
+            name=f"off the scale, to {number(float(farthest))}",
+            color=Color.PURPLE,
+            marker=Marker.TRIANGLE,
+            size=9,
+            hover=[
+                f"off the scale: {number(float(values[k]))}\n"
+                f"{describe(analysis, analysis.trials[k])}"
+                for k in far
+            ],
+        )
+    ]
 
 
 def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
     unit = analysis.study.metrics[analysis.study.objective.metric].unit
     feasible = [(k, c) for k, c in found if c.believed_feasible]
     if not feasible:
-        return "No trial is believed feasible, so there is no incumbent."
+        return "No trial is likely within limits."
     (_, first), (_, last) = feasible[0], feasible[-1]
     return (
-        f"The first feasible incumbent is trial {first.trial.number} with "
-        f"{quantity(first.objective, unit)}, the last one trial {last.trial.number} with "
+        f"The first that was likely within limits is trial {first.trial.number} with "
+        f"{quantity(first.objective, unit)}, the last best one trial {last.trial.number} with "
         f"{quantity(last.objective, unit)}."
     )
 
@@ -382,7 +450,7 @@ def _notes(analysis: Analysis) -> list[str]:
         notes.append(f"Begins with {provenance[CARRIED]}, of {provenance[CARRIED_FROM]}.")
     if total > MOST_INCUMBENTS:
         points = len(_counts(total))
-        text = f"The incumbent is shown at {points} points, not after each trial"
+        text = f"The best so far is shown at {points} points, not after each trial"
         if total > FITTED_EACH:
             text += (
                 f", and beyond {FITTED_EACH} trials by models with hyperparameters that were not "
@@ -395,5 +463,5 @@ def _notes(analysis: Analysis) -> list[str]:
         )
     lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)
     if lost:
-        notes.append(f"Lost with their nodes: {counted(lost, 'evaluation')}.")
+        notes.append(f"Lost with their nodes: {counted(lost, 'test run')}.")
     return notes

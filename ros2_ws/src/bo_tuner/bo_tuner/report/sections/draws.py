@@ -29,16 +29,16 @@ def draws(analysis: Analysis) -> Section | None:
         bound = " Dotted: confidence bound of the tuned worst-case mean, by the certificate."
     return Section(
         name="draws",
-        title="The draws against each limit",
+        title="How often is each limit kept?",
         lead=f"Default and tuned parameter set in {verdict.evidence}.",
         figures=[
             Figure(
                 name="draws",
-                title="Share of the draws up to each value",
-                caption="A line that reaches 100 % left of an upper limit has no draw beyond it; "
-                "nor has one that leaves 0 % right of a lower limit. The part beyond is the share "
-                f"that violated it.{bound}",
-                alternative="; ".join(sentences) or "Empirical distributions of the draws.",
+                title="Share of the test runs up to each value",
+                caption="A line that reaches 100 % left of an upper limit has no test run beyond "
+                "it; nor has one that leaves 0 % right of a lower limit. The part beyond is the "
+                f"share over the limit.{bound}",
+                alternative="; ".join(sentences) or "Empirical distributions of the test runs.",
                 panels=panels,
                 columns=min(2, len(panels)),
                 panel_height=300,
@@ -84,14 +84,16 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
     return Panel(
         title=constraint.name,
         x=Axis(label=metric.name, unit=metric.unit, limits=_around(elements)),
-        y=Axis(label="draws", unit="%", limits=(0.0, 101.0)),
+        y=Axis(label="test runs", unit="%", limits=(0.0, 101.0)),
         elements=elements,
     )
 
 
 def _around(elements: Sequence[Element]) -> tuple[float, float]:
-    """Return a range in which all lines are, none of them at its end."""
+    """Return a range in which all lines are, none of them at its end; from 0 if all are above."""
     shown = [e.value for e in elements if isinstance(e, Limit)]
     shown += [float(x) for e in elements if isinstance(e, Line) for x in e.x]
-    margin = 0.03 * ((max(shown) - min(shown)) or abs(max(shown)) or 1.0)
-    return min(shown) - margin, max(shown) + margin
+    low, high = min(shown), max(shown)
+    from_zero = low > 0.0
+    margin = 0.03 * ((high - low) or abs(high) or 1.0)
+    return 0.0 if from_zero else low - margin, high + margin

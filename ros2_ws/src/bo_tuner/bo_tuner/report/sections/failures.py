@@ -1,4 +1,4 @@
-"""Failed evaluations, outliers of the objective, and evaluations with gaps in their signals."""
+"""Failed test runs (evaluations), outliers of the objective, and gaps in signals."""
 
 from collections.abc import Sequence
 
@@ -23,11 +23,13 @@ def failures(analysis: Analysis) -> Section:
     if outliers:
         tables.append(_outlier_table(analysis, outliers))
     warnings = [f"Trial {t.number}: {text}." for t in analysis.trials for text in t.warnings]
-    lead = f"Failed evaluations: {len(failed)}. Outliers of the objective: {len(outliers)} trials."
+    lead = f"Failed test runs: {len(failed)}. Trials far off all others: {len(outliers)}."
     return Section(
         name="failures",
-        title="Failures and outliers",
-        lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
+        title="What failed?",
+        lead=lead
+        if failed or outliers
+        else "No test run failed, and no trial is far off all others.",
         tables=tables,
         notes=[
             *warnings,
@@ -48,7 +50,7 @@ def _gaps(evaluations: Sequence[Evaluation]) -> list[str]:
 
 def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
     return Table(
-        caption="Failed evaluations, in the order in which they ran",
+        caption="Failed test runs, in the order in which they ran",
         header=["trial", "stage", "state", "reason", "parameters", "context", "seed", "bag"],
         rows=[
             [
@@ -69,7 +71,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
 def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
-        caption="Outliers: trials left out of the surrogates; their vicinity is avoided",
+        caption="Far off (outliers): trials left out of the models; their vicinity is avoided",
         header=["trial", "parameters", with_unit(f"mean {metric.name}", metric.unit)],
         rows=[
             [

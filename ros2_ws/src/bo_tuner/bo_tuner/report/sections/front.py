@@ -41,8 +41,8 @@ def front(analysis: Analysis) -> Section | None:
     run = shlex.quote(str(analysis.record.path.resolve()))
     return Section(
         name="front",
-        title="Pareto front",
-        lead=f"{len(points)} parameter sets that are believed to keep all limits are on the front: "
+        title="Which compromises are there?",
+        lead=f"{len(points)} parameter sets that are likely within limits are on the front: "
         f"no other such trial dominates them.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
@@ -148,7 +148,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     header = ["trial"]
     for name, unit in units.items():
         header += [with_unit(f"mean {name}", unit), f"± of {name}"]
-    header += ["evaluations", "P(feasible)", *names]
+    header += ["test runs", "likely within limits [%]", *names]
     return Table(
         caption="The front, by the first objective",
         header=header,
@@ -157,7 +157,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
                 str(point.trial),
                 *(number(v) for mean in point.means.values() for v in (mean.value, mean.error)),
                 str(next(iter(point.means.values())).count),
-                f"{point.feasibility:.2f}",
+                f"{100.0 * point.feasibility:.0f}",
                 *(number(by_number[point.trial].parameters[name]) for name in names),
             ]
             for point in points

@@ -5,7 +5,7 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section
-from bo_tuner.text import values
+from bo_tuner.text import shown, values
 from bo_tuner.trials import Trial
 
 FEWEST = 4
@@ -33,18 +33,18 @@ def parallel(analysis: Analysis) -> Section | None:
         elements.append(
             _lines(analysis, [analysis.answer], analysis.answer_name, Color.BLUE, Dash.SOLID, 3.0)
         )
-    ticks = [(float(k), name) for k, name in enumerate(space.names)]
+    ticks = [(float(k), _ends(analysis, name)) for k, name in enumerate(space.names)]
     return Section(
-        name="parameters",
+        name="parallel",
         title="All parameters at once",
         lead=f"{space.dimension} tuned parameters; each line is a trial.",
         figures=[
             Figure(
                 name="parallel",
-                title="Parameters of the trials, from the lower to the upper bound",
+                title="Which values have the trials within limits?",
                 caption="Where the lines within the limits come together, a parameter matters; "
-                "where they spread, it does not, or others make up for it. Failed and outlying "
-                "trials are left out.",
+                "where they spread, it does not, or others make up for it. Failed and far-off "
+                "trials are left out. Below each name are its lower and upper bound.",
                 alternative="Parallel coordinates of all trials.",
                 panels=[
                     Panel(
@@ -56,6 +56,13 @@ def parallel(analysis: Analysis) -> Section | None:
             )
         ],
     )
+
+
+def _ends(analysis: Analysis, name: str) -> str:
+    """Return the name of a parameter with the ends of its axis."""
+    item = analysis.study.parameters[name]
+    ends = item.levels or item.bounds
+    return name if not ends else f"{name}\n{shown(ends[0])} … {shown(ends[-1])}"
 
 
 def _lines(

@@ -48,11 +48,12 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     columns = min(1 + len(limited), MOST_COLUMNS)
     return Figure(
         name="slices",
-        title=f"Slices through the {analysis.answer_set}",
-        caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
-        "two standard deviations of the posterior, without the noise of an evaluation. Where the "
-        "line ends, the values would violate the order of the parameters or a condition."
-        + _of_noise(limited),
+        title=f"What would another value do, the others as in the {analysis.answer_set}?",
+        caption="Each row varies one parameter and keeps the others. Line: predicted mean; band: "
+        "two standard deviations of the prediction, without the noise of a test run. Dotted: "
+        "trials near there failed or were far off and are not in the models, which say nothing "
+        "there. Where the line ends, the values would break the order of the parameters or a "
+        "condition." + _of_noise(limited),
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,
@@ -71,6 +72,7 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
         np.where(allowed, study.from_predicted_cost(cost), math.nan)
         for cost in (mean, mean - sigma, mean + sigma)
     )
+    blind = analysis.blind(points)
     # Trials have no cost of the compromise that their own evaluations would tell.
     near = _near(analysis, answer, grid) if len(study.objectives) == 1 else []
     y = [analysis.mean_objective(trial) for trial in near]
@@ -78,7 +80,7 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
         x=grid.axis,
         y=predicted_axis(study),
         elements=[
-            *_curve(grid, line, np.minimum(one, other), np.maximum(one, other)),
+            *_curve(grid, line, np.minimum(one, other), np.maximum(one, other), blind),
             *_near_points(analysis, near, grid, y),
             *_markers(analysis, answer, grid),
         ],
@@ -101,7 +103,7 @@ def _constraint_slice(
         x=grid.axis,
         y=Axis(label=_label(constraint, model), unit=metric.unit),
         elements=[
-            *_curve(grid, line, low, high),
+            *_curve(grid, line, low, high, analysis.blind(points)),
             Limit(value=model.limit, name="limit"),
             *_markers(analysis, answer, grid),
         ],
@@ -131,16 +133,29 @@ def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
     )
 
 
-def _curve(grid: ParameterGrid, line: Array, low: Array, high: Array) -> list[Element]:
+def _curve(
+    grid: ParameterGrid, line: Array, low: Array, high: Array, blind: np.ndarray
+) -> list[Element]:
     # NaN would break the outline of the band, so it covers the permitted values only.
-    kept = np.isfinite(line)
-    return [
+    kept = np.isfinite(line) & ~blind
+    drawn: list[Element] = [
         Band(
             x=grid.values[kept], lower=low[kept], upper=high[kept], name="two sigma",
             color=Color.GRAY,
         ),
-        Line(x=grid.values, y=line, name="posterior mean", color=Color.INK),
+        Line(
+            x=grid.values, y=np.where(blind, math.nan, line), name="predicted mean",
+            color=Color.INK,
+        ),
     ]  # fmt: skip
+    if np.any(blind & np.isfinite(line)):
+        drawn.append(
+            Line(
+                x=grid.values, y=np.where(blind, line, math.nan), name="not in the models",
+                color=Color.GRAY, dash=Dash.DOTTED,
+            )
+        )  # fmt: skip
+    return drawn
 
 
 def _near_points(

@@ -28,9 +28,8 @@ def surrogates(analysis: Analysis) -> Section | None:
     notes += [f"Fit: {warning}." for warning in analysis.models.warnings]
     return Section(
         name="surrogates",
-        title="Surrogates",
-        lead=f"Gaussian processes fitted to all trials, in slices through trial {answer.number}: "
-        "the effect of each parameter, and the distance to the limits.",
+        title="What do the models say?",
+        lead=f"Models (Gaussian processes) of all trials, around trial {answer.number}.",
         figures=figures,
         notes=notes,
     )

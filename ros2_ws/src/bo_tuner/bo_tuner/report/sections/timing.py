@@ -19,7 +19,7 @@ def timing(analysis: Analysis) -> Section | None:
     )
     proposing = np.array([trial.seconds for trial in trials])
     total = float(evaluating.sum() + proposing.sum())
-    title = "Time of evaluations and proposals"
+    title = "Where does the time go?"
     if total <= 0.0:
         return Section(name="time", title=title, lead="The record holds no times.")
     share = 100.0 * float(proposing.sum()) / total
@@ -33,22 +33,22 @@ def timing(analysis: Analysis) -> Section | None:
     }
     later = "".join(f", {name} {quantity(s, 's')}" for name, s in after.items() if s > 0.0)
     lead = (
-        f"Evaluations of the trials took {quantity(float(evaluating.sum()), 's')}, proposals "
+        f"Test runs of the trials took {quantity(float(evaluating.sum()), 's')}, proposals "
         f"{quantity(float(proposing.sum()), 's')} ({share:.0f} % of both){later}."
     )
     starts = [evaluation.outcome.starts for evaluation in analysis.record.evaluations]
     if count := sum(number for number, _ in starts):
         seconds = sum(each for _, each in starts)
         lead += (
-            f" Of the evaluations {quantity(seconds, 's')} went into {counted(count, 'start')} of "
+            f" Of the test runs {quantity(seconds, 's')} went into {counted(count, 'start')} of "
             f"nodes with other values, {quantity(seconds / count, 's')} each."
         )
     places = np.array([trial.number for trial in trials], dtype=float)
     figure = Figure(
         name="time",
         title="Time of each trial",
-        caption="A proposal includes fitting the surrogates and maximizing the acquisition "
-        "function. The search for the worst context between evaluations is in neither.",
+        caption="A proposal includes fitting the models and maximizing the acquisition function. "
+        "The search for the worst context between test runs is in neither.",
         alternative=lead,
         panels=[
             Panel(
@@ -56,7 +56,7 @@ def timing(analysis: Analysis) -> Section | None:
                 y=Axis(label="time", unit="s"),
                 elements=[
                     Bars(
-                        x=places, y=evaluating, base=np.zeros(len(places)), name="evaluations",
+                        x=places, y=evaluating, base=np.zeros(len(places)), name="test runs",
                         color=Color.SKY,
                     ),
                     Bars(

@@ -1,15 +1,12 @@
 """Tolerance to the context: how far each variable may drift before the limit is exceeded."""
 
-import numpy as np
-
 from bo_tuner.evidence.certificate.context_tolerance import (
     CREDIBLE,
     ContextTolerance,
     context_tolerances,
 )
-from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number, numbered, quantity
+from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 
@@ -29,12 +26,8 @@ def tolerance(analysis: Analysis) -> Section | None:
     limited = [_limited(study, found) for found in tolerances]
     return Section(
         name="tolerance",
-        title="How far each context variable may drift",
+        title="How far may the machine drift?",
         lead=" ".join(map(_lead, tolerances, limited)),
-        figures=[
-            _reliefs(found, name, numbered("tolerance", k))
-            for k, (found, name) in enumerate(zip(tolerances, limited, strict=True))
-        ],
         tables=[_table(found) for found in tolerances],
         notes=[
             *(_note(found, analysis.answer_set) for found in tolerances),
@@ -78,42 +71,9 @@ def _table(found: ContextTolerance) -> Table:
 
 def _note(found: ContextTolerance, subject: str) -> str:
     return (
-        f"From {found.evaluations} evaluations of the {subject}. The mean "
+        f"From {found.evaluations} test runs of the {subject}. The mean "
         f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
         f"nominal context and {quantity(found.worst.median, found.unit)} "
         f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "
         f"({values(found.worst_context)}); the limit is {quantity(found.limit, found.unit)}."
-    )
-
-
-def _reliefs(found: ContextTolerance, limited: str, name: str) -> Figure:
-    reliefs = [variable.relief for variable in found.variables]
-    places = np.arange(len(reliefs), dtype=float)
-    names = [variable.name for variable in found.variables]
-    texts = [f"{n}: {quantity(r.median, found.unit)}" for n, r in zip(names, reliefs, strict=True)]
-    return Figure(
-        name=name,
-        title=f"Effect of each context variable on the worst {limited}",
-        caption="Distance by which the worst case moves away from the limit when this variable "
-        f"alone returns to its nominal value, with the {100.0 * CREDIBLE:g} % credible band.",
-        alternative="; ".join(texts),
-        panels=[
-            Panel(
-                x=Axis(label="", ticks=list(zip(places.tolist(), names, strict=True))),
-                y=Axis(label="relief", unit=found.unit),
-                elements=[
-                    Bars(
-                        x=places,
-                        y=[relief.median for relief in reliefs],
-                        low=[relief.low for relief in reliefs],
-                        high=[relief.high for relief in reliefs],
-                        color=Color.SKY,
-                        width=0.4,
-                        base=np.zeros(len(reliefs)),
-                        hover=texts,
-                    )
-                ],
-            )
-        ],
-        panel_height=240,
     )

@@ -1,5 +1,6 @@
 """The trade-off between the objective and the worst case, over all trials."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,10 @@ from bo_tuner.trials import Trial
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 """Other limits to look at, as factors on the study's."""
+NONE = -1
+"""In place of the index of a trial: none."""
+ERRORS = 2.0
+"""Standard errors of a difference, up to which it may be noise."""
 
 
 def trade_off(analysis: Analysis) -> Section | None:
@@ -52,17 +57,21 @@ def trade_off(analysis: Analysis) -> Section | None:
         worst = np.array([trial.worst_cases[constraint.name].value for trial in trials])
         front = pareto_front(study.objective.sign * means, constraint.sign * worst)
         leads.append(
-            f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
+            f"{len(front)} of {len(trials)} trials, without failed and far-off ones, are on the "
             "observed Pareto front: no other trial has both a better objective and a "
-            f"better worst {constraint.metric}, whether or not it keeps the limits."
+            f"better worst {constraint.metric}, within limits or not."
         )
         name = numbered("trade-off", place)
         figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
-        tables.append(_table(analysis, constraint, trials, means))
+        moved = _moved_limits(analysis, constraint, trials, means)
+        if len(moved) > 1:
+            tables.append(_table(analysis, constraint, trials, means, moved))
+        else:
+            leads.append(_nothing_gained(analysis, constraint, moved))
     return Section(
         name="trade-off",
-        title=f"What {names} costs",
-        lead=" ".join(leads),
+        title=f"What does {names} cost?",
+        lead=" ".join(filter(None, leads)),
         figures=figures,
         tables=tables,
     )
@@ -112,21 +121,55 @@ def _figure(
     )
 
 
-def _table(analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array) -> Table:
+def _table(
+    analysis: Analysis,
+    constraint: Constraint,
+    trials: list[Trial],
+    means: Array,
+    moved: Mapping[int, Sequence[float]],
+) -> Table:
     objective = analysis.study.objective.metric
-    unit = analysis.study.metrics[constraint.metric].unit
+    unit = analysis.study.metrics[objective].unit
+    own = next((k for k, limits in moved.items() if constraint.limit in limits), None)
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
         caption=f"Best mean {objective} observed if {constraint.metric} had another limit{among}",
         header=[
-            with_unit("limit", unit),
+            with_unit("limit", analysis.study.metrics[constraint.metric].unit),
             "trial",
             f"mean {objective}",
             "relative to the present limit",
         ],
-        rows=_other_limits(analysis, constraint, trials, means),
+        rows=[
+            [
+                _range(limits),
+                "none" if k == NONE else str(trials[k].number),
+                "–" if k == NONE else quantity(float(means[k]), unit),
+                "–"
+                if NONE in (k, own) or own is None
+                else change(float(means[k]), float(means[own])),
+            ]
+            for k, limits in moved.items()
+        ],
         numeric=[0, 1, 2, 3],
     )
+
+
+def _range(limits: Sequence[float]) -> str:
+    return number(limits[0]) if len(limits) == 1 else f"{number(limits[0])} to {number(limits[-1])}"
+
+
+def _nothing_gained(
+    analysis: Analysis, constraint: Constraint, moved: Mapping[int, Sequence[float]]
+) -> str:
+    """Say that the limits that were looked at make no difference beyond the noise."""
+    ((best, limits),) = moved.items()
+    limit = f"a limit of {_range(limits)} {analysis.study.metrics[constraint.metric].unit}".rstrip()
+    if best == NONE:
+        return f"No trial keeps {limit}."
+    if len(limits) == 1:
+        return ""
+    return f"With {limit} the best mean {analysis.study.objective.metric} is the same, up to noise."
 
 
 def pareto_front(cost: Array, worst: Array) -> list[int]:
@@ -141,35 +184,39 @@ def pareto_front(cost: Array, worst: Array) -> list[int]:
     return sorted(front.tolist(), key=lambda k: float(worst[k]))
 
 
-def _other_limits(
+def _moved_limits(
     analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array
-) -> list[list[str]]:
-    """Return the best trial within each of several limits, as the verdicts of trials have it."""
+) -> dict[int, list[float]]:
+    """Return the limits that lead to the same best trial, by its index; `NONE` if none keeps them.
+
+    A trial is within a limit as the verdicts of trials have it. Trials whose means differ by no
+    more than their noise are the same.
+    """
     study = analysis.study
-    unit = study.metrics[study.objective.metric].unit
     cost = study.objective.sign * means
+    found: dict[int, list[float]] = {}
     # Those of a limit of 0 are all the same.
-    limits = dict.fromkeys(factor * constraint.limit for factor in LIMITS)
-    best: dict[float, int] = {}
-    for limit in limits:
+    for limit in dict.fromkeys(sorted(factor * constraint.limit for factor in LIMITS)):
         upper = constraint.side == UPPER
         moved = replace(constraint, upper=limit) if upper else replace(constraint, lower=limit)
         other = replace(study, constraints={**study.constraints, constraint.name: moved})
         within = np.flatnonzero([outcome_in_words(other, trial) == WITHIN for trial in trials])
-        if len(within):
-            best[limit] = int(within[np.argmin(cost[within])])
-    own = best.get(constraint.limit)
-    return [
-        [
-            number(limit),
-            str(trials[best[limit]].number) if limit in best else "none",
-            quantity(float(means[best[limit]]), unit) if limit in best else "–",
-            change(float(means[best[limit]]), float(means[own]))
-            if limit in best and own is not None
-            else "–",
-        ]
-        for limit in limits
-    ]
+        best = int(within[np.argmin(cost[within])]) if len(within) else NONE
+        alike = [k for k in found if _alike(analysis, trials, k, best)]
+        found.setdefault(alike[0] if alike else best, []).append(limit)
+    return found
+
+
+def _alike(analysis: Analysis, trials: list[Trial], one: int, other: int) -> bool:
+    """Return whether the means of two trials differ by no more than their noise."""
+    if NONE in (one, other):
+        return one == other
+    pair = [trials[k].observations(analysis.study.objective.metric) for k in (one, other)]
+    if min(map(len, pair)) < 2:
+        return one == other
+    errors = [float(np.var(values, ddof=1)) / len(values) for values in pair]
+    difference = abs(float(np.mean(pair[0])) - float(np.mean(pair[1])))
+    return difference <= ERRORS * float(np.sqrt(sum(errors)))
 
 
 def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:

@@ -4,7 +4,8 @@ Those of a study with signals are from the bags: the worst run of each that was 
 the nominal and the worst context, are simulated in this process by the objects that the study names
 for its nodes. The trigger's object may have a method ``trace()``, which returns the signals of its
 last evaluation by name, each with its unit and its values. ``time`` is their common abscissa;
-signals ``group/name`` of one group share a panel.
+signals ``group/name`` of one group share a panel. In a panel of a signal ``group/metric = 0``, at
+which a metric is 0, the limits on that metric are drawn.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +17,19 @@ from numpy.typing import NDArray
 
 from bo_tuner.backends.inprocess import InProcessBackend, triggered
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
-from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
+from bo_tuner.figures.figure import Axis, Band, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis, remembered
 from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
+from bo_tuner.report.time_response import Bound, Responses, bounds_beside, is_zero_of, shaded
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study import named_code
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
-from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Value
+from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Trial, Value
 
 TIME = "time"
 Look = tuple[Color, Dash]
@@ -96,9 +99,68 @@ class TracingBackend(InProcessBackend):
 
 def trajectories(analysis: Analysis) -> Section | None:
     """Show the signals; None while there is no answer."""
+    if analysis.answer is None:
+        return None
+    found = responses(analysis)
+    figures: tuple[Figure, ...] = ()
+    if found.panels:
+        figures = (
+            Figure(
+                name="trajectories",
+                title="What does it do? Each signal of default and "
+                f"{analysis.answer_name}, over time",
+                caption=f"{found.caption} Drag across a panel to zoom in; double-click to zoom "
+                "out.",
+                alternative=f"Signals over time of both parameter sets. {found.lead}",
+                panels=found.panels,
+                columns=found.columns,
+                panel_height=260,
+            ),
+        )
+    return Section(name="trajectories", title="", lead=found.lead, figures=figures)
+
+
+def response(analysis: Analysis) -> Figure | None:
+    """Show the signal that matters most; None if there is none."""
+    if analysis.answer is None:
+        return None
+    found = responses(analysis)
+    if not found.panels:
+        return None
+    label = _main(found.panels)
+    panels = [panel for panel in found.panels if panel.y.label == label][:2]
+    return Figure(
+        name="response",
+        title=f"How does the {label} follow, default and {analysis.answer_name}?",
+        caption=found.caption,
+        alternative=f"{label} over time of both parameter sets. {found.lead}",
+        panels=panels,
+        columns=len(panels),
+        panel_height=280,
+    )
+
+
+def _main(panels: Sequence[Panel]) -> str:
+    """Return the label of the signal with a limit, or else with a reference, or the first one."""
+
+    def rank(panel: Panel) -> int:
+        if any(isinstance(element, Band) for element in panel.elements):
+            return 0
+        return 1 if any(e.color is Color.INK for e in panel.elements if isinstance(e, Line)) else 2
+
+    return min(panels, key=rank).y.label
+
+
+def responses(analysis: Analysis) -> Responses:
+    """Return the signals of default and answer, from the bags or simulated again."""
     answer = analysis.answer
     if answer is None:
-        return None
+        raise ValueError("there is no answer")
+    key = (analysis.answer_name, answer.number, len(analysis.record.evaluations))
+    return remembered(analysis.known.responses, key, partial(_responses, analysis, answer))
+
+
+def _responses(analysis: Analysis, answer: Trial) -> Responses:
     if analysis.study.signals:
         return _from_bags(analysis, answer.parameters)
     nominal = analysis.study.context_space()
@@ -113,34 +175,30 @@ def trajectories(analysis: Analysis) -> Section | None:
             partial(_simulated, analysis, answer.parameters, contexts),
         )
     except (NoTraceError, StudyError, BackendError) as error:
-        return _section(f"No trajectories: {error}.")
+        return Responses((), 1, f"No signals: {error}.")
     where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
-    figure = Figure(
-        name="trajectories",
-        title=f"One evaluation of default and {analysis.answer_name}, with the same noise",
-        caption="Simulated in process by the study's objects, not recorded during the run. "
-        "Drag across a panel to zoom in; double-click to zoom out.",
-        alternative=f"Signals over time of both parameter sets. {where}.",
-        panels=drawn,
-        columns=len(contexts),
-        panel_height=260,
+    lead = (
+        f"One run each of default and {analysis.answer_set}, in the same contexts, with the same "
+        f"noise{f' ({where})' if where else ''}."
     )
-    lead = f"Default and {analysis.answer_set} in the same contexts, with the same noise"
-    return _section(f"{lead} ({where})." if where else f"{lead}.", [figure])
+    caption = "Simulated in process by the study's objects, not recorded during the run."
+    return Responses(drawn, len(contexts), lead, caption)
 
 
-def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
-    """Show the worst run of default and answer that a bag has."""
+def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Responses:
+    """Return the worst run of default and answer that a bag has."""
     sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
     try:
         found = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
     except RunRecordError as error:
-        return _section(f"No trajectories: {error}.")
+        return Responses((), 1, f"No signals: {error}.")
     runs = {name: item for name, item in found.items() if item is not None}
     if not runs:
-        return _section(
-            "No trajectories: no bag has a run of the default or of the "
-            f"{analysis.answer_set}; tune with --record notable or all."
+        return Responses(
+            (),
+            1,
+            "No signals: no bag has a run of the default or of the "
+            f"{analysis.answer_set}; tune with --record notable or all.",
         )
     where = [
         f"{name}: evaluation {evaluation.index} in {BAGS}/{run.bag}"
@@ -148,22 +206,17 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
         for name, (evaluation, run) in runs.items()
     ]
     where += [f"{name}: no bag has a run" for name in sides if name not in runs]
-    figure = Figure(
-        name="trajectories",
-        title=f"The worst recorded run of default and {analysis.answer_name}",
-        caption="As received by the tuner; each value holds until the next message. "
-        "Drag across a panel to zoom in; double-click to zoom out.",
-        alternative=f"Signals over time. {'; '.join(where)}.",
-        panels=signal_panels(
-            {name: run for name, (_, run) in runs.items()}, side_looks(analysis.answer_name)
-        ),
-        panel_height=260,
+    drawn = signal_panels(
+        analysis.study,
+        {name: run for name, (_, run) in runs.items()},
+        side_looks(analysis.answer_name),
     )
-    return _section(f"The worst run of each that was recorded. {'; '.join(where)}.", [figure])
-
-
-def _section(lead: str, figures: Sequence[Figure] = ()) -> Section:
-    return Section(name="trajectories", title="Trajectories", lead=lead, figures=figures)
+    return Responses(
+        drawn,
+        1,
+        f"The worst run of each that was recorded. {'; '.join(where)}.",
+        "As received by the tuner; each value holds until the next message.",
+    )
 
 
 def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
@@ -188,7 +241,11 @@ def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
         backend.close()
 
 
-def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]) -> list[Panel]:
+def panels(
+    columns: Mapping[str, Mapping[str, Trace]],
+    looks: Mapping[str, Look],
+    constraints: Mapping[str, Constraint],
+) -> list[Panel]:
     """Return a panel for each group of signals and each column.
 
     Parameters
@@ -197,6 +254,8 @@ def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]
         By the title of a column, its traces by the names of their lines.
     looks
         Colour and dash of the lines by these names.
+    constraints
+        The limits, which are drawn where a trace says how.
     """
     every = [trace for sides in columns.values() for trace in sides.values()]
     groups = dict.fromkeys(_group(name) for trace in every for name in trace if name != TIME)
@@ -204,7 +263,7 @@ def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]
         panel
         for group in groups
         for title, sides in columns.items()
-        if (panel := _panel(title, sides, group, looks)) is not None
+        if (panel := _panel(title, sides, group, looks, constraints)) is not None
     ]
 
 
@@ -222,7 +281,7 @@ def _simulated(
     ]
     found = iter(simulate(study, planned))
     columns = {title: {name: next(found) for name in sides} for title in contexts}
-    return panels(columns, side_looks(analysis.answer_name))
+    return panels(columns, side_looks(analysis.answer_name), study.constraints)
 
 
 def side_looks(name: str) -> dict[str, Look]:
@@ -238,7 +297,11 @@ def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
 
 
 def _panel(
-    title: str, sides: Mapping[str, Trace], group: str, looks: Mapping[str, Look]
+    title: str,
+    sides: Mapping[str, Trace],
+    group: str,
+    looks: Mapping[str, Look],
+    constraints: Mapping[str, Constraint],
 ) -> Panel | None:
     """Return the panel of a group of signals; None if no side has one of them."""
     names = dict.fromkeys(
@@ -246,6 +309,11 @@ def _panel(
     )
     if not names:
         return None
+    bounds: list[Bound] = []
+    for name in [name for name in names if is_zero_of(name)]:
+        del names[name]
+        some = next(trace for trace in sides.values() if name in trace)
+        bounds += bounds_beside(constraints, is_zero_of(name), some[TIME].values, some[name].values)
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:
@@ -262,12 +330,13 @@ def _panel(
         ]
     some = next(trace for trace in sides.values() if names.keys() & trace.keys())
     unit = next(some[name].unit for name in names if name in some)
-    return Panel(
+    panel = Panel(
         title=title,
         x=Axis(label=TIME, unit=some[TIME].unit),
         y=Axis(label=group, unit=unit),
         elements=lines,
     )
+    return shaded(panel, bounds)
 
 
 def _is_common(name: str, traces: Sequence[Trace]) -> bool:

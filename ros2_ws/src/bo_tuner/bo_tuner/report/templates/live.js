@@ -14,13 +14,15 @@
 
   const of = (name) => document.getElementById(name);
 
-  function showNow(state, problem) {
+  function showNow({ now: state, problem, stamp }) {
     const counted = state.total ? ` ${state.done} of ${state.total}` : "";
     const left = state.time_left ? `, ${state.time_left} left` : "";
     let text = `${state.phase || "starting"}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
     if (state.verdict) text = state.verdict;
     if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; see the terminal of tune";
     if (title.textContent !== text) title.textContent = text;
+    if (state.ended) of("kind").textContent = "Tuning run, which has ended";
+    now.querySelector(".stamp").textContent = stamp ? `${stamp}: all that follows.` : "";
     document.title = `${text} - ${document.querySelector("h1").textContent}`;
     const bar = now.querySelector("progress");
     bar.max = state.total || 1;
@@ -131,8 +133,8 @@
     }
   }
 
-  function putInOrder(order) {
-    const found = order.map(of).filter(Boolean);
+  function putInOrder(titles) {
+    const found = Object.keys(titles).map(of).filter(Boolean);
     for (const section of [...main.querySelectorAll(":scope > section")]) {
       if (section === now || found.includes(section)) continue;
       leave(section);
@@ -150,7 +152,7 @@
         ...names.map((name) => {
           const [item, link] = [document.createElement("li"), document.createElement("a")];
           link.href = `#${name}`;
-          link.textContent = name[0].toUpperCase() + name.slice(1);
+          link.textContent = titles[name] || "Now";
           item.append(link);
           return item;
         })
@@ -178,7 +180,7 @@
         // Another run has taken the port, and its sections are no sections of this one.
         if (page && news.page !== page) return location.reload();
         page = news.page;
-        showNow(news.now, news.problem);
+        showNow(news);
         for (const [name, html] of Object.entries(news.sections)) {
           waiting.delete(name);
           replace(name, html);

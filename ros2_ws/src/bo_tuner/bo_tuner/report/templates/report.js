@@ -4,7 +4,7 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const PRINT_WIDTH = 680; // of an A4 page between its margins [px]
   const GAP = 6; // between panels [px]
-  const PRINT_SCALE = 0.8; // of the height of panels, as in the style sheet
+  const PRINT_SCALE = 0.52; // of the height of panels, as in the style sheet
   const config = {
     displaylogo: false,
     responsive: false,
@@ -45,10 +45,15 @@
         for (const item of [...panel.data, ...panel.layout.shapes]) {
           if (this.hidden.has(item.name)) item.visible = false;
           if (item.hovertext) item.hovertext = item.hovertext.map((place) => texts[place]);
+          // The page has a tip of its own: that of Plotly may cover the axes.
+          if (item.hoverinfo && item.hoverinfo !== "skip") item.hoverinfo = "none";
         }
         panel.layout.width = width || this.plots[k].clientWidth;
         panel.layout.height *= scale;
+        // In place of the picture of a page without scripts.
+        if (!this.theme) this.plots[k].replaceChildren();
         Plotly.react(this.plots[k], panel.data, panel.layout, config);
+        if (!this.theme) addTip(this.plots[k]);
       });
       this.theme = theme;
       performance.mark("figure");
@@ -64,6 +69,45 @@
     }
   }
 
+  const BESIDE = 12; // between a point and its tip [px]
+
+  // A tip that stays within the axes, and on the side of the point where there is more room.
+  function addTip(plot) {
+    const tip = document.createElement("div");
+    tip.className = "tip";
+    tip.hidden = true;
+    plot.append(tip);
+    plot.on("plotly_unhover", () => { tip.hidden = true; });
+    plot.on("plotly_hover", ({ points: [point] }) => {
+      tip.textContent = told(point);
+      tip.hidden = false;
+      const { l, t, w, h } = plot._fullLayout._size;
+      tip.style.maxWidth = `${w}px`;
+      tip.style.maxHeight = `${h}px`;
+      const x = l + point.xaxis.d2p(point.x);
+      const y = t + point.yaxis.d2p(point.y);
+      const left = x > l + w / 2 ? x - BESIDE - tip.offsetWidth : x + BESIDE;
+      const within = (place, low, high) => Math.max(low, Math.min(place, high));
+      tip.style.left = `${within(left, l, l + w - tip.offsetWidth)}px`;
+      tip.style.top = `${within(y - tip.offsetHeight / 2, t, t + h - tip.offsetHeight)}px`;
+    });
+  }
+
+  function told(point) {
+    if (point.hovertext) return unescaped(point.hovertext);
+    const number = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : value);
+    const of = (axis, value) => `${axis.title.text || ""} ${number(value)}`.trim();
+    const lines = [of(point.xaxis, point.x), of(point.yaxis, point.y)];
+    if (point.z !== undefined) lines.push(String(number(point.z)));
+    else if (point.data.name) lines.unshift(point.data.name);
+    return unescaped(lines.join("<br>"));
+  }
+
+  function unescaped(text) {
+    const names = { "&lt;": "<", "&gt;": ">", "&amp;": "&" };
+    return text.replace(/<br>/g, "\n").replace(/&(lt|gt|amp);/g, (name) => names[name]);
+  }
+
   // Names in the data are escaped a second time, since Plotly interprets some markup.
   function escaped(text) {
     return text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
@@ -71,14 +115,15 @@
 
   const theme = () => (dark.matches ? "dark" : "light");
   let figures = [];
-  const undrawn = () => figures.filter((figure) => !figure.theme);
+  const closed = (figure) => figure.element.closest("details:not([open])") !== null;
+  const undrawn = () => figures.filter((figure) => !figure.theme && !closed(figure));
 
   // Visible figures are drawn first, then the others one by one.
   const watcher = new IntersectionObserver(
     (entries) => {
       for (const entry of entries) {
         const figure = figures.find((f) => f.element === entry.target);
-        if (entry.isIntersecting && !figure.theme) figure.draw(theme());
+        if (entry.isIntersecting && figure && !figure.theme) figure.draw(theme());
       }
     },
     { rootMargin: "300px" }
@@ -115,7 +160,7 @@
   });
 
   function redraw() {
-    for (const figure of figures) if (figure.theme) figure.draw(theme());
+    for (const figure of figures) if (figure.theme && !closed(figure)) figure.draw(theme());
   }
   dark.addEventListener("change", redraw);
   let width = innerWidth;
@@ -127,12 +172,47 @@
     waiting = setTimeout(redraw, 150);
   });
 
+  // What the reader has not opened is not printed.
   addEventListener("beforeprint", () => {
-    for (const details of document.querySelectorAll("details")) details.open = true;
-    for (const figure of figures) {
+    for (const figure of figures.filter((figure) => !closed(figure))) {
       const columns = Number(getComputedStyle(figure.element.querySelector(".panels")).getPropertyValue("--columns"));
       figure.draw("light", Math.floor((PRINT_WIDTH - GAP * (columns - 1)) / columns), PRINT_SCALE);
     }
   });
   addEventListener("afterprint", redraw);
+
+  // A figure in what was closed has had no width.
+  document.addEventListener("toggle", (event) => {
+    if (event.target.open) for (const figure of undrawn()) figure.draw(theme());
+  }, true);
+  addEventListener("hashchange", () => {
+    const details = document.querySelector(location.hash || "#none")?.querySelector("details.chapter");
+    if (details) details.open = true;
+  });
+
+  for (const button of document.querySelectorAll("button.copy")) offer(button);
+  document.addEventListener("replaced", (event) => event.target.querySelectorAll("button.copy").forEach(offer));
+  function offer(button) {
+    const words = button.textContent;
+    button.hidden = false;
+    button.addEventListener("click", async () => {
+      button.textContent = (await copied(button.dataset.copy)) ? "Copied" : "Copy it from best.yaml";
+      setTimeout(() => { button.textContent = words; }, 2000);
+    });
+  }
+  // A page from a file has no clipboard in some browsers, but may copy what is selected.
+  async function copied(text) {
+    try {
+      await navigator.clipboard.writeText(text);
+      return true;
+    } catch {
+      const area = document.createElement("textarea");
+      area.value = text;
+      document.body.append(area);
+      area.select();
+      const done = document.execCommand("copy");
+      area.remove();
+      return done;
+    }
+  }
 })();

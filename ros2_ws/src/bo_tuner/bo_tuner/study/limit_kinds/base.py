@@ -217,8 +217,8 @@ class LimitKind(ABC):
 
     @property
     @abstractmethod
-    def note(self) -> str:
-        """What to know of the line of the limit in a figure of means, after "the limit is kept"."""
+    def decisive(self) -> str:
+        """What is held against the limit in a figure of the worst contexts, in words."""
 
 
 def place_of(top: InContext, worst: Sequence[InContext]) -> str:

@@ -140,8 +140,8 @@ class OnMean(LimitKind):
         return f"{'worst' if self.in_every_context else 'mean'} {self.limited.metric}"
 
     @property
-    def note(self) -> str:  # noqa: D102
-        return ""
+    def decisive(self) -> str:  # noqa: D102
+        return "The mean in the worst context that was found"
 
     def _bounded(self, bound: float, unit: str, *, passed: bool) -> str:
         """Return the bound of a mean beside the limit."""

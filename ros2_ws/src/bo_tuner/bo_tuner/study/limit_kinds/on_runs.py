@@ -138,10 +138,10 @@ class OnRuns(LimitKind):
         return f"{'worst' if worst else 'mean'} {self.limited.metric}"
 
     @property
-    def note(self) -> str:  # noqa: D102
+    def decisive(self) -> str:  # noqa: D102
         return (
-            f" by the mean; with a probability of {self.level:g} that single runs keep it, it must "
-            "be kept by a margin"
+            "What a run in the worst context that was found keeps with a probability of "
+            f"{self.level:g}"
         )
 
     def _probability(self, bound: float, *, passed: bool) -> str:

@@ -1,4 +1,4 @@
-"""Influence of each parameter, against functions whose total indices are known."""
+"""What each parameter does, against functions whose total indices are known."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from functions import FunctionBackend, make_study
 from made_runs import make_run
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.sections.influence import influence
+from bo_tuner.report.sections.effects import effects
 
 TUNED = {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}
 
@@ -17,7 +17,7 @@ TUNED = {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}
 def section_of(tmp_path):
     """Function that makes the section of a run on a function of a, b and c."""
 
-    def make(function, trials=25, parameters=("a", "b", "c")):
+    def make(function, trials=25, parameters=("a", "b", "c"), *, quick=False):
         study = make_study(
             parameters=dict.fromkeys(parameters, TUNED),
             constraints=None,
@@ -25,14 +25,19 @@ def section_of(tmp_path):
                     "search_evaluations": 1, "validation_draws": 2},
         )  # fmt: skip
         run = make_run(tmp_path / "run", study, FunctionBackend(study, function))
-        return influence(Analysis(run))
+        return effects(Analysis(run, quick=quick))
 
     return make
 
 
 def indices(section):
+    """The shares of each response, in the order of the parameters."""
     (table,) = section.tables
-    return {row[0]: [float(v) for v in row[1:]] for row in table.rows if "–" not in row}
+    return {
+        title.removeprefix("share of "): [float(row[k]) for row in table.rows]
+        for k, title in enumerate(table.header)
+        if title.startswith("share of ")
+    }
 
 
 def test_a_sum_of_two_terms(section_of):
@@ -52,12 +57,18 @@ def test_an_interaction_counts_for_both(section_of):
     )
     found = indices(section)
     np.testing.assert_allclose(found["mean error"], [1.0, 1.0, 0.0], atol=0.1)
-    # A constant has no variance to explain, and no panel.
-    assert "mean peak" not in found
-    assert [panel.title for panel in section.figures[0].panels] == ["mean error"]
+    # A constant has no variance to explain, and no column.
+    assert list(found) == ["mean error"]
 
 
-def test_too_few_trials_and_a_single_parameter_have_none(section_of, analysis):
-    assert section_of(lambda **values: {"error": values["a"], "peak": 0.1}, trials=14) is None
+def test_too_few_trials_and_a_single_parameter_have_no_shares(section_of, analysis):
+    few = section_of(lambda **values: {"error": values["a"], "peak": 0.1}, trials=14)
+    assert indices(few) == {}
     assert len(analysis.study.search_space().names) == 1
-    assert influence(dataclasses.replace(analysis)) is None
+    assert indices(effects(dataclasses.replace(analysis))) == {}
+
+
+def test_what_takes_long_is_left_out_while_the_run_goes_on(section_of):
+    section = section_of(lambda a, b, c, **_: {"error": 2.0 * a + b, "peak": 1.0 + c}, quick=True)
+    assert indices(section) == {}
+    assert [row[0] for row in section.tables[0].rows] == ["a", "b", "c"]

@@ -1,0 +1,250 @@
+"""What each tuned parameter does: steps away from the result, shares of variance, effects seen."""
+
+from collections.abc import Mapping
+from math import isinf
+
+import numpy as np
+
+from bo_tuner.evidence.certificate.parameter_sensitivity import (
+    Neighbour,
+    ParameterSensitivity,
+    parameter_sensitivity,
+)
+from bo_tuner.evidence.effects import amount
+from bo_tuner.models.categories import Coding, coded_fit
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.linear_effects import POWER
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.numerics.sobol_indices import total_indices
+from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.sections.convergence import predicted_axis
+from bo_tuner.study.search_space import STEP
+from bo_tuner.text import shown
+from bo_tuner.trials import Trial, Value, pooled
+from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
+
+FEWEST_FOR_EACH = 5
+"""Trials for each parameter, below which a model over all of them says nothing."""
+MOST_TRIALS = 200
+"""Trials that the models are fitted to, evenly chosen: a fit takes time with their cube."""
+
+
+def effects(analysis: Analysis) -> Section | None:
+    """Show what each parameter does, a row each; None while there is no answer."""
+    if analysis.answer is None:
+        return None
+    study, answer = analysis.study, analysis.answer
+    steps = parameter_sensitivity(study, answer.parameters, analysis.models)
+    shares = {} if analysis.quick else _shares(analysis)
+    found = {item.parameter: item for item in analysis.verdict.effects}
+    if steps is None and not shares and not found:
+        return None
+    names = study.search_space().names
+    header = ["parameter", analysis.answer_name]
+    if steps is not None:
+        header += ["one step down", "one step up"]
+    header += [f"share of {response}" for response in shares]
+    if found:
+        header.append("seen to move")
+    rows = []
+    for k, name in enumerate(names):
+        row = [name, number(answer.parameters[name])]
+        if steps is not None:
+            row += _steps(analysis, steps, name)
+        row += [_share(totals[k]) for totals in shares.values()]
+        if found:
+            row.append(_moved(found.get(name)))
+        rows.append(row)
+    count = 0 if steps is None else 2
+    return Section(
+        name="effects",
+        title="What does each parameter do?",
+        lead=" ".join([*_lead(steps), *_most(analysis, shares), *analysis.verdict.of_parameters]),
+        tables=[
+            Table(
+                caption=f"The tuned parameters, around the {analysis.answer_set}",
+                header=header,
+                rows=rows,
+                numeric=[1, *range(2 + count, 2 + count + len(shares))],
+            )
+        ],
+        notes=_notes(analysis, steps, shares, bool(found)),
+    )
+
+
+def _lead(steps: ParameterSensitivity | None) -> list[str]:
+    """Say whether a step away from the answer is tolerable."""
+    if steps is None or not steps.neighbours:
+        return []
+    if steps.warning:
+        return [f"{steps.warning[:1].upper()}{steps.warning[1:]}."]
+    return [
+        f"None of {len(steps.neighbours)} steps to a neighbour loses more than "
+        f"{100.0 * TOLERABLE:.0f} % of the objective or exceeds a limit by more than that."
+    ]
+
+
+def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
+    """Name the parameter that matters most for each response."""
+    names, found = analysis.study.search_space().names, analysis.verdict.effects
+    moved = {e.metric for item in found for e in item.effects if e.seen}
+    # Of a response that none was seen to move, the model has explained noise.
+    still = {_mean(name) for name in analysis.study.metrics if found and name not in moved}
+    return [
+        f"{response}: no effect was seen."
+        if response in still
+        else f"{response}: most by {names[int(np.argmax(totals))]}."
+        for response, totals in shares.items()
+    ]
+
+
+def _steps(analysis: Analysis, steps: ParameterSensitivity, name: str) -> list[str]:
+    """Return what is predicted one step down and one up in a parameter."""
+    down: list[str] = []
+    up: list[str] = []
+    for neighbour in steps.neighbours:
+        if name in neighbour.changed:
+            old, new = steps.optimum.parameters[name], neighbour.changed[name]
+            falls = not isinstance(new, str) and not isinstance(old, str) and new < old
+            (down if falls else up).append(_predicted(analysis, steps.optimum, neighbour))
+    return ["; ".join(down) or "–", "; ".join(up) or "–"]
+
+
+def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> str:
+    """Return the step, the change of the objective, and how likely the limits are kept."""
+    step = ", ".join(
+        _change(name, optimum.parameters[name], value, alone=len(neighbour.changed) == 1)
+        for name, value in neighbour.changed.items()
+    )
+    axis = predicted_axis(analysis.study)
+    if optimum.objective > 0.0:
+        text = f"{step}: {100.0 * (neighbour.objective / optimum.objective - 1.0):+.1f} %"
+    else:  # A percentage of it would say nothing.
+        text = f"{step}: {neighbour.objective - optimum.objective:+.3g} {axis.unit}".rstrip()
+    if analysis.study.constraints:
+        text += f", {100.0 * neighbour.feasibility:.0f} % likely within limits"
+    return text
+
+
+def _change(name: str, old: Value, new: Value, *, alone: bool) -> str:
+    of = "" if alone else f"{name} "
+    if isinstance(old, (bool, str)) or isinstance(new, (bool, str)):
+        return f"{of}{shown(new)}"
+    difference = new - old
+    return f"{of}{difference:+d}" if isinstance(difference, int) else f"{of}{difference:+.3g}"
+
+
+def _moved(found: ParameterEffects | None) -> str:
+    """Return the metrics that a parameter was seen to move, with the largest differences."""
+    if found is None:
+        return "–"
+    seen = [f"{e.metric} ({amount(abs(e.change), e)})" for e in found.effects if e.seen]
+    if seen:
+        return ", ".join(seen)
+    visible = [_visible(e) for e in found.effects if not isinf(e.visible)]
+    return f"nothing; visible would have been {', '.join(visible)}" if visible else "nothing"
+
+
+def _visible(effect: Effect) -> str:
+    size = f"{amount(effect.visible, effect)} of " if effect.visible else "any of "
+    return f"{size}{effect.metric}"
+
+
+def _shares(analysis: Analysis) -> dict[str, Array]:
+    """Return the total Sobol' index (d,) of each parameter, by response.
+
+    Empty for one parameter or few trials; responses that do not vary are left out.
+    """
+    space = analysis.study.search_space()
+    chosen = [
+        trial
+        # A repetition in the worst context alone has no mean of its own.
+        for trial in pooled(analysis.trials)
+        if analysis.outcome(trial) in OF_VALUE
+    ]
+    if space.dimension < 2 or len(chosen) < FEWEST_FOR_EACH * space.dimension:
+        return {}
+    chosen = chosen[:: -(-len(chosen) // MOST_TRIALS)]
+    return {
+        name: _indices(analysis, chosen, y)
+        for name, y in _responses(analysis, chosen)
+        if np.ptp(y) > 0.0
+    }
+
+
+def _mean(metric: str) -> str:
+    return f"mean {metric}"
+
+
+def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
+    """Return each response by its name, with its value (N,) in each of the trials."""
+    study = analysis.study
+    found = [
+        (_mean(name), np.array([np.mean(trial.observations(name)) for trial in trials]))
+        for name in study.metrics
+    ]
+    worst = [
+        (
+            f"{item.extreme} {item.metric} in the worst context",
+            np.array([trial.worst_cases[item.name].value for trial in trials]),
+        )
+        for item in study.worst_case_constraints
+        if all(item.name in trial.worst_cases for trial in trials)
+    ]
+    return worst + found
+
+
+def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
+    """Return the total index (d,) of each parameter."""
+    space = analysis.study.search_space()
+    points = space.cube_of(trial.parameters for trial in trials)
+    fit = coded_fit(GaussianProcess.fit, Coding(space.levels))
+    rng = generator(analysis.study.seed, Stream.ACQUISITION, 2**31, len(trials))
+    model = fit(points, values, rng=rng, minimum_length_scales=space.minimum_length_scales())
+    return total_indices(lambda cube: model.predict_mean(space.repair(cube)), space.dimension)
+
+
+def _share(value: float) -> str:
+    return f"{max(value, 0.0):.2f}"
+
+
+def _notes(
+    analysis: Analysis,
+    steps: ParameterSensitivity | None,
+    shares: Mapping[str, Array],
+    effects_known: bool,
+) -> list[str]:
+    notes = []
+    if steps is not None and steps.neighbours:
+        lost = [
+            _predicted(analysis, steps.optimum, n)
+            for n in steps.neighbours
+            if n.feasibility < BELIEVED_FEASIBLE <= steps.optimum.feasibility
+        ]
+        within = (
+            f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
+        )
+        notes.append(
+            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it. A step "
+            f"is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A step "
+            f"is tolerable if neither loss nor excess is above {100.0 * TOLERABLE:.0f} %. The "
+            f"sensitivity score, the mean loss beyond that, is {steps.score:.3g}."
+        )
+    if shares:
+        notes.append(
+            "Shares: total Sobol' indices (Homma and Saltelli 1996), the part of the variance over "
+            "the search space that remains as long as this parameter is free, its interactions "
+            "included, so they can add up to more than 1. Near 0, the parameter could be left at "
+            "any value. They are of models of the trials, and unreliable far from all trials."
+        )
+    if effects_known:
+        notes.append(
+            f"Seen to move: a parameter that does nothing is among them with a probability of "
+            f"{100.0 * ERROR:g} % at most, and one of the size that is called visible is not with "
+            f"{100.0 * (1.0 - POWER):g} %. In brackets is the largest difference."
+        )
+    return notes
