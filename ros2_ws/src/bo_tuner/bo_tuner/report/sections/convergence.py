@@ -164,7 +164,8 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     return Figure(
         name=name,
         title=f"Which trials stay within the limit of {metric.name} in their worst context?",
-        caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. {_edge_in_words(sign)}",
+        caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. "
+        f"{_edge_in_words(sign)}",
         alternative=f"{within} of {len(found)} trials stay within the limit of "
         f"{quantity(constraint.limit, metric.unit)}.",
         panels=[
