@@ -224,7 +224,7 @@ class TestTerminal:
         trial = make_trial(3, {"gain": 0.5}, [1.0])
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
         shown = ESCAPE.sub("", text(out)).splitlines()
-        bars = [line for line in shown if re.search(r"1/5|no feasible", line)]
+        bars = [line for line in shown if re.search(r"1/5|none of the", line)]
         assert len(bars) >= 2
         assert all(len(part) <= width for line in bars for part in line.split("\r"))
 

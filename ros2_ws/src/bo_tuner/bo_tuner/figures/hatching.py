@@ -4,9 +4,11 @@ Unlike a colour, it hides nothing of a field below, and looks like none of the f
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bo_tuner.figures.figure import Region
-from bo_tuner.numerics.arrays import Array
+
+Array = NDArray[np.float64]
 
 LINES = 22
 """Diagonals across the grid, from corner to corner."""

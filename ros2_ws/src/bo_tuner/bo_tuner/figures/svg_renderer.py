@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bo_tuner.figures.figure import (
     Axis,
@@ -34,8 +35,9 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.figures.hatching import hatching
 from bo_tuner.figures.keys import color_of
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.text import printable
+
+Array = NDArray[np.float64]
 
 LEFT, RIGHT, TOP, BOTTOM = 64, 10, 26, 44
 """Margins around the axes [px]."""

@@ -9,7 +9,7 @@ from bo_tuner.evidence.verdict import Quantity, Status
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.content import Section, Table, method_in_words, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.limits import tightest
@@ -66,7 +66,7 @@ def verdicts_table(runs: Mapping[str, Analysis], caption: str) -> Table:
                 "–" if verdict.trial is None else str(verdict.trial),
                 verdict.evidence,
                 analysis.study.name,
-                f"{record.algorithm}, {record.backend}, seed {record.study.seed}",
+                f"{method_in_words(record.algorithm)}, {record.backend}, seed {record.study.seed}",
                 f"{count_trials(record.trials)} of {analysis.study.budget.trials}",
             ]
         )

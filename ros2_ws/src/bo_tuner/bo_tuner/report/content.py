@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
+from bo_tuner.methods.registry import DEFAULT_METHOD
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
 
@@ -103,6 +104,11 @@ def change(value: float, reference: float) -> str:
     if not (math.isfinite(value) and math.isfinite(reference) and reference > 0.0):
         return "–"
     return f"{100.0 * (value / reference - 1.0):+.1f} %"
+
+
+def method_in_words(name: str) -> str:
+    """Return what a reader knows a method by: its name, of the default one what it is for."""
+    return "robust (default)" if name == DEFAULT_METHOD else name
 
 
 def numbered(name: str, place: int) -> str:

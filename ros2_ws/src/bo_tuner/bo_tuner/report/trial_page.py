@@ -7,12 +7,12 @@ from functools import partial
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import OF_VALUE, Analysis, TrialOutcome
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
 from bo_tuner.storage.run_files import BAGS, bag_name
-from bo_tuner.study.limits import outcome_in_words
+from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 
@@ -33,12 +33,12 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 def _summary(analysis: Analysis, trial: Trial) -> Section:
     study, of_run = analysis.study, analysis.verdict
     own, title = _in_words(analysis, trial), f"Trial {trial.number}"
-    count = counted(len(trial.evaluations), "evaluation")
+    count = counted(len(trial.evaluations), "test run")
     sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
         # What its own evaluations say may differ from what fresh ones showed.
         title += f", the result. {of_run.headline}"
-        sentences.append(f"By its own evaluations alone: {own}.")
+        sentences.append(f"By its own test runs alone: {own}.")
     else:
         title += f": {own}"
     if trial.reason:
@@ -77,14 +77,19 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
 
 def _in_words(analysis: Analysis, trial: Trial) -> str:
     """Return the outcome of a trial; of limits that it may not keep the names, too."""
+    kinds = (
+        (TrialOutcome.VIOLATES, violated(analysis.study, trial)),
+        (TrialOutcome.UNCERTAIN, uncertain(analysis.study, trial)),
+    )
     outcome = analysis.outcome(trial)
-    return outcome_in_words(analysis.study, trial) if outcome in OF_VALUE else str(outcome)
+    found = [f"{kind} of {', '.join(names)}" for kind, names in kinds if names]
+    return "; ".join(found) if outcome in OF_VALUE and found else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     study = analysis.study
     contexts = list(study.context_space().names)
-    header = ["evaluation", "stage", *contexts]
+    header = ["test run", "stage", *contexts]
     header += [with_unit(m.name, m.unit) for m in study.metrics.values()]
     header += ["seed", "time [s]", "state"]
     rows = [
@@ -102,11 +107,11 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     worst = _worst(analysis, trial)
     return Section(
         name="evaluations",
-        title="Evaluations",
+        title="Test runs",
         lead="In the order in which they ran; the worst one is marked.",
         tables=[
             Table(
-                caption=counted(len(rows), "evaluation"),
+                caption=counted(len(rows), "test run"),
                 header=header,
                 rows=rows,
                 numeric=[0, *range(2, len(header) - 1)],
@@ -132,8 +137,8 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
     """Show the signals of the worst evaluation: from its bag, or else simulated again."""
     worst = _worst(analysis, trial)
     if worst is None:
-        return Section(name="signals", title="Signals", lead="The trial has no evaluation.")
-    where = f"evaluation {worst.index}, the worst one ({values(worst.context) or 'no context'})"
+        return Section(name="signals", title="Signals", lead="The trial has no test run.")
+    where = f"test run {worst.index}, the worst one ({values(worst.context) or 'no context'})"
     try:
         run = recorded(analysis, worst)
         if run is not None:
@@ -167,7 +172,7 @@ def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:
 def _figure(drawn: Sequence[Panel], caption: str) -> Figure:
     return Figure(
         name="signals",
-        title="Signals of the worst evaluation",
+        title="What does it do in the worst of its test runs?",
         caption=caption,
         alternative=f"{counted(len(drawn), 'signal')} over time.",
         panels=drawn,

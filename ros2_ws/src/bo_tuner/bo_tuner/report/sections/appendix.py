@@ -3,7 +3,7 @@
 import numpy as np
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.content import Section, Table, method_in_words, number
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.text import with_unit
 
@@ -73,7 +73,8 @@ def provenance(analysis: Analysis) -> Section:
     return Section(
         name="provenance",
         title="What made this report?",
-        lead=f"Algorithm {record.algorithm}, backend {record.backend}, seed {record.study.seed}.",
+        lead=f"Method {method_in_words(record.algorithm)}, backend {record.backend}, "
+        f"seed {record.study.seed}.",
         tables=[
             Table(caption="Versions, sources and machine", header=["", "value"], rows=rows),
             Table(
