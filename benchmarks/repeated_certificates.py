@@ -24,7 +24,7 @@ from bo_tuner.evidence.certificate.earlier import refutation
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.search_width import distances
-from bo_tuner.evidence.certificate.sequential import spent
+from bo_tuner.numerics.sequential import spent
 
 WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
 """Standard deviations of the bump in edges of the box, by the number of context variables."""

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_of
-from bo_tuner.evidence.certificate.sequential import mean_bounds
+from bo_tuner.numerics.sequential import mean_bounds
 
 
 class TestMean:

@@ -22,7 +22,7 @@ from bo_tuner.evidence.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
-from bo_tuner.evidence.certificate.sequential import spent
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.monitor import Gate

@@ -30,7 +30,7 @@ from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
-from bo_tuner.evidence.certificate.sequential import spent
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.store import (
     latest_certificate,
     read_certificate,

@@ -20,7 +20,7 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     parameter_sensitivity,
 )
 from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
-from bo_tuner.evidence.certificate.sequential import spent
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.store import (
     FORMAT,
     evaluations_path,

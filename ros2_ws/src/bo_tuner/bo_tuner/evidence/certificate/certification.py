@@ -10,12 +10,14 @@ from functools import partial
 import numpy as np
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
     CARRIED,
+    MOST_MODELLED,
     find_worst_contexts,
     most_searched,
+    rank,
     worst_of_all,
 )
 from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
@@ -159,10 +161,31 @@ class Certification:
             If three evaluations in a row were lost with their nodes or disturbed.
         """
         drawn = self._draw(subjects, draws)
-        return [
+        found = [
             self._look_closely(number, subject, drawn[number], draws)
             for number, subject in enumerate(subjects)
         ]
+        return [
+            self._draw_on(number, subject, evidence, draws)
+            for (number, subject), evidence in zip(enumerate(subjects), found, strict=True)
+        ]
+
+    def _draw_on(self, number: int, subject: Subject, found: Evidence, most: int) -> Evidence:
+        """Make the draws that a limit kept by far still needs, after all other runs."""
+        if not found.repeated:
+            return found
+        others = found.evaluations[len(found.drawn):]
+        rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
+        rows = self._contexts.draw(most, rng)
+        drawn = list(found.drawn)
+        while (
+            len(drawn) < most
+            and decide_draws(self._study, drawn, most, self._confidence, subject.earlier, others)
+            is None
+        ):
+            k = len(drawn)
+            drawn.append(self._run(Evaluation(number, k, Stage.VALIDATION, subject.parameters, self._contexts.to_dict(rows[k]), self._noise_seed(DRAWN, k))))
+        return replace(found, drawn=tuple(drawn))
 
     def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
         self._observer.begin(DRAWS, draws)
@@ -238,7 +261,18 @@ class Certification:
             known = [*search, *drawn, *subject.earlier.evaluations]
             for constraint in constraints:
                 candidates += self._carry(constraint, known, candidates, rng)
-        found = replace(evidence, search=tuple(search), repeated=((),) * len(candidates))
+        ranking = self._rank([*search, *drawn], candidates, subject.earlier.contexts, rng)
+        # Where a limit is nearest comes first.
+        nearness = [sum(c in item.clear for item in ranking.values()) for c in candidates]
+        order = sorted(range(len(candidates)), key=lambda i: nearness[i])
+        candidates = [candidates[i] for i in order]
+        found_by = {k: sorted(order.index(i) for i in v) for k, v in found_by.items()}
+        found = replace(
+            evidence,
+            search=tuple(search),
+            repeated=((),) * len(candidates),
+            ranking=ranking,
+        )
         while (place := self._open_context(found, most)) is not None:
             here, k = found.repeated[place], len(found.repeated[place])
             new = run(Stage.CHECK_WORST, candidates[place], k, REPEATED, place, k)
@@ -255,16 +289,49 @@ class Certification:
         unseen = frozenset(name for name in unvisited if unvisited[name] == len(found_by[name]))
         return replace(found, repeated=visited, unvisited=unvisited, unseen=unseen)
 
-    def _open_context(self, found: Evidence, most: int) -> int | None:
-        """Return the first context that takes more evaluations; None if the verdict is clear.
+    def _rank(
+        self,
+        known: Sequence[Evaluation],
+        candidates: Sequence[Context],
+        failed_before: Sequence[Context],
+        rng: np.random.Generator,
+    ) -> dict[str, Ranking]:
+        """Return by constraint what a model has of the candidates that have not failed before."""
+        if self._study.certificate.distribution_free:
+            return {}
+        complete = [e for e in known if e.outcome.complete][:MOST_MODELLED]
+        found = {}
+        for constraint in self._study.worst_case_constraints:
+            metric, sign = constraint.metric, constraint.sign
+            runs = [(e.context, sign * e.outcome.metrics[metric]) for e in complete]
+            limit = sign * constraint.limit
+            clear, behind = rank(self._contexts, runs, candidates, limit, rng)
+            found[constraint.name] = Ranking(
+                tuple(context for context in clear if context not in failed_before),
+                tuple(context for context in behind if context not in failed_before),
+            )
+        return found
 
-        What was clear in a context may be open again after the runs in the next.
+    def _open_context(self, found: Evidence, most: int) -> int | None:
+        """Return the context of the next evaluation; None if the verdict is clear.
+
+        First those that must show a limit by their own runs. What was clear in a context may be
+        open again after the runs in the next.
         """
-        for place, here in enumerate(found.repeated):
-            holds = self._holds(found, place, most) if here else None
-            if not holds:
-                return place if holds is None and len(here) < most else None
-        return None
+        places = range(len(found.repeated))
+        holds = [self._holds(found, place, most) if found.repeated[place] else None for place in places]
+        if False in holds:
+            return None
+        still = [place for place in places if holds[place] is None]
+        if not still:
+            return None
+        alone = [p for p in still if not found.repeated[p] or not self._is_helped(found, p)]
+        place = alone[0] if alone else min(still, key=lambda p: len(found.repeated[p]))
+        return place if len(found.repeated[place]) < most else None
+
+    def _is_helped(self, found: Evidence, place: int) -> bool:
+        context = found.repeated[place][0].context
+        return any(context in item.behind for item in found.ranking.values())
 
     def _find(
         self,
@@ -314,7 +381,7 @@ class Certification:
     def _holds(self, found: Evidence, place: int, most: int) -> bool | None:
         """Return whether every worst-case constraint holds in a context; None if open."""
         decided = [
-            decide_context(constraint, found, place, most, self._confidence)
+            decide_context(self._study, constraint, found, place, most, self._confidence)
             for constraint in self._study.worst_case_constraints
         ]
         if False in decided:

@@ -136,6 +136,48 @@ def find_worst_contexts(
     return [space.to_dict(row) for row in tried.candidates(known_points, model, rng)]
 
 
+def rank(
+    space: ContextSpace,
+    runs: Sequence[tuple[Context, float]],
+    candidates: Sequence[Context],
+    limit: float,
+    rng: np.random.Generator,
+) -> tuple[list[Context], list[Context]]:
+    """Return what a model of runs has of candidates for the worst context: those that are not.
+
+    Parameters
+    ----------
+    space
+        The context space.
+    runs
+        Contexts and metric of the runs.
+    candidates
+        Contexts; at least one.
+    limit
+        Upper limit of the metric.
+    rng
+        Starts the fit.
+
+    Returns
+    -------
+    list of dict, list of dict
+        Contexts in which single runs clearly keep the limit, and the others but the one with the
+        largest mean.
+    """
+    if space.dimension == 0 or not runs:
+        return [], []
+    points = space.cube_of([context for context, _ in runs])
+    model = GaussianProcess.fit(points, np.array([value for _, value in runs]), rng=rng)
+    mean, variance = model.predict(space.cube_of(candidates))
+    kept = mean + CLEAR * np.sqrt(variance + model.noise_variance) <= limit
+    worst = int(np.argmax(mean))
+    places = [place for place in range(len(candidates)) if place != worst]
+    return (
+        [candidates[place] for place in places if kept[place]],
+        [candidates[place] for place in places if not kept[place]],
+    )
+
+
 def worst_of_all(
     space: ContextSpace,
     contexts: Sequence[Context],

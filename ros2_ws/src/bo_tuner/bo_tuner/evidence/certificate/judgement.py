@@ -31,10 +31,18 @@ Berger (1982). Multiparameter hypothesis testing and acceptance sampling. Techno
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from bo_tuner import text
+from bo_tuner.evidence.certificate.economy import (
+    FEW,
+    confirms,
+    is_far_from,
+    is_shown_by_all,
+    said_of_draws,
+)
 from bo_tuner.evidence.certificate.findings import (
     NOTHING,
     TAIL,
@@ -42,26 +50,36 @@ from bo_tuner.evidence.certificate.findings import (
     Earlier,
     Evidence,
     Findings,
+    Ranking,
     WorstContext,
 )
-from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_of
-from bo_tuner.evidence.certificate.sequential import (
+from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
+from bo_tuner.numerics.mean_tests import Betting, MeanTest, NormalOrSkewed, is_mean_shown, mean_bound
+from bo_tuner.numerics.sequential import (
     draws_needed,
     is_hopeless,
     is_mean_refuted,
-    is_mean_shown,
     is_refuted,
     is_shown,
     probability_bounds,
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import EXPECTATION, SINGLE_RUN, WORST_CASE, Constraint
+from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation
+from bo_tuner.trials import Context, Evaluation
 
 LEAST_RUNS = 30
 """Runs behind a mean that counts as shown. The bound of a mean takes the noise for normal: a few
 runs that agree tell nothing of rare large values."""
+
+
+TAIL_ASSUMPTION = (
+    "the noise is taken for normal or log-normal: of such laws with a mean just beyond the limit "
+    "at most 1 in 40 passes within five certificates, of rare large values that no run has shown "
+    "far more; give the metric a range, or limit single runs (probability)"
+)
+"""On what a limit on a mean rests if the metric has no range (benchmarks/certificates.py)."""
 
 
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
@@ -104,6 +122,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         evaluations=len(evidence.evaluations),
         failures=len(failed),
         first_failure=_failure(failed[0]) if failed else "",
+        outside=outside(study.metrics, evidence.evaluations),
         constraints=tuple(
             _judge(study, constraint, evidence, confidence)
             for constraint in study.constraints.values()
@@ -117,6 +136,7 @@ def decide_draws(
     most: int,
     confidence: float,
     earlier: Earlier = NOTHING,
+    others: Sequence[Evaluation] | None = None,
 ) -> bool | None:
     """Return whether the draws so far decide the verdict: True or False; None if not yet.
 
@@ -132,6 +152,9 @@ def decide_draws(
         As in `judge`.
     earlier
         What was known of the parameter set before.
+    others
+        Its other runs, which count where a chance constraint is kept by far; None if they are
+        still to come.
 
     Returns
     -------
@@ -141,6 +164,8 @@ def decide_draws(
     """
     if _failed(drawn):
         return False if is_failed(drawn) else None
+    if outside(study.metrics, drawn):
+        return False
     undecided = contradicted = False
     for constraint in study.constraints.values():
         events, values = _events(constraint, drawn), _values(drawn, constraint.metric)
@@ -153,21 +178,45 @@ def decide_draws(
         elif is_hopeless(events, most, constraint.allowed, confidence):
             return False
         else:
-            undecided = True
+            undecided = undecided or not _is_shown_with_others(
+                study, constraint, values, others, confidence
+            )
     if contradicted and len(drawn) >= most:
         return False
     return None if undecided or contradicted else True
 
 
+def _is_shown_with_others(
+    study: Study,
+    constraint: Constraint,
+    draws: Array,
+    others: Sequence[Evaluation] | None,
+    confidence: float,
+) -> bool:
+    """Return whether other runs show with the draws what is kept by far, or those to come may."""
+    if study.certificate.distribution_free:
+        return False
+    if others is None:
+        return bool(study.worst_case_constraints) and is_far_from(constraint, draws, draws[:0])
+    if _failed(others):
+        return False
+    return is_shown_by_all(constraint, draws, _values(others, constraint.metric), confidence)
+
+
 def decide_context(
-    constraint: Constraint, evidence: Evidence, place: int, most: int, confidence: float
+    study: Study,
+    constraint: Constraint,
+    evidence: Evidence,
+    place: int,
+    most: int,
+    confidence: float,
 ) -> bool | None:
     """Return whether a worst-case constraint holds in a context: True or False; None if open.
 
     Parameters
     ----------
-    constraint
-        The constraint.
+    study, constraint
+        The study, and one of its constraints.
     evidence
         The evaluations so far, with one at least in the context.
     place
@@ -183,16 +232,22 @@ def decide_context(
     repeated = evidence.repeated[place]
     if _failed(repeated):
         return False if is_failed(repeated) else None
+    if outside(study.metrics, repeated):
+        return False
     events, values = _events(constraint, repeated), _values(repeated, constraint.metric)
     if _refuted(constraint, events, values, confidence):
         return False
-    if _shown(constraint, evidence, events, values, confidence):
+    if _shown(study, constraint, evidence, events, values, confidence) or _by_model(
+        study, constraint, evidence, place, confidence
+    ):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if _contradicted(constraint, earlier, repeated) else True
-    hopeless = constraint.statistic != EXPECTATION and is_hopeless(
-        events, most, constraint.allowed, confidence
-    )
-    return False if hopeless else None
+    if constraint.statistic == EXPECTATION:
+        return None
+    group = _group(constraint, evidence, place)
+    if group:
+        events = _events(constraint, group)
+    return False if is_hopeless(events, most, constraint.allowed, confidence) else None
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
@@ -223,17 +278,39 @@ def _judge(
     events = _events(constraint, evidence.drawn)
     unit = study.metrics[constraint.metric].unit
     worst: tuple[WorstContext, ...] = ()
+    modelled: tuple[WorstContext, ...] = ()
+    assumptions: tuple[str, ...] = ()
     if constraint.kind == WORST_CASE:
-        found = [
-            _worst_context(evaluations, constraint, evidence, confidence)
-            for evaluations in evidence.repeated
+        helped = [
+            _by_model(study, constraint, evidence, place, confidence)
+            for place in range(len(evidence.repeated))
         ]
+        everywhere = [
+            _worst_context(
+                study, evaluations, constraint, evidence, confidence, by_model=by_model
+            )
+            for evaluations, by_model in zip(evidence.repeated, helped, strict=True)
+        ]
+        aside = [
+            w.shown and by_model and not _shown(
+                study,
+                constraint,
+                evidence,
+                _events(constraint, runs),
+                _values(runs, constraint.metric),
+                confidence,
+            )
+            for w, by_model, runs in zip(everywhere, helped, evidence.repeated, strict=True)
+        ]
+        found = [w for w, apart in zip(everywhere, aside, strict=True) if not apart]
+        modelled = tuple(w for w, apart in zip(everywhere, aside, strict=True) if apart)
+        assumptions = _assumptions(study, constraint, evidence, modelled)
         # A context without a complete evaluation has no mean, and counts as the worst.
         sign = constraint.sign
         worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
         refuting = [
             context
-            for context, runs in zip(found, evidence.repeated, strict=True)
+            for context, runs in zip(everywhere, evidence.repeated, strict=True)
             if _refuted(
                 constraint, _events(constraint, runs), _values(runs, constraint.metric), confidence
             )
@@ -254,7 +331,15 @@ def _judge(
         )
     else:
         against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
-        passed, reason = _chance(constraint, events, confidence, against)
+        others = _values(evidence.evaluations[draws:], constraint.metric)
+        by_all = not (
+            study.certificate.distribution_free
+            or _failed(evidence.evaluations)
+            or is_shown(events, constraint.allowed, confidence)
+        ) and is_shown_by_all(constraint, values, others, confidence)
+        if by_all:
+            assumptions = (said_of_draws(constraint, values, others),)
+        passed, reason = _chance(constraint, events, confidence, against, len(others), by_all)
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
@@ -271,18 +356,59 @@ def _judge(
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
+        modelled=modelled,
+        assumptions=assumptions,
         passed=passed,
         reason=reason,
     )
 
 
+def _assumptions(
+    study: Study,
+    constraint: Constraint,
+    evidence: Evidence,
+    modelled: Sequence[WorstContext],
+) -> tuple[str, ...]:
+    """Say on what a worst-case constraint rests besides the counted runs in its worst contexts."""
+    said = []
+    test = mean_test(study, constraint)
+    if constraint.statistic == EXPECTATION and isinstance(test, NormalOrSkewed):
+        said.append(TAIL_ASSUMPTION)
+    clear = evidence.ranking.get(constraint.name, Ranking()).clear
+    far = [w for w in modelled if w.context in clear]
+    if far:
+        said.append(
+            f"in {text.counted(len(far), 'context')} the limit is kept by far by a model over the "
+            f"contexts, which {sum(w.evaluations for w in far)} runs confirm"
+        )
+    behind = [w for w in modelled if w.context not in clear]
+    if behind:
+        said.append(
+            f"{text.counted(len(behind), 'context')} with {sum(w.evaluations for w in behind)} "
+            "runs are judged together: by a model over the contexts, none is worse than the worst"
+        )
+    return tuple(said)
+
+
 def _chance(
-    constraint: Constraint, events: Sequence[bool], confidence: float, against: str
+    constraint: Constraint,
+    events: Sequence[bool],
+    confidence: float,
+    against: str,
+    others: int,
+    by_all: bool,
 ) -> tuple[bool, str]:
     allowed, draws = constraint.allowed, len(events)
-    passed = is_shown(events, allowed, confidence)
+    passed = by_all or is_shown(events, allowed, confidence)
     if passed and against:
         return False, against
+    if by_all:
+        bound = _bound([False] * (draws + others), confidence)
+        return True, (
+            f"0 of {draws} draws and of {others} other runs violate the limit, which they keep by "
+            f"far: violation probability at most {text.shown_beside(bound, allowed)}, allowed "
+            f"{allowed:.4g}"
+        )
     needed = draws_needed(allowed, confidence)
     rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
     return passed, (
@@ -381,20 +507,23 @@ def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:
 
 
 def _worst_context(
+    study: Study,
     evaluations: Sequence[Evaluation],
     constraint: Constraint,
     evidence: Evidence,
     confidence: float,
+    *,
+    by_model: bool,
 ) -> WorstContext:
     events, values = _events(constraint, evaluations), _values(evaluations, constraint.metric)
     earlier = evidence.earlier.at(evaluations[0].context)
-    shown = len(values) == len(evaluations) and _shown(
-        constraint, evidence, events, values, confidence
+    shown = len(values) == len(evaluations) and (
+        _shown(study, constraint, evidence, events, values, confidence) or by_model
     )
     contradicted = shown and _contradicted(constraint, earlier, evaluations)
     return WorstContext(
         context=dict(evaluations[0].context),
-        mean=mean_of(values, confidence, _least_runs(constraint, evidence, values)),
+        mean=_mean(study, constraint, evidence, values, confidence),
         extreme=constraint.farthest(values),
         evaluations=len(values),
         beyond=int(np.sum(constraint.violations(values))),
@@ -407,26 +536,33 @@ def _worst_context(
     )
 
 
+def _beyond(constraint: Constraint, evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether runs, taken for themselves, break the limit."""
+    found = _of_all(constraint, evaluations)
+    if constraint.statistic == EXPECTATION:
+        return bool(constraint.violations(found))
+    return found > constraint.allowed
+
+
 def _contradicted(
     constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
 ) -> bool:
     """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
-    if not earlier:
-        return False
-    found = _together(constraint, earlier, fresh)
-    if constraint.statistic == EXPECTATION:
-        return bool(constraint.violations(found))
-    return found > constraint.allowed
+    return bool(earlier) and _beyond(constraint, [*earlier, *fresh])
 
 
 def _together(
     constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
 ) -> float:
     """Return the mean of earlier and fresh runs, or the share of those beyond the limit."""
-    both = [*earlier, *fresh]
+    return _of_all(constraint, [*earlier, *fresh])
+
+
+def _of_all(constraint: Constraint, evaluations: Sequence[Evaluation]) -> float:
+    """Return the mean of runs, or the share of those beyond the limit."""
     if constraint.statistic != EXPECTATION:
-        return float(np.mean(_events(constraint, both)))
-    values = _values(both, constraint.metric)
+        return float(np.mean(_events(constraint, evaluations)))
+    values = _values(evaluations, constraint.metric)
     return float(values.mean()) if len(values) else float("nan")
 
 
@@ -461,33 +597,106 @@ def _said_together(constraint: Constraint, both: str, together: float) -> str:
     )
 
 
+def _by_model(
+    study: Study, constraint: Constraint, evidence: Evidence, place: int, confidence: float
+) -> bool:
+    """Return whether a limit is shown in a context with the help of the model over contexts.
+
+    Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
+    the worst, and all runs in such contexts show the limit together, and those of none contradict.
+    """
+    here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
+    values = _values(here, constraint.metric)
+    if ranking is None or len(values) < max(FEW, len(here)):
+        return False
+    if here[0].context in ranking.clear and confirms(constraint, values):
+        return True
+    group = _group(constraint, evidence, place)
+    if not group or _failed(group) or _beyond(constraint, here):
+        return False
+    return _shown(
+        study,
+        constraint,
+        evidence,
+        _events(constraint, group),
+        _values(group, constraint.metric),
+        confidence,
+    )
+
+
+def _group(constraint: Constraint, evidence: Evidence, place: int) -> list[Evaluation]:
+    """Return the runs in all contexts that count together with those in a place; of none, if alone.
+
+    They are in the order in which they were made: one in each context after the other.
+    """
+    ranking = evidence.ranking.get(constraint.name)
+    if ranking is None or evidence.repeated[place][0].context not in ranking.behind:
+        return []
+    members = [runs for runs in evidence.repeated if runs and runs[0].context in ranking.behind]
+    longest = max(map(len, members))
+    return [runs[k] for k in range(longest) for runs in members if k < len(runs)]
+
+
+def _mean(
+    study: Study,
+    constraint: Constraint,
+    evidence: Evidence,
+    values: Array,
+    confidence: float,
+) -> Mean:
+    """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
+    least = _least_runs(constraint, evidence, values)
+    found = mean_of(values, confidence, least)
+    if constraint.statistic != EXPECTATION or len(values) < 2:
+        return found
+    sign, test = constraint.sign, mean_test(study, constraint)
+    bound = sign * mean_bound(sign * values, confidence, test, least)
+    return replace(found, upper=bound) if sign > 0.0 else replace(found, lower=bound)
+
+
+def mean_test(study: Study, constraint: Constraint) -> MeanTest:
+    """Return how a limit on a mean is shown: by the declared range of its metric, if it has one."""
+    declared = study.metrics[constraint.metric].range
+    if declared is None:
+        return NormalOrSkewed()
+    return Betting(declared[1] if constraint.sign > 0.0 else -declared[0])
+
+
 def _shown(
+    study: Study,
     constraint: Constraint,
     evidence: Evidence,
     events: Sequence[bool],
     values: Array,
     confidence: float,
 ) -> bool:
+    """Return whether runs in a context show a limit there by themselves."""
     if constraint.statistic != EXPECTATION:
         return is_shown(events, constraint.allowed, confidence)
-    sign, least = constraint.sign, _least_runs(constraint, evidence, values)
-    return is_mean_shown(
-        sign * values, sign * constraint.limit, confidence, least
-    ) and _excludes_rare(constraint, evidence, values, confidence)
+    sign, test = constraint.sign, mean_test(study, constraint)
+    least = _least_runs(constraint, evidence, values)
+    shown = is_mean_shown(sign * values, sign * constraint.limit, confidence, test, least)
+    if isinstance(test, Betting):
+        # It is exact for rare values, too.
+        return shown
+    return shown and _excludes_rare(constraint, evidence, values, confidence)
 
 
 def _least_runs(constraint: Constraint, evidence: Evidence, values: Array) -> int:
     """Return the number of runs, of those with `values` in a context, that bound its mean first.
 
     They are `LEAST_RUNS` once any run of the parameter set is beyond the limit, and the first one
-    that differs is among them. Before, runs in the other worst contexts count as well where the
-    noise is alike: there is some, or there is none.
+    that differs is among them. Before, all its runs count; where those in a context are equal, only
+    runs in other contexts where they are, too.
     """
     if constraint.statistic != EXPECTATION:
         # The mean decides nothing; its bound is there for information.
         return 1
     if constraint.violations(_farthest_known(constraint, evidence)):
         return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
+    if not _are_equal(values):
+        # No run is beyond the limit, and all of them tell of rare large values.
+        return max(1, LEAST_RUNS + len(values) - len(evidence.evaluations))
     contexts = [_values(evaluations, constraint.metric) for evaluations in evidence.repeated]
     alike = sum(len(v) for v in contexts if _are_equal(v) == _are_equal(values))
     return max(1, LEAST_RUNS + len(values) - alike)

@@ -11,7 +11,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from bo_tuner.evidence.certificate.sequential import mean_bounds
+from bo_tuner.numerics.sequential import mean_bounds
 from bo_tuner.numerics.arrays import Array
 
 
