@@ -25,8 +25,8 @@ from common import BENCHMARKS, opened, provenance, result_parser, table, write_r
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.evidence.certificate.judgement import judge
-from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.experiments.experiment_file import load_experiment

@@ -208,9 +208,7 @@ class TestMean:
         below = [mean_bounds(sample, 0.95)[-1] < 3.0 for sample in samples[:30]]
         evidence = [log_mean_evidence(sample, 3.0).max() for sample in samples[:30]]
         held = [sample.mean() < 3.0 for sample in samples[:30]]
-        assert below == [
-            e >= math.log(20.0) and h for e, h in zip(evidence, held, strict=True)
-        ]
+        assert below == [e >= math.log(20.0) and h for e, h in zip(evidence, held, strict=True)]
 
     def test_values_without_noise(self):
         assert is_mean_refuted([1.5] * 8, 1.0, 0.95)

@@ -22,10 +22,10 @@ from bo_tuner.evidence.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
-from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.monitor import Gate
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.text import counted

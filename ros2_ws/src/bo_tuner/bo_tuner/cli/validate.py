@@ -30,7 +30,6 @@ from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
-from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.store import (
     latest_certificate,
     read_certificate,
@@ -45,6 +44,7 @@ from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord

@@ -16,10 +16,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
 from bo_tuner.numerics import skewed_means
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
+from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
 
 LOOK = 1.05
 """Factor between the numbers of values at which a skewed law is fitted: each fit takes time."""

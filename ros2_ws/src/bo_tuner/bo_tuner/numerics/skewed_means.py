@@ -114,4 +114,6 @@ def _skewness(values: Array) -> float:
 
 def _expm1(value: float) -> float:
     """Return exp(value) - 1, infinite where that overflows."""
-    return inf if value > 700.0 else exp(value) - 1.0 if value > log1p(1.0) else float(np.expm1(value))
+    return (
+        inf if value > 700.0 else exp(value) - 1.0 if value > log1p(1.0) else float(np.expm1(value))
+    )

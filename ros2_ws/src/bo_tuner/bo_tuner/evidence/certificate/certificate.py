@@ -20,7 +20,6 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     parameter_sensitivity,
 )
 from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
-from bo_tuner.numerics.sequential import spent
 from bo_tuner.evidence.certificate.store import (
     FORMAT,
     evaluations_path,
@@ -29,6 +28,7 @@ from bo_tuner.evidence.certificate.store import (
 )
 from bo_tuner.evidence.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.evidence.verdict import FAIL, PASS
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.json_numbers import without_nan

@@ -174,7 +174,7 @@ class Certification:
         """Make the draws that a limit kept by far still needs, after all other runs."""
         if not found.repeated:
             return found
-        others = found.evaluations[len(found.drawn):]
+        others = found.evaluations[len(found.drawn) :]
         rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
         rows = self._contexts.draw(most, rng)
         drawn = list(found.drawn)
@@ -184,7 +184,18 @@ class Certification:
             is None
         ):
             k = len(drawn)
-            drawn.append(self._run(Evaluation(number, k, Stage.VALIDATION, subject.parameters, self._contexts.to_dict(rows[k]), self._noise_seed(DRAWN, k))))
+            drawn.append(
+                self._run(
+                    Evaluation(
+                        number,
+                        k,
+                        Stage.VALIDATION,
+                        subject.parameters,
+                        self._contexts.to_dict(rows[k]),
+                        self._noise_seed(DRAWN, k),
+                    )
+                )
+            )
         return replace(found, drawn=tuple(drawn))
 
     def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
@@ -319,7 +330,9 @@ class Certification:
         open again after the runs in the next.
         """
         places = range(len(found.repeated))
-        holds = [self._holds(found, place, most) if found.repeated[place] else None for place in places]
+        holds = [
+            self._holds(found, place, most) if found.repeated[place] else None for place in places
+        ]
         if False in holds:
             return None
         still = [place for place in places if holds[place] is None]

@@ -51,9 +51,7 @@ def is_far_from(constraint: Constraint, draws: Array, others: Array) -> bool:
     return _margin(constraint, draws) >= deviations * float(draws.std(ddof=1))
 
 
-def is_shown_by_all(
-    constraint: Constraint, draws: Array, others: Array, confidence: float
-) -> bool:
+def is_shown_by_all(constraint: Constraint, draws: Array, others: Array, confidence: float) -> bool:
     """Return whether a chance constraint that is kept by far is shown by all runs together."""
     count = len(draws) + len(others)
     return is_far_from(constraint, draws, others) and is_shown(

@@ -294,11 +294,7 @@ class Findings:
     @property
     def passed(self) -> bool:
         """Whether every constraint is shown to hold, and no run failed or left a range."""
-        return (
-            self.failures == 0
-            and not self.outside
-            and all(c.passed for c in self.constraints)
-        )
+        return self.failures == 0 and not self.outside and all(c.passed for c in self.constraints)
 
     @property
     def reasons(self) -> tuple[str, ...]:

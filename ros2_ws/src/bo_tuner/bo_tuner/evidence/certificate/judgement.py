@@ -54,7 +54,14 @@ from bo_tuner.evidence.certificate.findings import (
     WorstContext,
 )
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
-from bo_tuner.numerics.mean_tests import Betting, MeanTest, NormalOrSkewed, is_mean_shown, mean_bound
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.mean_tests import (
+    Betting,
+    MeanTest,
+    NormalOrSkewed,
+    is_mean_shown,
+    mean_bound,
+)
 from bo_tuner.numerics.sequential import (
     draws_needed,
     is_hopeless,
@@ -63,11 +70,10 @@ from bo_tuner.numerics.sequential import (
     is_shown,
     probability_bounds,
 )
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import EXPECTATION, SINGLE_RUN, WORST_CASE, Constraint
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context, Evaluation
+from bo_tuner.trials import Evaluation
 
 LEAST_RUNS = 30
 """Runs behind a mean that counts as shown. The bound of a mean takes the noise for normal: a few
@@ -280,19 +286,20 @@ def _judge(
     worst: tuple[WorstContext, ...] = ()
     modelled: tuple[WorstContext, ...] = ()
     assumptions: tuple[str, ...] = ()
+    violation_bound = _bound(events, confidence)
     if constraint.kind == WORST_CASE:
         helped = [
             _by_model(study, constraint, evidence, place, confidence)
             for place in range(len(evidence.repeated))
         ]
         everywhere = [
-            _worst_context(
-                study, evaluations, constraint, evidence, confidence, by_model=by_model
-            )
+            _worst_context(study, evaluations, constraint, evidence, confidence, by_model=by_model)
             for evaluations, by_model in zip(evidence.repeated, helped, strict=True)
         ]
         aside = [
-            w.shown and by_model and not _shown(
+            w.shown
+            and by_model
+            and not _shown(
                 study,
                 constraint,
                 evidence,
@@ -338,8 +345,11 @@ def _judge(
             or is_shown(events, constraint.allowed, confidence)
         ) and is_shown_by_all(constraint, values, others, confidence)
         if by_all:
+            violation_bound = _bound([False] * len(evidence.evaluations), confidence)
             assumptions = (said_of_draws(constraint, values, others),)
-        passed, reason = _chance(constraint, events, confidence, against, len(others), by_all)
+        passed, reason = _chance(
+            constraint, events, violation_bound, confidence, against, others=len(others) * by_all
+        )
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
@@ -352,7 +362,7 @@ def _judge(
         draws=draws,
         violations=violations,
         failures=draws - len(values),
-        violation_bound=_bound(events, confidence),
+        violation_bound=violation_bound,
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
@@ -393,19 +403,20 @@ def _assumptions(
 def _chance(
     constraint: Constraint,
     events: Sequence[bool],
+    bound: float,
     confidence: float,
     against: str,
+    *,
     others: int,
-    by_all: bool,
 ) -> tuple[bool, str]:
+    """Judge a chance constraint, by the draws or by `others` runs as well, none beyond the limit."""
     allowed, draws = constraint.allowed, len(events)
-    passed = by_all or is_shown(events, allowed, confidence)
+    passed = others > 0 or is_shown(events, allowed, confidence)
     if passed and against:
         return False, against
-    if by_all:
-        bound = _bound([False] * (draws + others), confidence)
+    if others:
         return True, (
-            f"0 of {draws} draws and of {others} other runs violate the limit, which they keep by "
+            f"none of {draws} draws and {others} other runs violates the limit, which they keep by "
             f"far: violation probability at most {text.shown_beside(bound, allowed)}, allowed "
             f"{allowed:.4g}"
         )
@@ -414,7 +425,7 @@ def _chance(
     return passed, (
         f"{sum(events)} of {draws} draws violate the limit or fail{rule}: violation probability "
         f"{'at most' if passed else 'may be'} "
-        f"{text.shown_beside(_bound(events, confidence), allowed)}, allowed {allowed:.4g}"
+        f"{text.shown_beside(bound, allowed)}, allowed {allowed:.4g}"
     )
 
 

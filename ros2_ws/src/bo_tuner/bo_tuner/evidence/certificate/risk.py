@@ -11,8 +11,8 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from bo_tuner.numerics.sequential import mean_bounds
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.sequential import mean_bounds
 
 
 @dataclass(frozen=True)
