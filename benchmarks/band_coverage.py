@@ -38,6 +38,7 @@ from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from bo_tuner.tuning.driver import Driver
 from tuning_benchmark.pages.statistics import share
 
 DRAWS = 300
@@ -118,9 +119,9 @@ def case(seed: int) -> dict[str, Any]:
     )
     asked = {"upper": limit} | ({"probability": PROBABILITY} if single else {})
     study = study_of(metric, asked, seed, uniform=uniform)
-    (evidence,) = Certification(study, MetricBackend(metric), confidence=CONFIDENCE).collect(
-        [Subject("tuned", {"gain": 0.5})], DRAWS
-    )
+    (evidence,) = Certification(
+        study, Driver(MetricBackend(metric)), confidence=CONFIDENCE
+    ).collect([Subject("tuned", {"gain": 0.5})], DRAWS)
     found = judge(study, evidence, CONFIDENCE)
     (constraint,) = found.constraints
     # As in `make_certificate`: the draws come last.

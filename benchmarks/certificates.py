@@ -29,6 +29,7 @@ from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
+from bo_tuner.tuning.driver import Driver
 from tuning_benchmark.experiments.experiment_file import load_experiment
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of
 from tuning_benchmark.pages.statistics import share
@@ -91,7 +92,7 @@ def certify(
     confidence = spent(study.certificate.confidence, 1)
     with opened(InProcessBackend(study)) as backend:
         begin = time.process_time()
-        (evidence,) = Certification(study, backend, confidence=confidence).collect(
+        (evidence,) = Certification(study, Driver(backend), confidence=confidence).collect(
             [Subject("tuned", parameters, suspected)],
             required_draws(study, study.certificate.confidence),
         )

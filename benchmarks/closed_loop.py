@@ -32,8 +32,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
-from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.driver import Driver
 from feed_axis_common.ros.messages import LOOP_QOS, VelocityPublisher, from_stamp
 from feed_axis_common.ros.process import make_executor
 from mpc_controller.controller import MpcController
@@ -58,7 +57,7 @@ def seconds(work: Callable[[], Any]) -> float:
 def evaluation(backend: Any, seed: int = 1) -> None:
     """Run one cut of the hand-tuned parameter set; a failed one ends the benchmark."""
     planned = Evaluation(0, 0, Stage.DRAWN, PARAMETERS, CONTEXT, seed)
-    outcome = evaluate(backend, planned, NOBODY).outcome
+    outcome = Driver(backend).evaluate(planned).outcome
     if outcome.state is not EvaluationState.COMPLETE:
         raise SystemExit(f"error: a cut failed: {outcome.reason}")
 

@@ -26,6 +26,7 @@ from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
@@ -75,7 +76,7 @@ def make_run(folder: Path, name: str, trials: int, more: int) -> Path:
         provenance = session_provenance(study, "inprocess", ALGORITHM)
         with Journal(run.journal, provenance) as journal:
             tuning = Tuning(
-                study, Formula(study), METHODS[ALGORITHM], observer=JournalObserver(journal)
+                study, Driver(Formula(study), JournalObserver(journal)), METHODS[ALGORITHM]
             )
             for trial in tuning:
                 journal.record_trial(trial)

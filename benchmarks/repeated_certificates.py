@@ -25,6 +25,7 @@ from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.search_width import distances
 from bo_tuner.numerics.sequential import spent
+from bo_tuner.tuning.driver import Driver
 
 WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
 """Standard deviations of the bump in edges of the box, by the number of context variables."""
@@ -101,7 +102,7 @@ def certify(bump: Bump, *, remembered: bool) -> dict[str, Any]:
     for attempt in range(1, ATTEMPTS + 1):
         confidence = spent(CONFIDENCE, attempt)
         (evidence,) = Certification(
-            study, MetricBackend(metric), confidence=confidence, attempt=attempt
+            study, Driver(MetricBackend(metric)), confidence=confidence, attempt=attempt
         ).collect([Subject("tuned", PARAMETERS, earlier=earlier)], DRAWS)
         findings = judge(study, evidence, confidence)
         first = first or _search(study.context_space(), evidence, metric, bump)

@@ -10,6 +10,7 @@ to benchmarks/results/stop_advice.json, from which results_page.py writes a sect
 docs/performance.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -23,6 +24,7 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 from tuning_benchmark.problems.closed_form import CONSTANT, LIMIT, ClosedForm
@@ -31,10 +33,10 @@ PROBLEM = ClosedForm(parameters=2, contexts=1, noise=CONSTANT)
 TRIALS = 40
 
 
-def answer(study: Study, method: Method, trials: list[Trial]) -> dict[str, Any] | None:
+def answer(study: Study, method: Method, trials: Sequence[Trial]) -> dict[str, Any] | None:
     """Settle the answer from trials, and return its true cost and worst mean; None without one."""
     with opened(InProcessBackend(study)) as backend:
-        found = choose_answer(study, backend, method, trials)
+        found = choose_answer(study, Driver(backend), method, trials)
     if found is None:
         return None
     point = PROBLEM.point(found.candidate.trial.parameters)
@@ -53,7 +55,7 @@ def run(name: str, seed: int) -> dict[str, Any]:
     study = replace(study, seed=seed, budget=replace(study.budget, trials=TRIALS))
     advisor = StopAdvisor(study, method)
     with opened(InProcessBackend(study)) as backend:
-        tuning = Tuning(study, backend, method)
+        tuning = Tuning(study, Driver(backend), method)
         for _ in tuning:
             advisor.consider(tuning.trials)
     whole = answer(study, method, tuning.trials)

@@ -71,8 +71,7 @@ from bo_tuner.trials import (
     Value,
     WorstCase,
 )
-from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.driver import Driver
 from tuning_benchmark.peers.optuna_samplers import distribution
 
 SEED = 20_201_116
@@ -115,7 +114,7 @@ def make_trials(study: Study, count: int) -> list[Trial]:
                 seed = int(rng.integers(2**31))
                 stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
                 planned = Evaluation(len(trials), index, stage, parameters, context, seed)
-                evaluations.append(evaluate(backend, planned, NOBODY))
+                evaluations.append(Driver(backend).evaluate(planned))
             if any(
                 evaluation.outcome.state is not EvaluationState.COMPLETE
                 for evaluation in evaluations

@@ -10,7 +10,7 @@ from report_runs import axis_study, run_study
 from bo_tuner.cli.report import run
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.paper.searches import Joint
-from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.protocol import AnswerSearch, Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.searches import SearchRule, searches_of
@@ -22,6 +22,7 @@ from bo_tuner.optimizers.ranking import Ranking
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Stage
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.worst_case.reinterpolation_search import ReinterpolationSearch
@@ -32,7 +33,7 @@ def valley(gain, load, seed):
 
 
 def tune(study, backend, algorithm):
-    return list(Tuning(study, backend, algorithm))
+    return list(Tuning(study, Driver(backend), algorithm))
 
 
 def towards(surrogates, incumbent, *, avoid, reinterpolate):
@@ -165,7 +166,7 @@ class TestSurrogateOfBoundary:
         assert {t.origin for t in trials[8:]} == {ACQUISITION}
         # In each proposal, and in each search for the worst context.
         assert kind.made > 2 * 6 + 14
-        answer = choose_answer(study, backend, method, trials).candidate.trial
+        answer = choose_answer(study, Driver(backend), method, trials).candidate.trial
         # The cost falls up to a gain of 1. Averages over 0.05 know the limit as well as that.
         assert answer.parameters["gain"] == pytest.approx(0.5, abs=0.1)
         assert answer.worst_cases["peak"].context["load"] == pytest.approx(2.0, abs=0.3)
@@ -224,25 +225,23 @@ class TestWorstCaseSearch:
         assert Joint().unusable(["peak"]) == ""
 
 
-class Nothing:
+class Nothing(AnswerSearch):
     """Asks for no more runs."""
-
-    steps, what = 0, "runs"
 
     def __init__(self, answer):
         self.answer = answer
 
-    def ask(self):
+    def ask(self, pending):
         return None
 
-    def tell(self, evaluation):
-        raise AssertionError(evaluation)
+    def tell(self, task):
+        raise AssertionError(task)
 
 
 class Halving(DesignedOptimizer):
     """Halves the gain from trial to trial."""
 
-    def ask(self):
+    def ask(self, pending=()):
         gain = self.trials[-1].parameters["gain"] / 2.0 if self.trials else 1.0
         return Proposal({"gain": gain}, "halved")
 

@@ -36,6 +36,7 @@ from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import BEST, JOURNAL, SUMMARY, RunFolder
 from bo_tuner.trials import DEFAULT, TUNED
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import conclude, summarize, with_summary
 
@@ -64,7 +65,7 @@ def make_whole_run(folder):
     record = read_run(folder)
     study = record.study
     backend = backend_of(study)
-    found = conclude(study, backend, ALGORITHM, record.trials)
+    found = conclude(study, Driver(backend), ALGORITHM, record.trials)
     trial = found.recommendation.candidate.trial
     counts = {"trials": len(record.trials), "evaluations": len(record.evaluations)}
     summary = summarize(study, found, None, stop_early=False, **counts)
@@ -73,7 +74,7 @@ def make_whole_run(folder):
         writer.write_json(SUMMARY, summary)
     record = read_run(folder)
     subjects = [Subject(DEFAULT, study.search_space().defaults), Subject(TUNED, trial.parameters)]
-    found = Certification(study, backend, confidence=0.9).collect(subjects, 10)
+    found = Certification(study, Driver(backend), confidence=0.9).collect(subjects, 10)
     evidence = {s.name: item for s, item in zip(subjects, found, strict=True)}
     certificate = make_certificate(record, trial, evidence, 10, 0.9, 1, "inprocess", None)
     write_certificate(folder, certificate, evidence)
@@ -206,7 +207,7 @@ def _resume(folder):
     content, _ = salvage(folder / JOURNAL)
     study = record.study.replace(trials=len(content.trials) + 1)
     backend = RecordedEvaluations(backend_of(study), study, content.evaluations)
-    tuning = Tuning(study, backend, ALGORITHM, trials=content.trials)
+    tuning = Tuning(study, Driver(backend), ALGORITHM, trials=content.trials)
     list(tuning)
     ALGORITHM.ranking.rank(study, tuning.trials)
     export_csv(folder / JOURNAL, folder)

@@ -1,6 +1,7 @@
 """Evaluations for certificates, and the limits that they are held against."""
 
 from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.tuning.driver import Driver
 
 LIMIT = 1.0
 CHANCE = {
@@ -12,4 +13,4 @@ CHANCE = {
 
 def collect(study, backend, draws, **subjects):
     items = [Subject(name, {"gain": gain}) for name, gain in subjects.items()]
-    return Certification(study, backend, confidence=0.95).collect(items, draws)
+    return Certification(study, Driver(backend), confidence=0.95).collect(items, draws)

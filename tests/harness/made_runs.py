@@ -19,6 +19,7 @@ from bo_tuner.storage.provenance import (
 )
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
@@ -41,7 +42,7 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess", a
         if attached:
             who |= {ATTACHED: "yes"}
         with Journal(folder / "journal.sqlite", who) as journal:
-            for trial in Tuning(study, backend, METHODS["IV"], observer=JournalObserver(journal)):
+            for trial in Tuning(study, Driver(backend, JournalObserver(journal)), METHODS["IV"]):
                 journal.record_trial(trial)
     finally:
         backend.close()

@@ -6,6 +6,7 @@ import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.numerics.pareto import nondominated
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark import fronts
 from tuning_benchmark.peers.adapter import peer_method
@@ -18,8 +19,8 @@ def test_a_sampler_takes_part_with_the_same_initial_design(name):
     peer = fronts.PEERS[name](study, 1)
     backend = InProcessBackend(study)
     backend.open()
-    trials = list(Tuning(study, backend, peer_method("peer", peer)))
-    ours = list(Tuning(study.replace(trials=6), backend, fronts.METHODS["II"]))
+    trials = list(Tuning(study, Driver(backend), peer_method("peer", peer)))
+    ours = list(Tuning(study.replace(trials=6), Driver(backend), fronts.METHODS["II"]))
     backend.close()
     assert [t.parameters for t in trials[:6]] == [t.parameters for t in ours]
     assert [t.origin for t in trials[6:]] == ["asked"] * 6

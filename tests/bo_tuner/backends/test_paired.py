@@ -18,6 +18,7 @@ from bo_tuner.trials import (
     Stage,
     TrialState,
 )
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 DEFAULT = 0.5
@@ -177,7 +178,7 @@ def test_a_default_that_always_fails_ends_the_run_by_name(study):
     backend = FunctionBackend(
         study, lambda gain, **draw: failed("diverged") if gain == DEFAULT else machine(gain, **draw)
     )
-    tuning = Tuning(study, backend, METHODS["IV"])
+    tuning = Tuning(study, Driver(backend), METHODS["IV"])
     with pytest.raises(RunError, match="3 trials in a row could not be prepared: the default, "):
         list(tuning)
     assert all(trial.spoilt for trial in tuning.trials)
@@ -186,7 +187,7 @@ def test_a_default_that_always_fails_ends_the_run_by_name(study):
 def test_the_limit_divides_the_trials_where_it_should(study):
     """At 1.1 times the default's gain, exactly, in every context and with every seed."""
     study = study.replace(trials=12, initial_trials=6)
-    for trial in Tuning(study, FunctionBackend(study, machine), METHODS["boundary"]):
+    for trial in Tuning(study, Driver(FunctionBackend(study, machine)), METHODS["boundary"]):
         assert trial.state is TrialState.COMPLETE
         above = np.array([e.outcome.metrics["peak_minus_1.1_default"] for e in trial.evaluations])
         violated = study.constraints["calm"].violations(above)

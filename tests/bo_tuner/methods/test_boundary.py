@@ -11,6 +11,7 @@ from bo_tuner.methods.boundary.settling import with_repetitions
 from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance
 from bo_tuner.methods.registry import BOUNDARY, METHODS
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 
@@ -58,10 +59,10 @@ def tune(function_backend):
 
     def run(study, function, trials=()):
         backend = function_backend(study, function)
-        tuning = Tuning(study, backend, ALGORITHM, trials=trials)
+        tuning = Tuning(study, Driver(backend), ALGORITHM, trials=trials)
         for _ in tuning:
             pass
-        return tuning.trials, choose_answer(study, backend, ALGORITHM, tuning.trials)
+        return tuning.trials, choose_answer(study, Driver(backend), ALGORITHM, tuning.trials)
 
     return run
 

@@ -11,6 +11,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.compression import Compression
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.pooled_process import PooledProcesses
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 
@@ -51,7 +52,7 @@ def test_the_scale_of_limited_metrics_is_that_of_both_stages(study, function_bac
         return Compression(limit, sign)
 
     method = replace(BOUNDARY, models=PooledModels(scale=scale))
-    trials = list(Tuning(study, function_backend(study, slope), method))
+    trials = list(Tuning(study, Driver(function_backend(study, slope)), method))
     before = np.cumsum([0, *(len(trial.evaluations) for trial in trials)])[:-1].tolist()
     # The initial trials are proposed without models, but searched like all others.
     assert asked == before[:4] + [count for count in before[4:] for _ in range(2)]
@@ -63,7 +64,7 @@ def test_contexts_that_are_looked_at_are_candidates_for_the_worst(make_study, fu
         trials=4, initial_trials=4, search_evaluations=0
     )
     backend = function_backend(study, lambda gain, load, seed, **_: slope(gain, load, seed))
-    trials = list(Tuning(study, backend, BOUNDARY))
+    trials = list(Tuning(study, Driver(backend), BOUNDARY))
     middle = {"load": 1.5, "heat": 1.5, "wear": 1.5}
     without, with_one = (
         PooledModels(looked=lambda _, known=known: known)(
@@ -84,7 +85,7 @@ def test_the_largest_probability_of_a_failure_is_asked_for_each_proposal(study, 
         return 1.0
 
     method = replace(BOUNDARY, avoidance=avoidance)
-    list(Tuning(study, function_backend(study, slope), method))
+    list(Tuning(study, Driver(function_backend(study, slope)), method))
     assert sorted(set(asked)) == [4, 5, 6, 7]
 
 
@@ -92,7 +93,7 @@ def test_a_share_of_nothing_leaves_all_evaluations_to_the_trials(study, function
     method = replace(BOUNDARY, repetitions=Repetitions(share=0.0))
     assert method.within(study, 100, reserved=40) == (method, 100)
     backend = function_backend(study, slope)
-    trials = list(Tuning(study, backend, method))
+    trials = list(Tuning(study, Driver(backend), method))
     runs = len(backend.calls)
-    assert choose_answer(study, backend, method, trials).checked == ()
+    assert choose_answer(study, Driver(backend), method, trials).checked == ()
     assert len(backend.calls) == runs

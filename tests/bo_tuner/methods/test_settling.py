@@ -28,6 +28,7 @@ from bo_tuner.trials import (
     count_checks,
     count_evaluations,
 )
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 ALGORITHM = METHODS[BOUNDARY]
@@ -66,7 +67,7 @@ def study(study_of):
 
 @pytest.fixture(scope="module")
 def trials(study, function_backend):
-    tuning = Tuning(study, function_backend(study, axis), ALGORITHM)
+    tuning = Tuning(study, Driver(function_backend(study, axis)), ALGORITHM)
     return list(tuning)
 
 
@@ -281,7 +282,7 @@ def test_none_are_left(study, trials, function_backend):
 def test_without_limits_nothing_is_in_doubt(study_of, function_backend):
     study = study_of(peak=None)
     backend = function_backend(study, axis)
-    trials = list(Tuning(study, backend, ALGORITHM))
+    trials = list(Tuning(study, Driver(backend), ALGORITHM))
     runs = len(backend.calls)
     assert settle(study, backend, trials, most=20).feasible
     assert len(backend.calls) == runs
@@ -291,7 +292,7 @@ def test_a_chance_constraint_is_doubtful_in_drawn_contexts(study_of, function_ba
     chance = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.8}
     study = study_of(peak=chance)
     backend, watcher = function_backend(study, axis), Watcher()
-    trials = list(Tuning(study, backend, ALGORITHM))
+    trials = list(Tuning(study, Driver(backend), ALGORITHM))
     settle(study, backend, trials, most=6, observer=watcher)
     assert {e.stage for e in watcher.evaluations} <= {Stage.CHECK_DRAWN}
     loads = [e.context["load"] for e in watcher.evaluations]

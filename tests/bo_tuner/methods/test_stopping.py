@@ -15,6 +15,7 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.numerics.particle_swarm import maximize
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 ALGORITHM, BOUNDARY = METHODS["IV"], METHODS["boundary"]
@@ -44,7 +45,7 @@ def run(make_study, function_backend):
             error = objective(np.array(list(gains.values())))
             return {"error": error + noise * (load - 1.5) * 12**0.5, "peak": 0.2}
 
-        tuning = Tuning(study, function_backend(study, function), algorithm)
+        tuning = Tuning(study, Driver(function_backend(study, function)), algorithm)
         return study, (tuning.trials for _ in tuning)
 
     return start

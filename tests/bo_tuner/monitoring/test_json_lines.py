@@ -17,9 +17,9 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.json_lines import JsonLines
 from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.plans import Phase
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.trials import WorstCase
-from bo_tuner.tuning.observer import Phase
 
 
 @pytest.fixture

@@ -18,12 +18,12 @@ from bo_tuner.monitoring.progress import (
 )
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Phase
 from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
 from bo_tuner.trials import DISTURBED, NOTE, EvaluationState, Outcome
-from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 

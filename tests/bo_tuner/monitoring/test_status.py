@@ -10,8 +10,8 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.diagnostics import Level, progress, safety, surrogate, trial_result
 from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Phase
 from bo_tuner.trials import EvaluationState
-from bo_tuner.tuning.observer import Phase
 
 
 def timed(trial, proposal, evaluation):

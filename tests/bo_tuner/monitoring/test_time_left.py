@@ -8,8 +8,8 @@ import pytest
 
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.time_left import TimeLeft
+from bo_tuner.plans import Phase
 from bo_tuner.trials import Stage
-from bo_tuner.tuning.observer import Phase
 
 
 class Machine:

@@ -309,13 +309,13 @@ class TestRetention:
         recording, waiting = of_few_messages
         with recording:
             waiting += [joints(START)]
-            recording.proposal()
+            recording.planned()
             for number in range(2):
                 waiting += [joints(START + 2000 * number + k) for k in range(1, 10)]
                 recording.evaluation(evaluation_of(number, 0))
                 recording.trial(trial_of(number), None)
                 waiting += [joints(START + 2000 * number + 1000 + k) for k in range(100)]
-                recording.proposal()
+                recording.planned()
         times = [
             [time - START for _, time, _ in with_rosbags(tmp_path / "bags" / f"trial_000{number}")]
             for number in range(2)

@@ -23,6 +23,7 @@ from bo_tuner.trials import (
     TrialState,
     count_trials,
 )
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 BOUNDARY = "boundary"
@@ -43,7 +44,7 @@ def machine(gain, load, **_):
 def record(tmp_path, study, backend, algorithm=BOUNDARY, trials=None):
     """A run of a study, as it is read."""
     if trials is None:
-        trials = list(Tuning(study, backend(study, machine), METHODS[algorithm]))
+        trials = list(Tuning(study, Driver(backend(study, machine)), METHODS[algorithm]))
     evaluations = tuple(e for trial in trials for e in trial.evaluations)
     return RunRecord(
         path=tmp_path / "earlier",
@@ -108,7 +109,7 @@ class TestParameters:
         found = list(
             Tuning(
                 study,
-                function_backend(study, machine),
+                Driver(function_backend(study, machine)),
                 METHODS[algorithm],
                 trials=carried.trials,
             )
@@ -139,7 +140,7 @@ class TestParameters:
         plural = "s" if outside > 1 else ""
         assert f"left out: {outside} trial{plural} outside the bounds of gain" in carried.text
         backend = function_backend(study, machine)
-        found = list(Tuning(study, backend, METHODS[algorithm], trials=carried.trials))
+        found = list(Tuning(study, Driver(backend), METHODS[algorithm], trials=carried.trials))
         assert len(found) == 9 - len(inside)
         assert all(0.4 <= trial.parameters["gain"] <= 0.9 for trial in found)
 
@@ -217,7 +218,7 @@ class TestLimits:
         expected = [trial.worst_cases["peak"] for trial in earlier.trials]
         assert [trial.worst_cases["top"] for trial in carried.trials] == expected
         backend = function_backend(study, machine)
-        (trial,) = Tuning(study, backend, METHODS[algorithm], trials=carried.trials)
+        (trial,) = Tuning(study, Driver(backend), METHODS[algorithm], trials=carried.trials)
         assert trial.worst_cases.keys() == {"top"}
 
     @pytest.mark.parametrize("algorithm", ["I", "V", BOUNDARY])
@@ -249,7 +250,7 @@ class TestLimits:
         carried = carry(runs[algorithm], study)
         assert len(carried.trials) == 6
         backend = function_backend(study, machine)
-        (trial,) = Tuning(study, backend, METHODS[algorithm], trials=carried.trials)
+        (trial,) = Tuning(study, Driver(backend), METHODS[algorithm], trials=carried.trials)
         assert trial.state is TrialState.COMPLETE
 
     def test_a_logarithm_that_an_evaluation_does_not_have(self, tmp_path, make_study, make_trial):
@@ -278,7 +279,7 @@ class TestContexts:
         assert f"{len(inside)} of {len(earlier.evaluations)} evaluations; left out:" in carried.text
         assert "outside the distribution of load" in carried.text
         backend = function_backend(study, machine)
-        found = list(Tuning(study, backend, METHODS[BOUNDARY], trials=carried.trials))
+        found = list(Tuning(study, Driver(backend), METHODS[BOUNDARY], trials=carried.trials))
         assert count_trials([*carried.trials, *found]) == 8
 
     def test_values_that_are_none(self, runs, make_study):

@@ -11,6 +11,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study import maxima
 from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import conclude
 
@@ -93,10 +94,10 @@ def test_a_run_with_a_limit_that_is_extreme(kind, limit, side):
         study, lambda gain, load, seed: {"error": (gain - 0.3) ** 2 + load, "peak": gain + 0.1}
     )
     algorithm = METHODS["boundary"]
-    tuning = Tuning(study, backend, algorithm)
+    tuning = Tuning(study, Driver(backend), algorithm)
     trials = list(tuning)
     assert len(trials) == study.budget.trials
-    found = conclude(study, backend, algorithm, tuning.trials)
+    found = conclude(study, Driver(backend), algorithm, tuning.trials)
     keeps = limit == MOST if side == "upper" else limit < MOST
     assert found is not None
     assert found.recommendation.feasible == keeps

@@ -24,6 +24,7 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.optimizers.base import ACQUISITION
 from bo_tuner.trials import ESTIMATING
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.problems.two_objectives import hypervolume
@@ -69,7 +70,7 @@ def study(make_study):
 @pytest.fixture(scope="module")
 def run(study, function_backend):
     backend = function_backend(study, figures)
-    trials = list(Tuning(study, backend, METHODS["IV"]))
+    trials = list(Tuning(study, Driver(backend), METHODS["IV"]))
     return trials, recommend(study, backend, trials)
 
 
@@ -117,7 +118,7 @@ def test_a_resumed_run_repeats_the_rest(study, function_backend, run):
     trials, _ = run
     for count in (4, 11):
         backend = function_backend(study, figures)
-        resumed = Tuning(study, backend, METHODS["IV"], trials=trials[:count])
+        resumed = Tuning(study, Driver(backend), METHODS["IV"], trials=trials[:count])
         for trial in trials[count : count + 2]:
             assert next(iter(resumed)).parameters == trial.parameters
 
@@ -132,7 +133,7 @@ def test_directions_and_the_order_of_objectives(make_study, function_backend, ru
         found = figures(**values)
         return found | {"far": -found["far"]}
 
-    trials = list(Tuning(study, function_backend(study, mirrored), METHODS["IV"]))
+    trials = list(Tuning(study, Driver(function_backend(study, mirrored)), METHODS["IV"]))
     for here, there in zip(trials, run[0], strict=False):
         assert here.parameters == pytest.approx(there.parameters)
     points = pareto_front(study, METHODS["IV"].ranking.rank(study, trials))
@@ -144,7 +145,7 @@ def test_directions_and_the_order_of_objectives(make_study, function_backend, ru
 def test_other_algorithms_can(study, function_backend, algorithm):
     small = study.replace(trials=11)
     backend = function_backend(small, figures)
-    trials = list(Tuning(small, backend, METHODS[algorithm]))
+    trials = list(Tuning(small, Driver(backend), METHODS[algorithm]))
     origins = {trial.origin for trial in trials[8:]}
     assert origins == ({"random"} if algorithm == "II" else {ACQUISITION})
     found = recommend(small, backend, trials, algorithm, most_checked=0)
@@ -154,7 +155,7 @@ def test_other_algorithms_can(study, function_backend, algorithm):
 def test_three_objectives(make_study, function_backend):
     sections = SECTIONS | {"further_objectives": [{"metric": "far"}, {"metric": "peak"}]}
     study = make_study(**sections).replace(**BUDGET | {"trials": 12})
-    trials = list(Tuning(study, function_backend(study, figures), METHODS["IV"]))
+    trials = list(Tuning(study, Driver(function_backend(study, figures)), METHODS["IV"]))
     points = pareto_front(study, METHODS["IV"].ranking.rank(study, trials))
     assert points
     assert set(points[0].means) == {"near", "far", "peak"}

@@ -17,6 +17,7 @@ from bo_tuner.study.limits import (
     worst_case_holds,
 )
 from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 
@@ -50,8 +51,8 @@ def gripper(target):
 
 
 def tune(study, backend, algorithm):
-    trials = list(Tuning(study, backend, METHODS[algorithm]))
-    return trials, choose_answer(study, backend, METHODS[algorithm], trials)
+    trials = list(Tuning(study, Driver(backend), METHODS[algorithm]))
+    return trials, choose_answer(study, Driver(backend), METHODS[algorithm], trials)
 
 
 @pytest.mark.parametrize("algorithm", ["IV", "V"])
@@ -148,7 +149,7 @@ class TestEvidence:
     def test_each_limit_has_its_own_verdict(self, make_study, function_backend, gain, broken):
         study = make_study(**SECTIONS)
         backend = function_backend(study, gripper(0.0))
-        (evidence,) = Certification(study, backend, confidence=0.95).collect(
+        (evidence,) = Certification(study, Driver(backend), confidence=0.95).collect(
             [Subject("tuned", {"gain": gain})], 300
         )
         found = judge(study, evidence, 0.95)
@@ -175,7 +176,7 @@ class TestEvidence:
         study = make_study(metrics=SECTIONS["metrics"], constraints=both)
         backend = function_backend(study, gripper(0.0))
         for gain, broken in ((0.4, set()), (0.25, {"grip_lower"}), (0.6, {"grip_upper"})):
-            (evidence,) = Certification(study, backend, confidence=0.95).collect(
+            (evidence,) = Certification(study, Driver(backend), confidence=0.95).collect(
                 [Subject("tuned", {"gain": gain})], 300
             )
             found = judge(study, evidence, 0.95)
@@ -191,7 +192,7 @@ class TestEvidence:
                 constraints={"force": limit | {"probability": probability}},
             )
             backend = function_backend(study, gripper(0.0))
-            (evidence,) = Certification(study, backend, confidence=0.95).collect(
+            (evidence,) = Certification(study, Driver(backend), confidence=0.95).collect(
                 [Subject("tuned", {"gain": 0.4})], 300
             )
             assert judge(study, evidence, 0.95).passed is passes
@@ -200,7 +201,7 @@ class TestEvidence:
         """With gain 0.27, the force is at its limit at load 1.8."""
         study = make_study(**SECTIONS)
         backend = function_backend(study, gripper(0.0))
-        (evidence,) = Certification(study, backend, confidence=0.95).collect(
+        (evidence,) = Certification(study, Driver(backend), confidence=0.95).collect(
             [Subject("tuned", {"gain": 0.4})], 300
         )
         values = [

@@ -11,6 +11,7 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState, Stage
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import validate
 
@@ -27,7 +28,7 @@ def figures(error=lambda k: 1.0, peak=lambda k: 0.5):
 
 def judge(make_study, function_backend, function, draws=25, **sections):
     study = make_study(**sections).replace(validation_draws=draws)
-    (result,) = validate(study, function_backend(study, function), [{"gain": 0.5}])
+    (result,) = validate(study, Driver(function_backend(study, function)), [{"gain": 0.5}])
     return result
 
 
@@ -43,9 +44,8 @@ class TestDraws:
         watcher = Watcher()
         default, tuned = validate(
             study,
-            backend,
+            Driver(backend, watcher),
             [{"gain": 0.25}, {"gain": 0.75}],
-            observer=watcher,
         )
         told = {gain: [c for c in backend.calls if c["gain"] == gain] for gain in (0.25, 0.75)}
         drawn = [[(c["load"], c["seed"]) for c in calls] for calls in told.values()]
@@ -59,16 +59,16 @@ class TestDraws:
         """No context and no noise of the training comes again."""
         study = make_study()
         training = function_backend(study, figures())
-        list(Tuning(study, training, METHODS["IV"]))
+        list(Tuning(study, Driver(training), METHODS["IV"]))
         backend = function_backend(study, figures())
-        validate(study, backend, [{"gain": 0.25}])
+        validate(study, Driver(backend), [{"gain": 0.25}])
         for key in ("load", "seed"):
             assert not {c[key] for c in training.calls} & {c[key] for c in backend.calls}
 
     def test_they_follow_the_distribution(self, make_study, function_backend):
         study = make_study().replace(validation_draws=400)
         backend = function_backend(study, figures())
-        validate(study, backend, [{"gain": 0.25}])
+        validate(study, Driver(backend), [{"gain": 0.25}])
         loads = [call["load"] for call in backend.calls]
         # Uniform on [1, 2]: the mean is 1.5 with a standard error of 1 / sqrt(12 * 400).
         assert abs(np.mean(loads) - 1.5) < 4 / math.sqrt(12 * 400)
@@ -122,7 +122,7 @@ class TestWorstCase:
         peak = figures(peak=lambda k: 1.1 if k < above else 0.5)
         limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.851}
         study = make_study(constraints={"peak": limit}).replace(validation_draws=10)
-        (found,) = validate(study, function_backend(study, peak), [{"gain": 0.5}])
+        (found,) = validate(study, Driver(function_backend(study, peak)), [{"gain": 0.5}])
         assert found.constraints["peak"].violations == above
         assert found.feasible is holds
 
@@ -183,7 +183,7 @@ class TestFailures:
         with pytest.raises(
             RunError, match="3 evaluations in a row were lost with their nodes: gone"
         ):
-            validate(study, backend, [{"gain": 0.5}, {"gain": 0.25}])
+            validate(study, Driver(backend), [{"gain": 0.5}, {"gain": 0.25}])
         assert len(backend.calls) == 9
 
     def test_those_on_record_do_not_end_a_run_that_is_resumed(
@@ -193,9 +193,9 @@ class TestFailures:
         study, watcher = make_study(), Watcher()
         lost = function_backend(study, lambda **_: failed("gone", EvaluationState.LOST))
         with pytest.raises(RunError):
-            validate(study, lost, [{"gain": 0.5}], observer=watcher)
+            validate(study, Driver(lost, watcher), [{"gain": 0.5}])
         resumed = function_backend(study, figures())
         backend = RecordedEvaluations(resumed, study, watcher.evaluations)
-        (found,) = validate(study, backend, [{"gain": 0.5}])
+        (found,) = validate(study, Driver(backend), [{"gain": 0.5}])
         assert found.lost == len(watcher.evaluations) == 3
         assert len(resumed.calls) == study.budget.validation_draws - 3

@@ -8,6 +8,7 @@ from bo_tuner.cli.parameter_runs import tell_effects, try_parameters
 from bo_tuner.errors import RunError
 from bo_tuner.numerics.linear_effects import POWER
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.effects import ERROR, FAILURES
 from bo_tuner.tuning.variations import MOST_SINGLY, judge, order_of_runs, plan
 
@@ -48,7 +49,7 @@ def tried(study, backend, **options):
     done = list(
         backend.run([Evaluation(0, k, Stage.NOMINAL, defaults, {}, 10**6 + k) for k in range(2)])
     )
-    planned, runs = try_parameters(study, backend, done, wait=1.0, **options)
+    planned, runs = try_parameters(study, Driver(backend), done, wait=1.0, **options)
     return planned, runs, judge(study, planned, runs)
 
 

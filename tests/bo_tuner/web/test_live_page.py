@@ -18,8 +18,8 @@ from bo_tuner.interruption import Pause
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.plans import Phase
 from bo_tuner.study.study_file import study_to_yaml
-from bo_tuner.tuning.observer import Phase
 from bo_tuner.web.address import listen
 from bo_tuner.web.live_page import LivePage
 

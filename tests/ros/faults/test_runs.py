@@ -21,6 +21,7 @@ from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
@@ -46,7 +47,7 @@ def uninterrupted(trials=7):
     study = study_from_mapping(study_of(trials))
     backend = InProcessBackend(study)
     backend.open()
-    return tuple(Tuning(study, backend, METHODS[DEFAULT_METHOD]))
+    return tuple(Tuning(study, Driver(backend), METHODS[DEFAULT_METHOD]))
 
 
 def figures(trials):

@@ -13,6 +13,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import TrialState
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
@@ -67,7 +68,7 @@ class TestRun:
         study = study_from_mapping(small_study(3))
         backend = InProcessBackend(study)
         backend.open()
-        expected = list(Tuning(study, backend, METHODS[DEFAULT_METHOD]))
+        expected = list(Tuning(study, Driver(backend), METHODS[DEFAULT_METHOD]))
         for there, here in zip(command.trials(), expected, strict=True):
             assert there.parameters == here.parameters
             assert there.worst_cases == here.worst_cases

@@ -18,6 +18,7 @@ from bo_tuner.errors import RunError
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
@@ -143,7 +144,7 @@ def test_a_machine_that_does_not_settle_is_no_disturbance(tuned, motor):
     del sections["run"]["recover"]
     motor.set_parameters([Parameter("ki", value=0.0)])
     made = study(**sections)
-    tuning = Tuning(made, tuned(made), METHODS["boundary"])
+    tuning = Tuning(made, Driver(tuned(made)), METHODS["boundary"])
     with pytest.raises(RunError) as caught:
         list(tuning)
     assert [trial.ending for trial in tuning.trials] == ["unprepared"] * 3

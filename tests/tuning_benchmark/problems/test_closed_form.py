@@ -8,6 +8,7 @@ from scipy.stats import norm, truncnorm
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import TrialState
+from bo_tuner.tuning.driver import Driver
 from tuning_benchmark.campaign.runs import TimedBackend
 from tuning_benchmark.judging.evaluator import Evaluator
 from tuning_benchmark.judging.truth import Effort, Truth
@@ -243,7 +244,7 @@ def test_a_crash_is_a_failed_trial_of_the_product():
     backend = TimedBackend(study)
     backend.open()
     space = study.search_space()
-    for trial in Tuning(study, backend, METHODS["IV"]):
+    for trial in Tuning(study, Driver(backend), METHODS["IV"]):
         crashed = problem.crashes(space.to_cube(trial.parameters))
         assert (trial.state is TrialState.FAILED) == crashed
 

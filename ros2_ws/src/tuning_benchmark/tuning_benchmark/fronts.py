@@ -23,6 +23,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, count_evaluations
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.campaign import provenance
@@ -81,10 +82,10 @@ def run(problem: TwoObjectives, name: str, seed: int) -> Run:
             peer = PEERS[name](study, seed)
             # The second stage is the same for all.
             method = peer_method(TITLES[name], peer)
-            trials = list(Tuning(study, backend, method))
+            trials = list(Tuning(study, Driver(backend), method))
             front = peer.recommend()
         else:
-            trials = list(Tuning(study, backend, METHODS[name]))
+            trials = list(Tuning(study, Driver(backend), METHODS[name]))
             ranked = METHODS[name].ranking.rank(study, trials)
             front = [point.trial for point in pareto_front(study, ranked)]
     return _judged(problem, seed, trials, front)

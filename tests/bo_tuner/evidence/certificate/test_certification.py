@@ -17,6 +17,7 @@ from bo_tuner.evidence.certificate.certification import (
 from bo_tuner.evidence.certificate.judgement import LEAST_RUNS, judge
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import validate
 
@@ -37,8 +38,8 @@ class TestEvaluations:
         assert seen[0] == seen[1]
         assert len(set(seen[0])) == LEAST_DRAWS == 30
         before = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
-        list(Tuning(study, before, METHODS["IV"]))
-        validate(study, before, [{"gain": 0.25}])
+        list(Tuning(study, Driver(before), METHODS["IV"]))
+        validate(study, Driver(before), [{"gain": 0.25}])
         for key in ("load", "seed"):
             drawn = {c.context[key] if key == "load" else c.seed for c in tuned.drawn}
             assert not drawn & {call[key] for call in before.calls}
@@ -48,7 +49,9 @@ class TestEvaluations:
     def test_they_follow_the_distribution(self, make_study, function_backend):
         study = make_study(constraints={}, seed=2)
         backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
-        attempts = [Certification(study, backend, confidence=0.95, attempt=k) for k in range(1, 14)]
+        attempts = [
+            Certification(study, Driver(backend), confidence=0.95, attempt=k) for k in range(1, 14)
+        ]
         found, *others = [a.collect([Subject("", {"gain": 0.5})], 99)[0] for a in attempts]
         loads = [c.context["load"] for item in (found, *others) for c in item.drawn]
         # Each attempt has own draws.
@@ -90,7 +93,7 @@ class TestEvaluations:
         # Four corners, a design of twelve, one suspected, four rounds of five; five contexts.
         assert most == MostEvaluations(60, 4 + 12 + 1 + 20, 5 * 60)
         assert most.total == 60 + 37 + 300
-        (found,) = Certification(study, backend, confidence=0.95).collect([subject], 60)
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
         assert len(found.drawn) <= most.drawn
         assert len(found.search) <= most.searched
         assert sum(map(len, found.repeated)) <= most.repeated
@@ -127,7 +130,7 @@ class TestEvaluations:
         )
         subject = Subject("tuned", {"gain": 0.5}, suspected)
         backend = function_backend(study, function)
-        (found,) = Certification(study, backend, confidence=0.95).collect([subject], 60)
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
         repeated = [here[0].context for here in found.repeated]
         for context in suspected:
             assert any(other == pytest.approx(context) for other in repeated)

@@ -16,6 +16,7 @@ from bo_tuner.evidence.certificate.judgement import decide_draws, judge
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.tuning.driver import Driver
 
 SINGLE = {
     "constraints": {
@@ -140,7 +141,7 @@ class TestWhatIsLookedAtAgain:
 
         subject = Subject("tuned", PARAMETERS, earlier=earlier)
         backend = function_backend(study, function)
-        (found,) = Certification(study, backend, confidence=0.95).collect([subject], 60)
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
         return found, judge(study, found, 0.95), most_evaluations(study, [subject], 60)
 
     def test_where_it_failed(self, make_study, function_backend):

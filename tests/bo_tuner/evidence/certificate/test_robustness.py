@@ -27,6 +27,7 @@ from bo_tuner.trials import (
     TrialState,
     WorstCase,
 )
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 LIMIT = 1.0
@@ -326,7 +327,7 @@ class TestNeighbourhood:
 
         study = make_study().replace(trials=12)
         method = METHODS["boundary"]
-        trials = list(Tuning(study, function_backend(study, axis), method))
+        trials = list(Tuning(study, Driver(function_backend(study, axis)), method))
         models = method.ranking.models(study, trials)
         ranked = method.ranking.ranked_by(models, study, trials)
         assert min(found.feasibility for found in ranked) < 0.9

@@ -24,12 +24,13 @@ from bo_tuner.evidence.certificate.certification import (
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
-from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.text import counted
 from bo_tuner.trials import DEFAULT, TUNED, Trial
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.observer import Observers, RunObserver
 
 
@@ -110,13 +111,11 @@ class Certifier:
             bar, observers = _Bar(self.console), Observers()
             observers.add(unfinished)
             observers.add(bar)
-            observers.add(Gate(self.interruption, observers))
             certification = Certification(
                 study,
-                backend,
+                Driver(backend, observers, gate=Gate(self.interruption.check, observers)),
                 confidence=spent(self.confidence, attempt, len(subjects)),
                 attempt=attempt,
-                observer=observers,
             )
             with opened(backend, self.interruption, again=self.more) as left, bar.progress:
                 found = certification.collect(subjects, draws)

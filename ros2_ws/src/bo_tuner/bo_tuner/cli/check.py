@@ -34,6 +34,7 @@ from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmo
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.plans import Runs
 from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.nodes import USE_SIM_TIME
@@ -42,6 +43,7 @@ from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
+from bo_tuner.tuning.driver import Driver
 
 RUNS = 2
 
@@ -275,7 +277,7 @@ def _try_parameters(
 ) -> bool:
     """Try each parameter, and show what it moves; returns whether any moves a metric."""
     planned, runs = try_parameters(
-        study, backend, done, whole_range=whole_range, wait=_seconds(done)
+        study, Driver(backend), done, whole_range=whole_range, wait=_seconds(done)
     )
     return tell_effects(study, planned, runs, whole_range=whole_range)
 
@@ -308,15 +310,20 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
     defaults = study.search_space().defaults
+    planned = [
+        Evaluation(
+            0, k, Stage.NOMINAL, defaults, nominal, noise_seed(study.seed, Stream.NOISE, 0, k)
+        )
+        for k in range(RUNS)
+    ]
     done: list[Evaluation] = []
     recordings = []
-    for index in range(RUNS):
-        if index == RUNS - 1:
+    for task in Driver(backend).run(Runs(planned, "runs")):
+        done.append(task.evaluation)
+        recordings.append(backend.recording)
+        if len(done) == RUNS - 1:
             # As for each other parameter set.
             backend.start_anew()
-        seed = noise_seed(study.seed, Stream.NOISE, 0, index)
-        done += backend.run([Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)])
-        recordings.append(backend.recording)
     return done, recordings
 
 

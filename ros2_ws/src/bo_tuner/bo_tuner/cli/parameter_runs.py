@@ -4,20 +4,20 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.cli.streams import say_error
 from bo_tuner.evidence.effects import amount, listed, not_seen, proposals
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.plans import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, counted, shown
 from bo_tuner.trials import Evaluation, Stage
-from bo_tuner.tuning.evaluation import Losses
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.variations import (
     DEFAULT_RUNS,
     Move,
-    Plan,
-    Runs,
+    Variations,
+    VariedRuns,
     judge,
     order_of_runs,
     plan,
@@ -25,16 +25,16 @@ from bo_tuner.tuning.variations import (
 
 
 def try_parameters(
-    study: Study, backend: Backend, done: Sequence[Evaluation], *, whole_range: bool, wait: float
-) -> tuple[Plan, Runs]:
+    study: Study, driver: Driver, done: Sequence[Evaluation], *, whole_range: bool, wait: float
+) -> tuple[Variations, VariedRuns]:
     """Run the default and parameter sets around it, as `tuning.variations` plans them.
 
     Parameters
     ----------
     study
         The study.
-    backend
-        Runs the evaluations; open.
+    driver
+        Carries out the runs.
     done
         Complete runs of the default, in the nominal context.
     whole_range
@@ -48,32 +48,33 @@ def try_parameters(
         If three runs in a row were lost with their nodes or disturbed.
     """
     planned = plan(study, whole_range=whole_range)
-    runs = Runs(list(done))
+    tried = VariedRuns(list(done))
     alone = any(variation.moved for variation in planned.variations)
     order = order_of_runs(study, planned, max(DEFAULT_RUNS - len(done), 0) if alone else 0)
     if not planned.variations:
-        return planned, runs
+        return planned, tried
     how = "over the whole range" if whole_range else "in small steps from the default"
     count = counted(len(planned.values), "parameter")
     say(f"trying {count} {how}: {counted(len(order), 'run')}, {duration(len(order) * wait)}")
     defaults, contexts = study.search_space().defaults, study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
-    losses = Losses("runs")
+    places = {}
+    evaluations = []
     for index, place in enumerate(order, start=len(done)):
         parameters = defaults if place is None else planned.variations[place].parameters
         seed = noise_seed(study.seed, Stream.NOISE, 0, index)
-        (evaluation,) = backend.run(
-            [Evaluation(0, index, Stage.NOMINAL, parameters, nominal, seed)]
-        )
-        losses.note(evaluation)
-        losses.check()
+        evaluations.append(Evaluation(0, index, Stage.NOMINAL, parameters, nominal, seed))
+        places[index] = place
+    for task in driver.run(Runs(evaluations, "runs")):
+        evaluation = task.evaluation
         if not evaluation.outcome.spoilt:
-            kept = runs.default if place is None else runs.varied.setdefault(place, [])
+            place = places[evaluation.index]
+            kept = tried.default if place is None else tried.varied.setdefault(place, [])
             kept.append(evaluation)
-    return planned, runs
+    return planned, tried
 
 
-def tell_effects(study: Study, planned: Plan, runs: Runs, *, whole_range: bool) -> bool:
+def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_range: bool) -> bool:
     """Show what each parameter moves; returns whether the study has something to tune.
 
     It has not if over their whole range none of the parameters was seen to move a metric. That none
@@ -127,7 +128,7 @@ def duration(seconds: float) -> str:
     return f"about {seconds:.0f} s"
 
 
-def _table(study: Study, planned: Plan, moves: Sequence[tuple[str, Move]]) -> Table:
+def _table(study: Study, planned: Variations, moves: Sequence[tuple[str, Move]]) -> Table:
     """Return which parameter moves which metrics, and by how much."""
     table = Table(title="what the parameters move", title_justify="left")
     for column in ("parameter", "to", "from", "metric", "change", "in noise"):
@@ -149,7 +150,7 @@ def _table(study: Study, planned: Plan, moves: Sequence[tuple[str, Move]]) -> Ta
     return table
 
 
-def _tell_failures(planned: Plan, runs: Runs) -> None:
+def _tell_failures(planned: Variations, runs: VariedRuns) -> None:
     """Name the runs that failed for their parameters."""
     screened: list[Evaluation] = []
     for place, variation in enumerate(planned.variations):

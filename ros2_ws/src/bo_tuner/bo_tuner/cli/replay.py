@@ -44,8 +44,7 @@ from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation
-from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
 Repeat a recorded evaluation with its parameters, context and seed, and compare
@@ -177,7 +176,7 @@ def _run_both(
         # Nodes that were lost have been restarted, and may have other topics.
         listener.refresh()
         defaults = record.study.search_space().defaults
-        default = evaluate(ros, dataclasses.replace(recorded, parameters=defaults), NOBODY)
+        default = Driver(ros).evaluate(dataclasses.replace(recorded, parameters=defaults))
         return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
     finally:
         listener.close()

@@ -21,10 +21,11 @@ from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.display import Output, Result
-from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
+from bo_tuner.monitoring.monitor import Advisor, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Phase
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
@@ -52,9 +53,11 @@ from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import TUNING, Trial, count_evaluations, count_trials
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.observer import Observers, Phase, RunObserver
+from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
 from bo_tuner.web.address import Address
@@ -131,7 +134,7 @@ class Session:
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._method, self._observers)
-        self._gate = Gate(interruption, self._observers)
+        self._gate = Gate(interruption.check, self._observers)
         self._control = RunControl(self._gate.requests, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
@@ -299,7 +302,8 @@ class Session:
             earlier.evaluations,
             stop_early=options.stop_early,
         )
-        tuning = Tuning(study, backend, self._method, observer=observers, trials=known)
+        driver = Driver(backend, observers, gate=self._gate)
+        tuning = Tuning(study, driver, self._method, trials=known)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
@@ -311,7 +315,7 @@ class Session:
                 self._incumbents[len(tuning.trials)] = best
                 observers.trial(trial, best)
             observers.end(Phase.TUNING)
-            found = conclude(study, backend, self._method, tuning.trials, observers)
+            found = conclude(study, driver, self._method, tuning.trials)
             summary = None if found is None else self._summary(found, len(tuning.trials), journal)
             verdict = self._verdict(summary)
             self._status.conclude(verdict)
@@ -349,19 +353,23 @@ class Session:
             if self._live_page is not None:
                 self._observers.add(self._live_page)
             self._observers.add(self._advisor)
-            self._observers.add(self._gate)
             stack.enter_context(self._display)
             stack.enter_context(recording)
             yield recording
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:
         """Run trials up to the budget, or until the advice to stop if it is to be followed."""
-        trials = iter(tuning)
-        while not (self._options.stop_early and self._advisor.advice is not None):
-            trial = next(trials, None)
-            if trial is None:
-                return
+        if self._stops:
+            tuning.plan.finish()
+        for trial in tuning:
             yield trial
+            if self._stops:
+                tuning.plan.finish()
+
+    @property
+    def _stops(self) -> bool:
+        """Whether the advice to stop is to be followed and was given."""
+        return self._options.stop_early and self._advisor.advice is not None
 
     def _best(self, tuning: Tuning) -> Candidate | None:
         return self._method.incumbent(self._study, tuning.trials)

@@ -18,39 +18,25 @@ from bo_tuner.methods.times import Times
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate, Ranking
+from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 
-class AnswerSearch(Protocol):
-    """Which parameter sets are run again before the answer is given; the caller runs them.
+class AnswerSearch(Plan[Run]):
+    """Which parameter sets are run again before the answer is given, as a plan.
 
     What it asks for depends only on the study, the trials and the evaluations that it was told.
 
     Attributes
     ----------
-    steps : int
-        How many steps it takes at most.
-    what : str
-        What is run, in the plural, for messages.
+    answer : Recommendation or None
+        The answer, once nothing is to be run any more; None if no trial is complete.
     """
 
-    @property
-    def steps(self) -> int: ...  # noqa: D102
-
-    @property
-    def what(self) -> str: ...  # noqa: D102
-
-    def ask(self) -> Evaluation | None:
-        """Return the next evaluation to run, without an outcome; None when the answer is there."""
-
-    def tell(self, evaluation: Evaluation) -> bool:
-        """Add the evaluation that was asked for; returns whether a step has ended with it."""
-
-    @property
-    def answer(self) -> Recommendation | None:
-        """The answer, once `ask` has returned None; None if no trial is complete."""
+    phase = Phase.CHECKING
+    answer: Recommendation | None = None
 
 
 class Method(Protocol):

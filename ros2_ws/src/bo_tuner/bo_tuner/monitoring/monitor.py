@@ -1,8 +1,7 @@
-"""Observers for the advice to stop and for pauses, and the choice of the display."""
+"""The observer for the advice to stop, and the choice of the display."""
 
 from collections.abc import Sequence
 
-from bo_tuner.interruption import Interruption, Pause
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.monitoring.display import Display, Output, plain_console
@@ -11,7 +10,7 @@ from bo_tuner.monitoring.progress import RunProgress
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import RunObserver
 
 
@@ -49,50 +48,6 @@ class Advisor(RunObserver):
         advice = self._advisor.consider(self._trials)
         if advice is not None:
             self._observers.advise(advice)
-
-
-class Gate(RunObserver):
-    """Pauses the run between two evaluations on request, and ends it on a signal.
-
-    It must be the last observer: the record and the displays are then complete before a pause.
-
-    Parameters
-    ----------
-    interruption
-        The signal; also ends a pause.
-    observers
-        Are passed the start and the end of a pause.
-
-    Attributes
-    ----------
-    requests
-        Takes the requests to pause and to continue.
-    """
-
-    def __init__(self, interruption: Interruption, observers: RunObserver) -> None:
-        self._interruption = interruption
-        self._observers = observers
-        self.requests = Pause()
-
-    def evaluation(self, evaluation: Evaluation) -> None:
-        """Wait while a pause is requested; raise if the run is to end."""
-        self._wait()
-
-    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Wait while a pause is requested; raise if the run is to end."""
-        self._wait()
-
-    def _wait(self) -> None:
-        self._interruption.check()
-        if not self.requests.requested:
-            return
-        self._observers.pause(True)
-        self.requests.wait(self._look)
-        self._observers.pause(False)
-
-    def _look(self) -> None:
-        self._interruption.check()
-        self._observers.waiting()
 
 
 def make_display(study: Study, output: Output, status: RunStatus, going_on: str) -> Display:

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.times import Times
+from bo_tuner.plans import Phase
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Trial, count_checks
-from bo_tuner.tuning.observer import Phase
 
 
 class TimeLeft:

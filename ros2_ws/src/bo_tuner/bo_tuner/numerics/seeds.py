@@ -26,6 +26,7 @@ class Stream(IntEnum):
     ROBUSTNESS = 12
     WEIGHTS = 13
     EFFECTS = 14
+    FANTASIES = 15
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

@@ -1,6 +1,6 @@
 """Interface of the optimizers of stage one (Sec. 4.1), and the initial design they share."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -48,11 +48,19 @@ class Proposal:
 class Optimizer(Protocol):
     """Optimizer with an ask-and-tell interface.
 
-    A proposal depends only on the study and the trials passed to `tell`, so a run can be resumed.
+    A proposal depends only on the study, the trials passed to `tell` and those that are pending, so
+    a run can be resumed.
     """
 
-    def ask(self) -> Proposal:
-        """Propose the parameter set of the next trial."""
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+        """Propose the parameter set of the next trial.
+
+        Parameters
+        ----------
+        pending
+            Trials that were proposed after those told, and whose results are not known yet, in
+            their order. Their evaluations are planned ones, in the contexts that they begin in.
+        """
 
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
@@ -74,12 +82,15 @@ class DesignedOptimizer:
         The study and its search space.
     trials
         All trials passed to `tell`.
+    pending
+        As passed to `ask`.
     """
 
     def __init__(self, study: Study) -> None:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
+        self.pending: tuple[Trial, ...] = ()
         self._keys: set[tuple[Value, ...]] = set()
         self._judged: set[tuple[Value, ...]] = set()
         self._starts = study.starting_sets()
@@ -97,16 +108,25 @@ class DesignedOptimizer:
         if not trial.disturbed:
             self._judged.add(key)
 
+    @property
+    def number(self) -> int:
+        """Number of the next trial."""
+        return len(self.trials) + len(self.pending)
+
     def has_tried(self, parameters: Mapping[str, Value]) -> bool:
-        """Return whether a trial had the same parameter set."""
-        return self.space.key(parameters) in self._keys
+        """Return whether a trial had the same parameter set, or one that is pending has it."""
+        return self.space.key(parameters) in self._keys or self._awaits(parameters)
 
     def has_judged(self, parameters: Mapping[str, Value]) -> bool:
-        """Return whether a trial had the same parameter set, and nobody disturbed it.
+        """Return as `has_tried`, but for trials that were disturbed.
 
         Of one that was disturbed the models know nothing, so it may be what they propose again.
         """
-        return self.space.key(parameters) in self._judged
+        return self.space.key(parameters) in self._judged or self._awaits(parameters)
+
+    def _awaits(self, parameters: Mapping[str, Value]) -> bool:
+        key = self.space.key(parameters)
+        return any(self.space.key(trial.parameters) == key for trial in self.pending)
 
     def initial(self) -> Proposal | None:
         """Return the initial design's proposal for the next trial, or None after the last."""
@@ -115,11 +135,11 @@ class DesignedOptimizer:
                 is_default = parameters == self.space.defaults
                 return Proposal(parameters, DEFAULT if is_default else START)
         # Trials of an earlier run take the place of as many points.
-        number = len(self.trials) - len(self._starts)
+        number = self.number - len(self._starts)
         if number >= len(self._design):
             return None
         return Proposal(self.space.to_parameters(self._design[number]), INITIAL)
 
     def rng(self) -> np.random.Generator:
         """Return the random generator of the next proposal."""
-        return generator(self.study.seed, Stream.ACQUISITION, len(self.trials))
+        return generator(self.study.seed, Stream.ACQUISITION, self.number)

@@ -14,6 +14,7 @@ from bo_tuner.acquisition.acquisition import (
 )
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
+from bo_tuner.models.fantasies import fantasies
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximize
@@ -123,6 +124,8 @@ class AcquisitionSearch:
 class BayesianOptimization(DesignedOptimizer, Generic[S]):
     """Optimizer that fits surrogates to all trials and maximizes an acquisition function.
 
+    The surrogates know trials that are pending by `fantasies`.
+
     Parameters
     ----------
     study
@@ -143,8 +146,9 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         self._models = models
         self._acquisition = acquisition
 
-    def ask(self) -> Proposal:
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
         """Propose the parameter set of the next trial."""
+        self.pending = tuple(pending)
         return self.initial() or self.propose(self._most_promising)
 
     def propose(self, points: PointRule[S], protocol: tuple[int, int] | None = None) -> Proposal:
@@ -158,8 +162,9 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         outliers: frozenset[int] = frozenset()
         warm = latest_hyperparameters(self.trials)
         try:
+            known = [*self.trials, *self._fantasies()]
             surrogates = self._models(
-                self.study, self.trials, rng=rng, start=warm, weights=self._weights()
+                self.study, known, rng=rng, start=warm, weights=self._weights()
             )
             warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
@@ -170,16 +175,21 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cause = f"{type(error).__name__}: {error}"
             warnings += (f"the acquisition function could not be maximized: {cause}",)
-        tried = self.space.cube_of(t.parameters for t in self.trials)
+        tried = self.space.cube_of(t.parameters for t in (*self.trials, *self.pending))
         parameters = self.space.to_parameters(space_filling(self.space, tried, rng))
         return Proposal(parameters, SPACE_FILLING, warnings, warm, protocol, outliers)
+
+    def _fantasies(self) -> list[Trial]:
+        """Return what is believed of the trials that are pending."""
+        rng = generator(self.study.seed, Stream.FANTASIES, self.number)
+        return fantasies(self.study, self.trials, self.pending, rng)
 
     def _weights(self) -> Array | None:
         """Draw the weights (k,) of k objectives, uniformly; None for a single one."""
         count = len(self.study.objectives)
         if count == 1:
             return None
-        rng = generator(self.study.seed, Stream.WEIGHTS, len(self.trials))
+        rng = generator(self.study.seed, Stream.WEIGHTS, self.number)
         return rng.dirichlet(np.ones(count))
 
     def _most_promising(

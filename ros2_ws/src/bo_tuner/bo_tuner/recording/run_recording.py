@@ -7,12 +7,13 @@ from typing import Protocol, Self
 
 from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Phase
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.storage.run_files import BAGS, LOGS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
-from bo_tuner.tuning.observer import Phase, RunObserver
+from bo_tuner.tuning.observer import RunObserver
 
 LOG = "recording.log"
 
@@ -109,7 +110,7 @@ class RunRecording(RunObserver):
             self._listener.refresh()
             self._pass_news_on()
 
-    def proposal(self) -> None:
+    def planned(self) -> None:
         """Let go of what came while it was computed."""
         self._forget()
 

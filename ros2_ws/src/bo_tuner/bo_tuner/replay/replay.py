@@ -12,8 +12,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import CHECKS, TUNING, Evaluation, TrialState, latest_by_place
-from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.driver import Driver
 
 BEST, WORST = "best", "worst"
 
@@ -107,7 +106,7 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
         Runs the evaluation; already open.
     """
     old = recorded
-    new = evaluate(backend, old, NOBODY)
+    new = Driver(backend).evaluate(old)
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
         Comparison(

@@ -1,147 +1,300 @@
-"""The tuning loop: trials of stage one, each with the evaluations of stage two."""
+"""The trials of a run as a plan: parameter sets of stage one, each with stage two as its task."""
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.methods.protocol import Method
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.base import Proposal
+from bo_tuner.plans import Phase, Plan
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Context,
     Evaluation,
-    Outcome,
     Stage,
     Trial,
     TrialState,
-    WorstCase,
     count_evaluations,
     count_trials,
 )
-from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 ATTEMPTS = 2
 """Runs of an evaluation that is lost or disturbed; its parameters may be what ends a node."""
 
 
-class Tuning:
-    """The tuning loop of a study; iterating over it runs the remaining trials.
+class TrialTask:
+    """A trial: evaluations in its first contexts, then those of the search for the worst one.
+
+    It ends with the first evaluation that fails.
+
+    Parameters
+    ----------
+    study, method
+        Of the run.
+    number
+        Of the trial.
+    proposal
+        Its parameter set.
+    trials
+        Those whose results were known when it was planned; the search learns from them.
+    seconds
+        Wall time of the proposal [s].
+
+    Attributes
+    ----------
+    recorded
+        Whether it was on record already: False.
+    """
+
+    recorded = False
+
+    def __init__(
+        self,
+        study: Study,
+        method: Method,
+        number: int,
+        proposal: Proposal,
+        trials: Sequence[Trial],
+        seconds: float,
+    ) -> None:
+        self._study = study
+        self._method = method
+        self._number = number
+        self._proposal = proposal
+        self._known = tuple(trials)
+        self._seconds = seconds
+        self._first = method.first_contexts(study, number, proposal)
+        self._searches: WorstCaseSearches | None = None
+        self._done: list[Evaluation] = []
+
+    def ask(self) -> Evaluation | None:
+        """Return the next evaluation; None when the trial has ended."""
+        done = self._done
+        if done and not done[-1].outcome.complete:
+            return None
+        if len(done) < len(self._first):
+            return self._planned(*self._first[len(done)])
+        if self._searches is None:
+            self._searches = self._begin_search()
+        if self._searches.done(self._rng()):
+            return None
+        return self._planned(Stage.SEARCH, self._searches.ask(self._rng()))
+
+    def tell(self, evaluation: Evaluation) -> None:
+        """Add an evaluation."""
+        self._done.append(evaluation)
+        if self._searches is not None and evaluation.outcome.complete:
+            self._searches.tell(evaluation.context, evaluation.outcome.metrics)
+
+    def trial(self) -> Trial:
+        """Return the trial, once it has ended."""
+        proposal, searches = self._proposal, self._searches
+        failed = [e.outcome for e in self._done if not e.outcome.complete]
+        return Trial(
+            number=self._number,
+            parameters=proposal.parameters,
+            origin=proposal.origin,
+            state=TrialState.FAILED if failed else TrialState.COMPLETE,
+            reason=failed[0].reason if failed else "",
+            evaluations=tuple(self._done),
+            worst_cases={} if failed or not searches else searches.worst_cases(self._rng()),
+            warnings=proposal.warnings,
+            hyperparameters=proposal.hyperparameters,
+            seconds=self._seconds,
+        )
+
+    @property
+    def pending(self) -> Trial:
+        """What others can know of it before it has ended."""
+        return pending_trial(self._study, self._method, self._number, self._proposal)
+
+    def _begin_search(self) -> WorstCaseSearches:
+        searches = self._method.worst_case_searches(self._study, self._proposal, self._known)
+        for evaluation in self._done:
+            searches.tell(evaluation.context, evaluation.outcome.metrics)
+        return searches
+
+    def _planned(self, stage: Stage, context: Context) -> Evaluation:
+        index = len(self._done)
+        seed = noise_seed(self._study.seed, Stream.NOISE, self._number, index)
+        parameters = self._proposal.parameters
+        return Evaluation(self._number, index, stage, parameters, context, seed)
+
+    def _rng(self) -> np.random.Generator:
+        return generator(self._study.seed, Stream.SEARCH, self._number, len(self._done))
+
+
+class RecordedTask:
+    """A trial on record, which has ended as soon as it is planned.
+
+    Parameters
+    ----------
+    study, method
+        Of the run.
+    trial
+        The trial.
+
+    Attributes
+    ----------
+    recorded
+        Whether it was on record already: True.
+    """
+
+    recorded = True
+
+    def __init__(self, study: Study, method: Method, trial: Trial) -> None:
+        self._study = study
+        self._method = method
+        self._trial = trial
+
+    def ask(self) -> None:
+        """Return None: nothing is to be run."""
+
+    def tell(self, evaluation: Evaluation) -> None:
+        """Take nothing.
+
+        Raises
+        ------
+        ValueError
+            Always: nothing was asked for.
+        """
+        raise ValueError(f"{evaluation.place} is on record")
+
+    def trial(self) -> Trial:
+        """Return the trial."""
+        return self._trial
+
+    @property
+    def pending(self) -> Trial:
+        """What others could know of it before it had ended."""
+        trial = self._trial
+        proposal = Proposal(dict(trial.parameters), trial.origin)
+        return pending_trial(self._study, self._method, trial.number, proposal)
+
+
+def pending_trial(study: Study, method: Method, number: int, proposal: Proposal) -> Trial:
+    """Return a trial that has not ended, with planned evaluations in its first contexts.
+
+    The contexts are those of any trial of its number, also where a proposal asks for fewer: the
+    record of a trial does not tell, and a resumed run has to know the same.
+    """
+    contexts = method.first_contexts(study, number, replace(proposal, protocol=None))
+    evaluations = tuple(
+        Evaluation(number, index, stage, proposal.parameters, context, 0)
+        for index, (stage, context) in enumerate(contexts)
+    )
+    state = TrialState.FAILED
+    return Trial(number, proposal.parameters, proposal.origin, state, "pending", evaluations)
+
+
+class TrialPlan(Plan[TrialTask | RecordedTask]):
+    """The trials of a study, up to its budget.
+
+    Those that are pending are known to stage one, and are counted as if none was lost.
 
     Parameters
     ----------
     study
         The study.
-    backend
-        Runs the evaluations; open.
     method
         The method.
-    observer
-        Is passed each evaluation.
-    trials
-        Trials that an earlier session of the same run recorded.
+    recorded
+        Trials that an earlier session of the same run recorded, the first of the run. They are
+        planned and told like others, so that those after them are planned as they were before.
 
     Attributes
     ----------
     trials
-        All trials so far.
+        Those that were told.
+    """
+
+    phase = Phase.TUNING
+    what = "trials"
+    attempts = ATTEMPTS
+
+    def __init__(self, study: Study, method: Method, recorded: Sequence[Trial] = ()) -> None:
+        self._study = study
+        self._method = method
+        self._recorded = tuple(recorded)
+        self._optimizer = method.optimizer(study)
+        self._finished = False
+        self.steps = study.budget.trials
+        self.trials: list[Trial] = []
+
+    def finish(self) -> None:
+        """Plan no more trials; those that are pending are run to their end."""
+        self._finished = True
+
+    def ask(self, pending: Sequence[TrialTask | RecordedTask]) -> TrialTask | RecordedTask | None:
+        """Propose the next trial."""
+        number = len(self.trials) + len(pending)
+        if number < len(self._recorded):
+            return RecordedTask(self._study, self._method, self._recorded[number])
+        planned = [task.pending for task in pending]
+        trials = count_trials(self.trials) + len(planned)
+        evaluations = count_evaluations(self.trials) + sum(len(t.evaluations) for t in planned)
+        if self._finished or self._study.budget.is_spent(trials, evaluations):
+            return None
+        begin = time.monotonic()
+        proposal = self._optimizer.ask(planned)
+        seconds = time.monotonic() - begin
+        return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
+
+    def tell(self, task: TrialTask | RecordedTask) -> bool:
+        """Add a trial, which observers are told of as such and not as a step."""
+        trial = task.trial()
+        self.trials.append(trial)
+        self._optimizer.tell(trial)
+        return False
+
+
+class Tuning:
+    """The trials of a study; iterating over it runs those that remain.
+
+    Parameters
+    ----------
+    study
+        The study.
+    driver
+        Carries out the plan.
+    method
+        The method.
+    trials
+        As `recorded` of `TrialPlan`.
+
+    Attributes
+    ----------
+    plan
+        The plan.
     """
 
     def __init__(
-        self,
-        study: Study,
-        backend: Backend,
-        method: Method,
-        *,
-        observer: RunObserver = NOBODY,
-        trials: Sequence[Trial] = (),
+        self, study: Study, driver: Driver, method: Method, *, trials: Sequence[Trial] = ()
     ) -> None:
-        self._study = study
-        self._backend = backend
-        self._method = method
-        self._observer = observer
-        self._optimizer = method.optimizer(study)
-        self._losses = Losses("trials")
-        self.trials: list[Trial] = []
-        for trial in trials:
-            self._take(trial)
+        self.plan = TrialPlan(study, method, trials)
+        self._driver = driver
+        self._recorded = trials
+
+    @property
+    def trials(self) -> Sequence[Trial]:
+        """All trials so far, those on record included."""
+        return self.plan.trials or self._recorded
 
     def __iter__(self) -> Iterator[Trial]:
         """Run the remaining trials, and yield each when it has ended.
 
-        An evaluation that was lost or disturbed is run again at once. A trial that is lost all the
-        same does not use up the budget.
+        A trial whose evaluation was lost twice, or disturbed, does not use up the budget.
 
         Raises
         ------
         RunError
             If three trials in a row were lost with their nodes or disturbed.
         """
-        budget = self._study.budget
-        while not budget.is_spent(count_trials(self.trials), count_evaluations(self.trials)):
-            begin = time.monotonic()
-            proposal = self._optimizer.ask()
-            seconds = time.monotonic() - begin
-            self._observer.proposal()
-            trial = self._evaluate(len(self.trials), proposal, seconds)
-            self._take(trial)
-            yield trial
-            self._losses.check()
-
-    def _take(self, trial: Trial) -> None:
-        self.trials.append(trial)
-        self._optimizer.tell(trial)
-        spoilt = [e for e in trial.evaluations if e.outcome.spoilt]
-        self._losses.note(spoilt[0] if spoilt else None)
-
-    def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:
-        done: list[Evaluation] = []
-        state, reason, worst_cases = self._stages(number, proposal, done)
-        return Trial(
-            number=number,
-            parameters=proposal.parameters,
-            origin=proposal.origin,
-            state=state,
-            reason=reason,
-            evaluations=tuple(done),
-            worst_cases=worst_cases,
-            warnings=proposal.warnings,
-            hyperparameters=proposal.hyperparameters,
-            seconds=seconds,
-        )
-
-    def _stages(
-        self, number: int, proposal: Proposal, done: list[Evaluation]
-    ) -> tuple[TrialState, str, dict[str, WorstCase]]:
-        """Run the evaluations of a trial until one fails, and append each to `done`."""
-
-        def run(stage: Stage, context: Context) -> Outcome:
-            seed = noise_seed(self._study.seed, Stream.NOISE, number, len(done))
-            planned = Evaluation(number, len(done), stage, proposal.parameters, context, seed)
-            for _ in range(ATTEMPTS):
-                evaluation = evaluate(self._backend, planned, self._observer)
-                if not evaluation.outcome.spoilt:
-                    break
-            done.append(evaluation)
-            return evaluation.outcome
-
-        def rng() -> np.random.Generator:
-            return generator(self._study.seed, Stream.SEARCH, number, len(done))
-
-        for stage, context in self._method.first_contexts(self._study, number, proposal):
-            outcome = run(stage, context)
-            if not outcome.complete:
-                return TrialState.FAILED, outcome.reason, {}
-        searches = self._method.worst_case_searches(self._study, proposal, self.trials)
-        for evaluation in done:
-            searches.tell(evaluation.context, evaluation.outcome.metrics)
-        while not searches.done(rng()):
-            context = searches.ask(rng())
-            outcome = run(Stage.SEARCH, context)
-            if not outcome.complete:
-                return TrialState.FAILED, outcome.reason, {}
-            searches.tell(context, outcome.metrics)
-        return TrialState.COMPLETE, "", searches.worst_cases(rng())
+        for task in self._driver.run(self.plan):
+            if not task.recorded:
+                yield self.plan.trials[-1]

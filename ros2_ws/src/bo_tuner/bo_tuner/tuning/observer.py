@@ -1,19 +1,10 @@
 """Interface of the observers of a run: journal, recording, displays and topics."""
 
 from collections.abc import Sequence
-from enum import StrEnum
 
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.trials import Evaluation, Trial
-
-
-class Phase(StrEnum):
-    """Phases of a run."""
-
-    TUNING = "tuning"
-    CHECKING = "checking candidates"
-    VALIDATION = "validation"
 
 
 class RunObserver:
@@ -28,8 +19,8 @@ class RunObserver:
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Handle the recorded trials of a resumed run, each a step, and their incumbent."""
 
-    def proposal(self) -> None:
-        """Handle that the next trial has been proposed; its evaluations follow."""
+    def planned(self) -> None:
+        """Handle that the next task, such as a trial, is planned; its evaluations follow."""
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Handle a finished evaluation, before its result is used."""
@@ -76,10 +67,10 @@ class Observers(RunObserver):
         for observer in self._observers:
             observer.recall(trials, incumbent)
 
-    def proposal(self) -> None:
-        """Pass on that a trial has been proposed."""
+    def planned(self) -> None:
+        """Pass on that a task is planned."""
         for observer in self._observers:
-            observer.proposal()
+            observer.planned()
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Pass on an evaluation."""

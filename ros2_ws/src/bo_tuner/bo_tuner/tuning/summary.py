@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
 from bo_tuner.methods.protocol import Method
@@ -27,10 +26,9 @@ from bo_tuner.trials import (
     count_trials,
     parameter_set,
 )
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.effects import ParameterEffects, effects_in
-from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.front import pareto_front
-from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.validation import Validation, validate
 
 
@@ -55,11 +53,7 @@ class Conclusion:
 
 
 def conclude(
-    study: Study,
-    backend: Backend,
-    method: Method,
-    trials: Sequence[Trial],
-    observer: RunObserver = NOBODY,
+    study: Study, driver: Driver, method: Method, trials: Sequence[Trial]
 ) -> Conclusion | None:
     """Check the best candidates, and validate the recommended one beside the default.
 
@@ -67,12 +61,10 @@ def conclude(
     ----------
     study, method
         Of the run.
-    backend
-        Runs the evaluations; open.
+    driver
+        Carries out both.
     trials
         All trials of the run.
-    observer
-        Told of phases, evaluations and steps.
 
     Returns
     -------
@@ -84,17 +76,11 @@ def conclude(
     RunError
         As in `validate`.
     """
-    best = choose_answer(study, backend, method, trials, observer=observer)
+    best = choose_answer(study, driver, method, trials)
     if best is None:
         return None
-    observer.begin(Phase.VALIDATION, study.budget.validation_draws)
-    default, tuned = validate(
-        study,
-        backend,
-        [study.search_space().defaults, best.candidate.trial.parameters],
-        observer=observer,
-    )
-    observer.end(Phase.VALIDATION)
+    candidates = [study.search_space().defaults, best.candidate.trial.parameters]
+    default, tuned = validate(study, driver, candidates)
     return Conclusion(best, default, tuned, effects_in(study, trials))
 
 
@@ -129,18 +115,17 @@ def continued(
 
 def choose_answer(
     study: Study,
-    backend: Backend,
+    driver: Driver,
     method: Method,
     trials: Sequence[Trial],
     *,
     most_repeated: int | None = None,
-    observer: RunObserver = NOBODY,
 ) -> Recommendation | None:
     """Evaluate the best candidates again, in the way of the method, and recommend one.
 
     Parameters
     ----------
-    study, backend, method, trials, observer
+    study, driver, method, trials
         As in `conclude`.
     most_repeated
         As `most` of `Method.answer_search`.
@@ -156,16 +141,7 @@ def choose_answer(
         If three evaluations in a row were lost with their nodes or disturbed.
     """
     search = method.answer_search(study, trials, most_repeated)
-    losses = Losses(search.what)
-    observer.begin(Phase.CHECKING, search.steps)
-    while (planned := search.ask()) is not None:
-        evaluation = evaluate(backend, planned, observer)
-        step = search.tell(evaluation)
-        losses.note(evaluation)
-        losses.check()
-        if step:
-            observer.advance()
-    observer.end(Phase.CHECKING)
+    driver.complete(search)
     return search.answer
 
 
@@ -260,7 +236,7 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         trials = continued(
             study, method, record.trials, record.evaluations, stop_early=record.stop_early
         )
-        conclusion = conclude(study, backend, method, trials)
+        conclusion = conclude(study, Driver(backend), method, trials)
     except (_NotOnRecordError, RunError, KeyError):
         return None
     if conclusion is None:

@@ -1,20 +1,19 @@
 """Validation of parameter sets on fresh draws of context and noise (Sec. 5.2)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study import checks
 from bo_tuner.study.limits import Sample, Standing, judge_samples
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
-from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.driver import Driver
 
 
 @dataclass(frozen=True)
@@ -82,25 +81,66 @@ class Validation:
         return self.failures == self.lost == 0 and all(s.agrees for s in self.constraints.values())
 
 
-def validate(
-    study: Study,
-    backend: Backend,
-    candidates: Sequence[Mapping[str, Value]],
-    *,
-    observer: RunObserver = NOBODY,
-) -> list[Validation]:
-    """Evaluate parameter sets on the same fresh draws.
+class ValidationPlan(Plan[Run]):
+    """The evaluations of parameter sets on the same fresh draws, which depend on no result.
 
     Parameters
     ----------
     study
         The study; its budget sets the number of draws.
-    backend
-        Runs the evaluations; open.
     candidates
         The parameter sets; all get the same contexts and seeds.
-    observer
-        Is passed each evaluation, and each draw as a step.
+    """
+
+    phase = Phase.VALIDATION
+
+    def __init__(self, study: Study, candidates: Sequence[Mapping[str, Value]]) -> None:
+        self._study = study
+        self._candidates = candidates
+        self._planned = self._evaluations()
+        self._told: list[list[Evaluation]] = [[] for _ in candidates]
+        self.steps = study.budget.validation_draws
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation."""
+        planned = next(self._planned, None)
+        return None if planned is None else Run(planned)
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation; a draw of all parameter sets is a step."""
+        self._told[task.evaluation.trial].append(task.evaluation)
+        return sum(map(len, self._told)) % len(self._candidates) == 0
+
+    @property
+    def results(self) -> list[Validation]:
+        """One for each parameter set, in their order."""
+        pairs = zip(self._candidates, self._told, strict=True)
+        return [_judge(self._study, parameters, told) for parameters, told in pairs]
+
+    def _evaluations(self) -> Iterator[Evaluation]:
+        study, contexts = self._study, self._study.context_space()
+        rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
+        numbers = range(len(self._candidates))
+        for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
+            seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
+            context = contexts.to_dict(row)
+            # A node that starts anew for other parameters does so once a draw.
+            for number in reversed(numbers) if study.start_names and k % 2 else numbers:
+                parameters = self._candidates[number]
+                yield Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
+
+
+def validate(
+    study: Study, driver: Driver, candidates: Sequence[Mapping[str, Value]]
+) -> list[Validation]:
+    """Evaluate parameter sets on the same fresh draws.
+
+    Parameters
+    ----------
+    study, candidates
+        As of `ValidationPlan`.
+    driver
+        Carries out the plan.
 
     Returns
     -------
@@ -112,25 +152,9 @@ def validate(
     RunError
         If three evaluations in a row were lost with their nodes or disturbed.
     """
-    contexts = study.context_space()
-    rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
-    drawn = contexts.draw(study.budget.validation_draws, rng)
-    evaluations: list[list[Evaluation]] = [[] for _ in candidates]
-    losses = Losses("evaluations")
-    for k, row in enumerate(drawn):
-        seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
-        context = contexts.to_dict(row)
-        numbers = range(len(candidates))
-        # A node that starts anew for other parameters does so once a draw.
-        for number in reversed(numbers) if study.start_names and k % 2 else numbers:
-            parameters = candidates[number]
-            planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
-            evaluation = evaluate(backend, planned, observer)
-            evaluations[number].append(evaluation)
-            losses.note(evaluation)
-            losses.check()
-        observer.advance()
-    return [_judge(study, p, found) for p, found in zip(candidates, evaluations, strict=True)]
+    plan = ValidationPlan(study, candidates)
+    driver.complete(plan)
+    return plan.results
 
 
 def _judge(

@@ -52,7 +52,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Variations:
     """What is to be run.
 
     Attributes
@@ -112,7 +112,7 @@ class Found:
 
 
 @dataclass
-class Runs:
+class VariedRuns:
     """Runs that have ended, without those that tell nothing of their parameters.
 
     Attributes
@@ -127,7 +127,7 @@ class Runs:
     varied: dict[int, list[Evaluation]] = field(default_factory=dict)
 
 
-def plan(study: Study, *, whole_range: bool) -> Plan:
+def plan(study: Study, *, whole_range: bool) -> Variations:
     """Plan the runs around the default of a study.
 
     Parameters
@@ -155,7 +155,7 @@ def plan(study: Study, *, whole_range: bool) -> Plan:
             chosen = {n: levels[n][int(sign > 0.0)] for n, sign in zip(screened, row, strict=True)}
             point = space.repair(space.to_cube({**space.defaults, **chosen})[None])[0]
             variations.append(Variation(space.to_parameters(point), "", 1))
-    return Plan(tuple(variations), singly, screened)
+    return Variations(tuple(variations), singly, screened)
 
 
 def _single(space: SearchSpace, *, whole_range: bool) -> dict[str, tuple[Value, ...]]:
@@ -208,7 +208,7 @@ def _levels(
     return both[0], both[-1]
 
 
-def order_of_runs(study: Study, planned: Plan, default_runs: int) -> list[int | None]:
+def order_of_runs(study: Study, planned: Variations, default_runs: int) -> list[int | None]:
     """Return the runs in random order, so that a drift of the machine is no effect.
 
     Parameters
@@ -232,7 +232,7 @@ def order_of_runs(study: Study, planned: Plan, default_runs: int) -> list[int | 
     return [places[k] for k in order.tolist()]
 
 
-def judge(study: Study, planned: Plan, runs: Runs) -> dict[str, Found]:
+def judge(study: Study, planned: Variations, runs: VariedRuns) -> dict[str, Found]:
     """Return what the runs tell of each parameter that was tried, by its name."""
     level = test_level(study, len(study.responses))
     at_once = [
@@ -250,7 +250,7 @@ def judge(study: Study, planned: Plan, runs: Runs) -> dict[str, Found]:
     }
 
 
-def _singly(study: Study, planned: Plan, runs: Runs, name: str, level: float) -> Found:
+def _singly(study: Study, planned: Variations, runs: VariedRuns, name: str, level: float) -> Found:
     """Return what a parameter does that was moved alone."""
     own = {
         variation.parameters[name]: runs.varied.get(place, [])
@@ -279,7 +279,7 @@ def _singly(study: Study, planned: Plan, runs: Runs, name: str, level: float) ->
 
 def _screened(
     study: Study,
-    planned: Plan,
+    planned: Variations,
     done: Sequence[Evaluation],
     points: Array,
     name: str,

@@ -13,6 +13,7 @@ import numpy as np
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.campaign.timed_backend import TimedBackend
 
@@ -73,7 +74,7 @@ def cost_of_run(algorithm: str, dimension: int, seed: int, marks: Sequence[int])
     backend.open()
     seconds = []
     begin = time.process_time()
-    for trial in Tuning(study, backend, METHODS[algorithm]):
+    for trial in Tuning(study, Driver(backend), METHODS[algorithm]):
         if trial.number + 1 in marks:
             seconds.append(round(time.process_time() - begin - backend.seconds, 3))
     return {"trials": sorted(marks), "seconds": seconds}

@@ -6,9 +6,8 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial, TrialState, Value
-from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark.campaign.timed_backend import TimedBackend
 from tuning_benchmark.peers.adapter import ORIGIN
 from tuning_benchmark.peers.robust import RobustOptimizer, result_of
@@ -49,7 +48,7 @@ class OwnContextsRun:
 
     def __iter__(self) -> Iterator[Trial]:
         """Run the initial trials, and then evaluations until the budget is used."""
-        for trial in Tuning(self.study, self.backend, METHODS[DESIGN]):
+        for trial in Tuning(self.study, Driver(self.backend), METHODS[DESIGN]):
             yield self._take(trial)
             if self.done or len(self.trials) >= self.study.budget.initial_trials:
                 break
@@ -72,7 +71,7 @@ class OwnContextsRun:
         parameters = self._space.to_parameters(self._space.to_cube(tuned)) | dict(tuned)
         seed = noise_seed(self.study.seed, Stream.NOISE, number, 0)
         planned = Evaluation(number, 0, Stage.SEARCH, parameters, context, seed)
-        done = evaluate(self.backend, planned, NOBODY)
+        done = Driver(self.backend).evaluate(planned)
         complete = done.outcome.complete
         state = TrialState.COMPLETE if complete else TrialState.FAILED
         return Trial(number, parameters, ORIGIN, state, done.outcome.reason, (done,))

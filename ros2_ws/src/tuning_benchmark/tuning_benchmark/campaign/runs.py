@@ -14,6 +14,7 @@ from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value, count_evaluations
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.summary import choose_answer
@@ -97,7 +98,7 @@ class Run:
         self.study = whole.replace(evaluations=self.budget)
         self.backend = TimedBackend(self.study)
         self.backend.open()
-        self._tuning = Tuning(self.study, self.backend, self.method)
+        self._tuning = Tuning(self.study, Driver(self.backend), self.method)
         self._found: Recommendation | None = None
 
     @property
@@ -130,11 +131,10 @@ class Run:
         left = self._evaluations - self.backend.evaluations
         self._found = choose_answer(
             self.study,
-            self.backend,
+            Driver(self.backend, settling),
             self.method,
             self.trials,
             most_repeated=max(0, left),
-            observer=settling,
         )
         more = self.method.further(self.study, self._evaluations - self.backend.evaluations)
         if self._found is None or not more:
@@ -142,7 +142,7 @@ class Run:
         known = self.method.continued(self.trials, settling.evaluations, more=True)
         self.budget = self.backend.evaluations + more
         self.study = self.study.replace(evaluations=count_evaluations(known) + more)
-        self._tuning = Tuning(self.study, self.backend, self.method, trials=known)
+        self._tuning = Tuning(self.study, Driver(self.backend), self.method, trials=known)
         return True
 
     def incumbent(self) -> int | None:
@@ -288,7 +288,7 @@ def _judged(
     run: Run | OwnContextsRun, truth: Truth, parameters: Mapping[str, Value]
 ) -> dict[str, Any]:
     """Validate and judge the answer of a run, with its neighbourhood."""
-    (validation,) = validate(run.study, run.backend, [parameters])
+    (validation,) = validate(run.study, Driver(run.backend), [parameters])
     verdict = truth.verdict(parameters)
     return {
         "parameters": dict(parameters),

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Value
-from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.driver import Driver
 
 
 class Evaluator:
@@ -44,4 +43,4 @@ class Evaluator:
             space = self._study.context_space()
             context = space.to_dict(space.nominal())
         planned = Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
-        return evaluate(self._backend, planned, NOBODY).outcome.metrics
+        return Driver(self._backend).evaluate(planned).outcome.metrics

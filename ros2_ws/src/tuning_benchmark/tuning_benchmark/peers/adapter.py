@@ -37,8 +37,8 @@ class PeerOptimizer:
         self._trials: list[Trial] = []
         self._designing = True
 
-    def ask(self) -> Proposal:
-        """Propose the next trial's parameter set.
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+        """Propose the next trial's parameter set; none may be pending.
 
         Raises
         ------

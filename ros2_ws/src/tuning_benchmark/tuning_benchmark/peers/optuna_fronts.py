@@ -16,6 +16,8 @@ Recommendation
     `Study.best_trials`: the feasible trials that no other one dominates, as observed.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import optuna
 from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
@@ -47,8 +49,8 @@ class OptunaFront(DesignedOptimizer):
         )
         self._pending: optuna.Trial | None = None
 
-    def ask(self) -> Proposal:
-        """Propose the initial design's parameter set, or what the sampler suggests."""
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+        """Propose what the initial design has or the sampler suggests; none may be pending."""
         proposal = self.initial()
         if proposal is not None:
             tuned = {name: proposal.parameters[name] for name in self.space.names}

@@ -3,13 +3,11 @@
 They end as soon as the verdict is clear; `most_evaluations` says when at the latest.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
@@ -22,11 +20,11 @@ from bo_tuner.evidence.certificate.independent_search import (
 )
 from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.plans import Batches, BatchPlan, Plan, Run
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Value
-from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.driver import Driver
 
 LEAST_DRAWS = 30
 """Draws behind the mean of the objective, even if fewer decide the verdict."""
@@ -104,10 +102,6 @@ def _most_places(study: Study, subject: Subject) -> int:
     return len(subject.earlier.contexts) + constraints * found
 
 
-class _FailedError(Exception):
-    """An evaluation of a search failed: a FAIL."""
-
-
 class Certification:
     """Collects the evidence for a certificate.
 
@@ -115,32 +109,21 @@ class Certification:
     ----------
     study
         The study.
-    backend
-        Runs the evaluations; open.
+    driver
+        Carries out the plans.
     confidence
         Confidence of each bound.
     attempt
         Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
-    observer
-        Told of each phase, evaluation and step.
     """
 
     def __init__(
-        self,
-        study: Study,
-        backend: Backend,
-        *,
-        confidence: float,
-        attempt: int = 1,
-        observer: RunObserver = NOBODY,
+        self, study: Study, driver: Driver, *, confidence: float, attempt: int = 1
     ) -> None:
         self._study = study
-        self._backend = backend
+        self._driver = driver
         self._confidence = confidence
         self._attempt = attempt
-        self._observer = observer
-        self._contexts = study.context_space()
-        self._losses = Losses("evaluations")
 
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
         """Evaluate all subjects in the same draws, then search for the worst contexts of each.
@@ -160,210 +143,320 @@ class Certification:
         RunError
             If three evaluations in a row were lost with their nodes or disturbed.
         """
-        drawn = self._draw(subjects, draws)
+        case = _Case(self._study, self._confidence, self._attempt, draws)
+        drawing = DrawPlan(case, subjects)
+        self._driver.complete(drawing)
         found = [
-            self._look_closely(number, subject, drawn[number], draws)
+            self._look_closely(case, number, subject, drawing.evaluations[number])
             for number, subject in enumerate(subjects)
         ]
         return [
-            self._draw_on(number, subject, evidence, draws)
-            for (number, subject), evidence in zip(enumerate(subjects), found, strict=True)
+            self._draw_on(case, number, subject, evidence)
+            for number, (subject, evidence) in enumerate(zip(subjects, found, strict=True))
         ]
 
-    def _draw_on(self, number: int, subject: Subject, found: Evidence, most: int) -> Evidence:
-        """Make the draws that a limit kept by far still needs, after all other runs."""
-        if not found.repeated:
-            return found
-        others = found.evaluations[len(found.drawn) :]
-        rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
-        rows = self._contexts.draw(most, rng)
-        drawn = list(found.drawn)
-        while (
-            len(drawn) < most
-            and decide_draws(self._study, drawn, most, self._confidence, subject.earlier, others)
-            is None
-        ):
-            k = len(drawn)
-            drawn.append(
-                self._run(
-                    Evaluation(
-                        number,
-                        k,
-                        Stage.VALIDATION,
-                        subject.parameters,
-                        self._contexts.to_dict(rows[k]),
-                        self._noise_seed(DRAWN, k),
-                    )
-                )
-            )
-        return replace(found, drawn=tuple(drawn))
-
-    def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
-        self._observer.begin(DRAWS, draws)
-        rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
-        evaluations: list[list[Evaluation]] = [[] for _ in subjects]
-        for k, row in enumerate(self._contexts.draw(draws, rng)):
-            seed = self._noise_seed(DRAWN, k)
-            context = self._contexts.to_dict(row)
-            for number, subject in enumerate(subjects):
-                planned = Evaluation(number, k, Stage.VALIDATION, subject.parameters, context, seed)
-                evaluations[number].append(self._run(planned))
-            self._observer.advance()
-            if all(map(partial(self._clear, draws), subjects, evaluations)):
-                break
-        return evaluations
-
-    def _clear(self, most: int, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
-        decided = self._decide_draws(subject, drawn, most)
-        return decided is False or (decided is True and len(drawn) >= min(LEAST_DRAWS, most))
-
-    def _decide_draws(
-        self, subject: Subject, drawn: Sequence[Evaluation], most: int
-    ) -> bool | None:
-        return decide_draws(self._study, drawn, most, self._confidence, subject.earlier)
-
     def _look_closely(
-        self, number: int, subject: Subject, drawn: Sequence[Evaluation], most: int
+        self, case: "_Case", number: int, subject: Subject, drawn: Sequence[Evaluation]
     ) -> Evidence:
-        constraints = self._study.worst_case_constraints
         evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
-        if not constraints or self._decide_draws(subject, drawn, most) is False:
+        constraints = self._study.worst_case_constraints
+        if not constraints or case.decided(subject, drawn) is False:
             return evidence
-        search: list[Evaluation] = []
+        plan = WorstCasePlan(case, number, subject, evidence)
+        self._driver.complete(plan)
+        return plan.evidence
 
-        def run(stage: Stage, context: Context, index: int, *key: int) -> Evaluation:
-            # The key does not depend on the subject: the same noise for all.
-            seed = self._noise_seed(*key)
-            evaluation = self._run(
-                Evaluation(number, index, stage, subject.parameters, context, seed)
-            )
-            self._observer.advance()
-            return evaluation
+    def _draw_on(
+        self, case: "_Case", number: int, subject: Subject, evidence: Evidence
+    ) -> Evidence:
+        """Make the draws that the limits need beside all other runs, if they are kept there."""
+        if not evidence.repeated or not all(
+            case.holds(evidence, place) for place in range(len(evidence.repeated))
+        ):
+            return evidence
+        plan = FurtherDrawPlan(case, number, subject, evidence)
+        self._driver.complete(plan)
+        return plan.evidence
 
-        def evaluated(context: Context) -> Evaluation:
-            search.append(run(Stage.SEARCH, context, len(search), SEARCHED, len(search)))
-            if is_failed(search):
-                raise _FailedError
-            return search[-1]
 
-        self._observer.begin(
-            f"worst case of {subject.name}",
-            len(constraints) * most_searched(self._contexts, len(subject.suspected))
-            + _most_places(self._study, subject) * EXPECTED_REPEATS,
+@dataclass(frozen=True)
+class _Case:
+    """What all evaluations of a certificate have in common; `most` of them in each context."""
+
+    study: Study
+    confidence: float
+    attempt: int
+    most: int
+
+    def decided(
+        self,
+        subject: Subject,
+        drawn: Sequence[Evaluation],
+        others: Sequence[Evaluation] | None = None,
+    ) -> bool | None:
+        """Return whether a subject keeps its limits in draws, with other runs; None if open."""
+        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier, others)
+
+    def holds(self, evidence: Evidence, place: int) -> bool | None:
+        """Return whether every worst-case constraint holds in a context; None if open."""
+        decided = [
+            decide_context(self.study, constraint, evidence, place, self.most, self.confidence)
+            for constraint in self.study.worst_case_constraints
+        ]
+        if False in decided:
+            return False
+        return None if None in decided else True
+
+    def draw(self) -> list[Context]:
+        """Return the contexts of all draws."""
+        space = self.study.context_space()
+        rng = generator(self.study.seed, Stream.CERTIFICATE_CONTEXTS, self.attempt)
+        return [space.to_dict(row) for row in space.draw(self.most, rng)]
+
+    def noise_seed(self, *key: int) -> int:
+        """Return a seed; it does not depend on the subject: the same noise for all."""
+        return noise_seed(self.study.seed, Stream.CERTIFICATE_NOISE, self.attempt, *key)
+
+
+class DrawPlan(Plan[Run]):
+    """All subjects in the same draws, until these are clear for every subject.
+
+    Draws that were planned before it was clear count, too.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = DRAWS
+
+    def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
+        self._case = case
+        self._subjects = subjects
+        self._clear = False
+        self._contexts = case.draw()
+        self.steps = case.most
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next subject in a draw, or the first one in the next draw."""
+        k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
+        if k == len(self._contexts) or (self._clear and number == 0):
+            return None
+        parameters, context = self._subjects[number].parameters, self._contexts[k]
+        seed = self._case.noise_seed(DRAWN, k)
+        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation; a draw of all subjects is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        if len({len(drawn) for drawn in self.evaluations}) > 1:
+            return False
+        self._clear = all(map(self._is_clear, self._subjects, self.evaluations))
+        return True
+
+    def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
+        decided = self._case.decided(subject, drawn)
+        least = min(LEAST_DRAWS, self._case.most)
+        return decided is False or (decided is True and len(drawn) >= least)
+
+
+class FurtherDrawPlan(Plan[Run]):
+    """More draws of one subject, as its other runs were too few beside those that it has.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    subject
+        The parameter set.
+    evidence
+        All its runs.
+
+    Attributes
+    ----------
+    evidence
+        With what was told.
+    """
+
+    phase = "more draws"
+
+    def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        self._case = case
+        self._number = number
+        self._subject = subject
+        self._others = evidence.evaluations[len(evidence.drawn) :]
+        self._contexts = case.draw()
+        self.evidence = evidence
+        self.steps = case.most - len(evidence.drawn)
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next draw."""
+        drawn = self.evidence.drawn
+        k = len(drawn) + len(pending)
+        if (
+            k == len(self._contexts)
+            or self._case.decided(self._subject, drawn, self._others) is not None
+        ):
+            return None
+        seed = self._case.noise_seed(DRAWN, k)
+        parameters, context = self._subject.parameters, self._contexts[k]
+        return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add a draw."""
+        self.evidence = replace(self.evidence, drawn=(*self.evidence.drawn, task.evaluation))
+        return True
+
+
+@dataclass(frozen=True)
+class _Suspects:
+    """Contexts that may be the worst ones.
+
+    By constraint, which of them its search has found, and what a model over the contexts has of
+    them.
+    """
+
+    contexts: Sequence[Context]
+    found_by: Mapping[str, Sequence[int]]
+    ranking: Mapping[str, Ranking]
+
+
+class WorstCasePlan(Plan[Run]):
+    """The search for the worst contexts of a subject, then repeated runs in them.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    subject
+        The parameter set.
+    evidence
+        Of its draws.
+
+    Attributes
+    ----------
+    evidence
+        With what was told.
+    """
+
+    def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        self._case = case
+        self._number = number
+        self._subject = subject
+        self._search = BatchPlan(self._suspects(), lambda _: is_failed(self.evidence.search))
+        self._repeats: RepeatPlan | None = None
+        self.evidence = evidence
+        study = case.study
+        self.phase = f"worst case of {subject.name}"
+        searched = most_searched(study.context_space(), len(subject.suspected))
+        self.steps = (
+            len(study.worst_case_constraints) * searched
+            + _most_places(study, subject) * EXPECTED_REPEATS
         )
-        rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation of the search, or in one of the contexts that it found."""
+        if self._repeats is not None:
+            return self._repeats.ask(pending)
+        task = self._search.ask(pending)
+        if task is not None or pending or self._search.result is None:
+            return task
+        suspects = self._search.result
+        evidence = replace(
+            self.evidence,
+            repeated=((),) * len(suspects.contexts),
+            ranking=suspects.ranking,
+        )
+        self._repeats = RepeatPlan(self._case, self._number, evidence, suspects)
+        self.evidence = self._repeats.visited
+        return self._repeats.ask(pending)
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation, which is a step."""
+        if self._repeats is None:
+            self.evidence = replace(self.evidence, search=(*self.evidence.search, task.evaluation))
+            return self._search.tell(task)
+        self._repeats.tell(task)
+        self.evidence = self._repeats.visited
+        return True
+
+    def _suspects(self) -> Batches[_Suspects | None]:
+        """Search for each constraint; nothing is found where an evaluation has failed: a FAIL."""
+        study, subject = self._case.study, self._subject
+        drawn = self.evidence.drawn
+        key = Stream.CERTIFICATE_SEARCH, self._case.attempt, self._number
+        rng = generator(study.seed, *key)
         # They come first: where it failed before, a FAIL is soonest found.
         candidates: list[Context] = [*subject.earlier.contexts]
-        failed_before = list(range(len(candidates)))
+        failed_before = range(len(candidates))
         found_by: dict[str, list[int]] = {}
-        try:
-            for index, constraint in enumerate(constraints):
-                known = [*search, *drawn]
-                # Not all of them may fit among the candidates; the constraint's own does.
-                suspected = [*subject.suspected[index:], *subject.suspected[:index]]
-                worst = self._find(constraint, evaluated, known, suspected, rng)
-                candidates += [context for context in worst if context not in candidates]
-                found_by[constraint.name] = sorted(
-                    {*failed_before, *(candidates.index(context) for context in worst)}
-                )
-        except _FailedError:
-            return replace(evidence, search=tuple(search))
+        for index, constraint in enumerate(study.worst_case_constraints):
+            # Not all of them may fit among the candidates; the constraint's own does.
+            suspected = [*subject.suspected[index:], *subject.suspected[:index]]
+            worst = yield from self._find(constraint, suspected, rng)
+            if worst is None:
+                return None
+            candidates += [context for context in worst if context not in candidates]
+            places = (candidates.index(context) for context in worst)
+            found_by[constraint.name] = sorted({*failed_before, *places})
         if subject.earlier.certified:
-            known = [*search, *drawn, *subject.earlier.evaluations]
-            for constraint in constraints:
+            known = [*self.evidence.search, *drawn, *subject.earlier.evaluations]
+            for constraint in study.worst_case_constraints:
                 candidates += self._carry(constraint, known, candidates, rng)
-        ranking = self._rank([*search, *drawn], candidates, subject.earlier.contexts, rng)
-        # Where a limit is nearest comes first.
-        nearness = [sum(c in item.clear for item in ranking.values()) for c in candidates]
-        order = sorted(range(len(candidates)), key=lambda i: nearness[i])
-        candidates = [candidates[i] for i in order]
-        found_by = {k: sorted(order.index(i) for i in v) for k, v in found_by.items()}
-        found = replace(
-            evidence,
-            search=tuple(search),
-            repeated=((),) * len(candidates),
-            ranking=ranking,
+        ranking = self._rank(candidates, rng)
+        # Those in which limits are kept by far come last.
+        kept = [sum(context in item.clear for item in ranking.values()) for context in candidates]
+        order = sorted(range(len(candidates)), key=lambda place: kept[place])
+        return _Suspects(
+            [candidates[place] for place in order],
+            {name: sorted(map(order.index, places)) for name, places in found_by.items()},
+            ranking,
         )
-        while (place := self._open_context(found, most)) is not None:
-            here, k = found.repeated[place], len(found.repeated[place])
-            new = run(Stage.CHECK_WORST, candidates[place], k, REPEATED, place, k)
-            found = replace(
-                found,
-                repeated=(*found.repeated[:place], (*here, new), *found.repeated[place + 1 :]),
-            )
-        unvisited = {
-            name: count
-            for name, places in found_by.items()
-            if (count := sum(not found.repeated[place] for place in places))
-        }
-        visited = tuple(here for here in found.repeated if here)
-        unseen = frozenset(name for name in unvisited if unvisited[name] == len(found_by[name]))
-        return replace(found, repeated=visited, unvisited=unvisited, unseen=unseen)
 
-    def _rank(
-        self,
-        known: Sequence[Evaluation],
-        candidates: Sequence[Context],
-        failed_before: Sequence[Context],
-        rng: np.random.Generator,
-    ) -> dict[str, Ranking]:
-        """Return by constraint what a model has of the candidates that have not failed before."""
-        if self._study.certificate.distribution_free:
+    def _rank(self, candidates: Sequence[Context], rng: np.random.Generator) -> dict[str, Ranking]:
+        """Return by constraint what a model has of the contexts that have not failed before."""
+        study, failed_before = self._case.study, self._subject.earlier.contexts
+        if study.certificate.distribution_free:
             return {}
-        complete = [e for e in known if e.outcome.complete][:MOST_MODELLED]
+        known = [*self.evidence.search, *self.evidence.drawn]
+        complete = [evaluation for evaluation in known if evaluation.outcome.complete]
         found = {}
-        for constraint in self._study.worst_case_constraints:
+        for constraint in study.worst_case_constraints:
             metric, sign = constraint.metric, constraint.sign
-            runs = [(e.context, sign * e.outcome.metrics[metric]) for e in complete]
-            limit = sign * constraint.limit
-            clear, behind = rank(self._contexts, runs, candidates, limit, rng)
+            clear, behind = rank(
+                study.context_space(),
+                [(e.context, sign * e.outcome.metrics[metric]) for e in complete[:MOST_MODELLED]],
+                candidates,
+                sign * constraint.limit,
+                rng,
+            )
             found[constraint.name] = Ranking(
                 tuple(context for context in clear if context not in failed_before),
                 tuple(context for context in behind if context not in failed_before),
             )
         return found
 
-    def _open_context(self, found: Evidence, most: int) -> int | None:
-        """Return the context of the next evaluation; None if the verdict is clear.
-
-        First those that must show a limit by their own runs. What was clear in a context may be
-        open again after the runs in the next.
-        """
-        places = range(len(found.repeated))
-        holds = [
-            self._holds(found, place, most) if found.repeated[place] else None for place in places
-        ]
-        if False in holds:
-            return None
-        still = [place for place in places if holds[place] is None]
-        if not still:
-            return None
-        alone = [p for p in still if not found.repeated[p] or not self._is_helped(found, p)]
-        place = alone[0] if alone else min(still, key=lambda p: len(found.repeated[p]))
-        return place if len(found.repeated[place]) < most else None
-
-    def _is_helped(self, found: Evidence, place: int) -> bool:
-        context = found.repeated[place][0].context
-        return any(context in item.behind for item in found.ranking.values())
-
     def _find(
-        self,
-        constraint: Constraint,
-        evaluated: Callable[[Context], Evaluation],
-        known: Sequence[Evaluation],
-        suspected: Sequence[Context],
-        rng: np.random.Generator,
-    ) -> list[Context]:
-        """Search for the worst contexts of one constraint, after `known` evaluations."""
+        self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator
+    ) -> Batches[list[Context] | None]:
+        """Search for the worst contexts of one constraint; None if an evaluation has failed."""
         metric, sign = constraint.metric, constraint.sign
-
-        def violation(context: Context) -> float | None:
-            value = evaluated(context).outcome.metrics.get(metric)
-            return None if value is None else sign * value
-
-        return find_worst_contexts(
-            self._contexts,
-            violation,
+        known = [*self.evidence.search, *self.evidence.drawn]
+        search = find_worst_contexts(
+            self._case.study.context_space(),
             [
                 (evaluation.context, sign * evaluation.outcome.metrics[metric])
                 for evaluation in known
@@ -372,6 +465,24 @@ class Certification:
             suspected,
             sign * constraint.limit,
             rng,
+        )
+        values: list[float | None] | None = None
+        while True:
+            try:
+                contexts = next(search) if values is None else search.send(values)
+            except StopIteration as end:
+                worst: list[Context] = end.value
+                return worst
+            ran = yield [self._searched(context, k) for k, context in enumerate(contexts)]
+            if is_failed(self.evidence.search):
+                return None
+            values = [sign * e.outcome.metrics[metric] if e.outcome.complete else None for e in ran]
+
+    def _searched(self, context: Context, place: int) -> Evaluation:
+        index = len(self.evidence.search) + place
+        seed = self._case.noise_seed(SEARCHED, index)
+        return Evaluation(
+            self._number, index, Stage.SEARCH, self._subject.parameters, context, seed
         )
 
     def _carry(
@@ -384,28 +495,95 @@ class Certification:
         """Return the worst contexts by all runs, earlier ones as well, that are no candidates."""
         complete = [evaluation for evaluation in known if evaluation.outcome.complete]
         return worst_of_all(
-            self._contexts,
+            self._case.study.context_space(),
             [evaluation.context for evaluation in complete],
             [constraint.sign * e.outcome.metrics[constraint.metric] for e in complete],
             candidates,
             rng,
         )
 
-    def _holds(self, found: Evidence, place: int, most: int) -> bool | None:
-        """Return whether every worst-case constraint holds in a context; None if open."""
-        decided = [
-            decide_context(self._study, constraint, found, place, most, self._confidence)
-            for constraint in self._study.worst_case_constraints
+
+class RepeatPlan(Plan[Run]):
+    """Repeated runs in contexts that may be the worst, until each is clear.
+
+    First in those that must show a limit by their own runs, one after the other; then in the
+    others in turn.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    evidence
+        Of its draws and its search, with an empty group of runs for each context.
+    suspects
+        The contexts.
+    """
+
+    def __init__(self, case: _Case, number: int, evidence: Evidence, suspects: _Suspects) -> None:
+        self._case = case
+        self._number = number
+        self._evidence = evidence
+        self._suspects = suspects
+        self._places: dict[int, int] = {}
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run in a context that takes more."""
+        counts = [len(here) for here in self._evidence.repeated]
+        for task in pending:
+            counts[self._places[task.evaluation.seed]] += 1
+        place = self._open_context(counts)
+        if place is None:
+            return None
+        k = counts[place]
+        if k >= self._case.most:
+            return None
+        seed = self._case.noise_seed(REPEATED, place, k)
+        self._places[seed] = place
+        parameters, context = self._evidence.parameters, self._suspects.contexts[place]
+        return Run(Evaluation(self._number, k, Stage.CHECK_WORST, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add a run."""
+        place, groups = self._places[task.evaluation.seed], list(self._evidence.repeated)
+        groups[place] = (*groups[place], task.evaluation)
+        self._evidence = replace(self._evidence, repeated=tuple(groups))
+        return True
+
+    @property
+    def visited(self) -> Evidence:
+        """The evidence, with the contexts alone in which there was a run."""
+        evidence, found_by = self._evidence, self._suspects.found_by
+        unvisited = {
+            name: count
+            for name, places in found_by.items()
+            if (count := sum(not evidence.repeated[place] for place in places))
+        }
+        return replace(
+            evidence,
+            repeated=tuple(here for here in evidence.repeated if here),
+            unvisited=unvisited,
+            unseen=frozenset(name for name in unvisited if unvisited[name] == len(found_by[name])),
+        )
+
+    def _open_context(self, counts: Sequence[int]) -> int | None:
+        """Return the context of the next run, by their numbers; None if the verdict is clear.
+
+        What was clear in a context may be open again after the runs in the next.
+        """
+        repeated = self._evidence.repeated
+        holds = [
+            self._case.holds(self._evidence, place) if here else None
+            for place, here in enumerate(repeated)
         ]
-        if False in decided:
-            return False
-        return None if None in decided else True
+        places = [place for place, held in enumerate(holds) if held is None]
+        if False in holds or not places:
+            return None
+        alone = [place for place in places if not self._is_in_group(place)]
+        return alone[0] if alone else min(places, key=lambda place: counts[place])
 
-    def _noise_seed(self, *key: int) -> int:
-        return noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, self._attempt, *key)
-
-    def _run(self, planned: Evaluation) -> Evaluation:
-        evaluation = evaluate(self._backend, planned, self._observer)
-        self._losses.note(evaluation)
-        self._losses.check()
-        return evaluation
+    def _is_in_group(self, place: int) -> bool:
+        """Return whether runs in a context count together with those in others for a limit."""
+        context = self._suspects.contexts[place]
+        return any(context in item.behind for item in self._suspects.ranking.values())

@@ -12,7 +12,7 @@ in some context, or clearly kept in all; the verdict rests on the repetitions in
 it returns in any case.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 from scipy.optimize import minimize
@@ -25,8 +25,11 @@ from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context
 
-Evaluate = Callable[[Context], float | None]
-"""Runs an evaluation in a context; returns the metric, or None if it failed."""
+Values = Sequence[float | None]
+"""A metric in some contexts, None where the evaluation failed."""
+
+Search = Generator[list[Context], Values, list[Context]]
+"""Yields batches of contexts, is sent the values of a metric in them, and returns contexts."""
 
 SPREAD_EVALUATIONS = 12
 """Evaluations of the space-filling design, a Latin hypercube."""
@@ -77,20 +80,17 @@ def most_searched(space: ContextSpace, known: int) -> int:
 
 def find_worst_contexts(
     space: ContextSpace,
-    evaluate: Evaluate,
     drawn: Sequence[tuple[Context, float]],
     known: Sequence[Context],
     limit: float,
     rng: np.random.Generator,
-) -> list[Context]:
+) -> Search:
     """Find contexts in which a metric may be the largest.
 
     Parameters
     ----------
     space
         The context space.
-    evaluate
-        Called for each evaluation.
     drawn
         Contexts that are already evaluated, with the metric.
     known
@@ -99,6 +99,12 @@ def find_worst_contexts(
         Upper limit of the metric.
     rng
         Draws the space-filling design and the starts.
+
+    Yields
+    ------
+    list of dict
+        Contexts to evaluate, in any order. Sent back are the values of the metric in them, None
+        where the evaluation failed.
 
     Returns
     -------
@@ -111,12 +117,10 @@ def find_worst_contexts(
     tried = _Tried(space, drawn[:MOST_MODELLED])
     spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
     known_points = space.cube_of(known)
-    for point in np.vstack([known_points, space.corners()]):
-        tried.evaluate(point, evaluate)
+    yield from tried.evaluate(np.vstack([known_points, space.corners()]))
     model = tried.fit(rng)
     if model is None or not _is_violated(model, limit):
-        for point in spread:
-            tried.evaluate(point, evaluate)
+        yield from tried.evaluate(spread)
     for done in range(ROUNDS):
         model = tried.fit(rng)
         if model is None or _is_violated(model, limit):
@@ -128,8 +132,7 @@ def find_worst_contexts(
         maxima = _local_maxima(space, model, upper, rng)
         others = space.to_cube(space.to_contexts(_all_over(space, model, rng)))
         others = others[np.argsort(-upper(others), kind="stable")]
-        for point in _distinct([*maxima, *others])[:EVALUATIONS_A_ROUND]:
-            tried.evaluate(point, evaluate)
+        yield from tried.evaluate(_distinct([*maxima, *others])[:EVALUATIONS_A_ROUND])
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(space.cube_of([context])[0], value)
@@ -232,11 +235,13 @@ class _Tried:
         self._points.append(point)
         self._values.append(value)
 
-    def evaluate(self, point: Array, evaluate: Evaluate) -> None:
-        context = self._space.to_contexts(point[None])
-        value = evaluate(self._space.to_dict(context[0]))
-        if value is not None:
-            self.add(self._space.to_cube(context)[0], value)
+    def evaluate(self, points: Array) -> Generator[list[Context], Values, None]:
+        """Ask for the metric at points (n, e)."""
+        contexts = [self._space.to_contexts(point[None]) for point in points]
+        values = yield [self._space.to_dict(context[0]) for context in contexts]
+        for context, value in zip(contexts, values, strict=True):
+            if value is not None:
+                self.add(self._space.to_cube(context)[0], value)
 
     def fit(self, rng: np.random.Generator) -> GaussianProcess | None:
         if not self._values:

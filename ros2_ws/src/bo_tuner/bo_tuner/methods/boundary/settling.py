@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.passed_over import passed_over
 from bo_tuner.methods.boundary.repetition import OwnRuns, Repetition, lacking, next_repetition
+from bo_tuner.methods.protocol import AnswerSearch
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.repetitions import most_check_evaluations, repetitions_of
 from bo_tuner.models.estimates import estimated
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Run
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, TUNING, Context, Evaluation, Stage, Trial, TrialState
 
@@ -59,8 +61,10 @@ class Repetitions:
         return math.floor(evaluations / (1.0 + self.share))
 
 
-class SettledAnswer:
-    """The search for the answer by repetitions; see `AnswerSearch`.
+class SettledAnswer(AnswerSearch):
+    """The search for the answer by repetitions.
+
+    Those between two choices of what is run again are independent of each other.
 
     Parameters
     ----------
@@ -77,8 +81,6 @@ class SettledAnswer:
     ----------
     steps
         Repetitions, at most; each evaluation is one.
-    what
-        For messages.
     answer
         The recommendation, once there is nothing more to ask. ``checked`` are the trials that were
         run again.
@@ -102,25 +104,27 @@ class SettledAnswer:
         self._most = most + len(self._repeated)
         self._candidates: list[Candidate] = []
         self._choice: Repetition | None = None
-        self._runs = 0
+        self._unplanned = 0
         self.steps = most
-        self.answer: Recommendation | None = None
 
-    def ask(self) -> Evaluation | None:
-        """Return the next repetition."""
-        if not self._runs:
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next repetition; what is run again after these is chosen by all of them."""
+        if not self._unplanned and not pending:
             self._choose()
-        if self._choice is None:
+        if not self._unplanned or self._choice is None:
             return None
+        self._unplanned -= 1
         trial = self._latest[self._choice.trial.number]
-        return _planned(self._study, trial, self._choice.context)
+        index = len(trial.evaluations) + len(pending)
+        return Run(_planned(self._study, trial, self._choice.context, index))
 
-    def tell(self, evaluation: Evaluation) -> bool:
-        """Add a repetition, which is a step."""
-        number = evaluation.trial
-        self._latest[number] = with_repetitions(self._latest[number], [evaluation])
+    def tell(self, task: Run) -> bool:
+        """Add a repetition, which is a step; after one that failed the choice is another one."""
+        number = task.evaluation.trial
+        self._latest[number] = with_repetitions(self._latest[number], [task.evaluation])
         self._repeated.append(number)
-        self._runs = self._runs - 1 if evaluation.outcome.complete else 0
+        if not task.evaluation.outcome.complete:
+            self._unplanned = 0
         return True
 
     def _choose(self) -> None:
@@ -133,7 +137,7 @@ class SettledAnswer:
         if self._candidates and left:
             self._choice = next_repetition(study, models, self._candidates, left, self._required)
         if self._choice is not None:
-            self._runs = min(self._choice.runs, left)
+            self._unplanned = min(self._choice.runs, left)
         elif self._candidates:
             self.answer = self._settled(models)
         elif before:
@@ -209,8 +213,8 @@ def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
     return extended
 
 
-def _planned(study: Study, trial: Trial, context: Context | None) -> Evaluation:
-    index, stage = len(trial.evaluations), Stage.CHECK_WORST
+def _planned(study: Study, trial: Trial, context: Context | None, index: int) -> Evaluation:
+    stage = Stage.CHECK_WORST
     if context is None:
         contexts, stage = study.context_space(), Stage.CHECK_DRAWN
         rng = generator(study.seed, Stream.CHECK_CONTEXTS, trial.number, index)

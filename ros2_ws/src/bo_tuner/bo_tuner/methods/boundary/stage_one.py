@@ -146,11 +146,14 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         self._ahead = ahead
         self._avoidance = avoidance
 
-    def ask(self) -> Proposal:
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
         """Propose the next trial and its evaluations."""
-        done = count_trials(self.trials), count_evaluations(self.trials)
-        if self._schedule.searches(self.study, *done):
-            return super().ask()
+        planned = sum(len(trial.evaluations) for trial in pending)
+        trials = count_trials(self.trials) + len(pending)
+        evaluations = count_evaluations(self.trials) + planned
+        if self._schedule.searches(self.study, trials, evaluations):
+            return super().ask(pending)
+        self.pending = tuple(pending)
         return self.initial() or self.propose(self._at_boundary, new_point(self.study))
 
     @property

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_tuner.methods.protocol import AnswerSearch
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.repetitions import (
     DRAWN_EVALUATIONS,
@@ -22,6 +23,7 @@ from bo_tuner.methods.times import Times
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, Ranking
+from bo_tuner.plans import Run
 from bo_tuner.study.limits import judge_sample, judge_samples, refuted
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial, WorstCase
@@ -66,12 +68,13 @@ class CandidateCheck:
         return min(EXPECTED_CHECKS, self.most) * size * cost
 
 
-class CheckedAnswer:
-    """The search for the answer by checks of candidates; see `AnswerSearch`.
+class CheckedAnswer(AnswerSearch):
+    """The search for the answer by checks of candidates.
 
     The trials are ranked again after each check, until the first in rank has passed its check. An
     evaluation that tells nothing of the parameters, since its nodes were lost or others disturbed
-    it, is asked for again.
+    it, is asked for again. Those of one check are independent of each other, but none follows one
+    that failed.
 
     Parameters
     ----------
@@ -86,8 +89,6 @@ class CheckedAnswer:
     ----------
     steps
         Checked candidates, at most.
-    what
-        For messages.
     answer
         The recommendation, once there is nothing more to ask.
     """
@@ -104,34 +105,48 @@ class CheckedAnswer:
         self._checked: list[int] = []
         self._candidate: Trial | None = None
         self._plan: list[tuple[Stage, Context]] = []
-        self._check: list[Evaluation] = []
+        self._check: dict[int, Evaluation] = {}
+        self._awaited = 0
         self.steps = most
-        self.answer: Recommendation | None = None
 
-    def ask(self) -> Evaluation | None:
-        """Return the next evaluation of a check."""
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation of a check; the next candidate follows from all of them."""
         trial = self._candidate or self._next_candidate()
-        if trial is None:
+        if trial is None or self._failed:
             return None
-        index = len(trial.evaluations) + len(self._check)
-        stage, context = self._plan[len(self._check)]
+        first = len(trial.evaluations)
+        taken = {*self._check, *(task.evaluation.index - first for task in pending)}
+        place = next((k for k in range(len(self._plan)) if k not in taken), None)
+        if place is None:
+            return None
+        stage, context = self._plan[place]
+        index = first + place
         seed = noise_seed(self._study.seed, Stream.CHECK_NOISE, trial.number, index)
-        return Evaluation(trial.number, index, stage, trial.parameters, context, seed)
+        self._awaited += 1
+        return Run(Evaluation(trial.number, index, stage, trial.parameters, context, seed))
 
-    def tell(self, evaluation: Evaluation) -> bool:
+    def tell(self, task: Run) -> bool:
         """Add an evaluation; returns whether a check has ended with it."""
-        trial = self._candidate
-        if trial is None or evaluation.outcome.spoilt:
+        trial, evaluation = self._candidate, task.evaluation
+        if trial is None:
             return False
-        self._check.append(evaluation)
-        if evaluation.outcome.complete and len(self._check) < len(self._plan):
+        self._awaited -= 1
+        if not evaluation.outcome.spoilt:
+            self._check[evaluation.index - len(trial.evaluations)] = evaluation
+        if self._awaited or not (self._failed or len(self._check) == len(self._plan)):
             return False
-        self._latest[trial.number], holds = with_check(self._study, trial, self._check)
+        check = [self._check[place] for place in sorted(self._check)]
+        self._latest[trial.number], holds = with_check(self._study, trial, check)
         self._checked.append(trial.number)
         if holds:
             self._held.add(trial.number)
         self._candidate = None
         return True
+
+    @property
+    def _failed(self) -> bool:
+        """Whether the present check has failed already."""
+        return not all(e.outcome.complete for e in self._check.values())
 
     def _next_candidate(self) -> Trial | None:
         """Return the candidate to check next; without one there is the answer."""
@@ -161,7 +176,7 @@ class CheckedAnswer:
         contexts = self._study.context_space()
         rng = generator(self._study.seed, Stream.CHECK_CONTEXTS, trial.number)
         drawn = contexts.draw_stratified(DRAWN_EVALUATIONS, rng)
-        self._candidate, self._check = trial, []
+        self._candidate, self._check, self._awaited = trial, {}, 0
         self._plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
         for worst_context in _worst_contexts(trial):
             self._plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
@@ -206,7 +221,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
     trial
         The trial before the check.
     check
-        Evaluations of the check, up to the first that is not complete.
+        Evaluations of the check, all of them unless one is not complete.
 
     Returns
     -------

@@ -1,0 +1,196 @@
+"""What a phase of a run is: a plan, which hands out tasks and is told their results.
+
+The trials, the search for the answer, the validation, the parts of a certificate and the runs of
+``--check`` are plans. One driver carries all of them out (`bo_tuner.tuning.driver`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterator, Sequence
+from enum import StrEnum
+from typing import Generic, Protocol, TypeVar
+
+from bo_tuner.trials import Evaluation
+
+
+class Phase(StrEnum):
+    """Phases of a run."""
+
+    TUNING = "tuning"
+    CHECKING = "checking candidates"
+    VALIDATION = "validation"
+
+
+class Task(Protocol):
+    """A parameter set with a short chain of evaluations.
+
+    All that it needs beside its own results is fixed when it is planned, so that it depends on no
+    other task that is not finished.
+    """
+
+    def ask(self) -> Evaluation | None:
+        """Return the next evaluation, without an outcome; None when the task has ended.
+
+        It is called once after the task is planned, and once after each `tell`.
+        """
+
+    def tell(self, evaluation: Evaluation) -> None:
+        """Add the evaluation that was asked for, with its outcome."""
+
+
+TaskT = TypeVar("TaskT", bound=Task)
+
+
+class Plan(ABC, Generic[TaskT]):
+    """A phase. Its state follows from what it was made with and from what it was told.
+
+    Attributes
+    ----------
+    phase : str
+        Name of the phase, for displays.
+    what : str
+        What its tasks are, in the plural, for messages.
+    steps : int
+        How many steps the phase has at most.
+    attempts : int
+        Runs of an evaluation that is lost or disturbed.
+    """
+
+    phase: str = ""
+    what: str = "evaluations"
+    steps: int = 0
+    attempts: int = 1
+
+    @abstractmethod
+    def ask(self, pending: Sequence[TaskT]) -> TaskT | None:
+        """Return the next task.
+
+        Parameters
+        ----------
+        pending
+            Tasks that were planned, and whose results are not told yet, in their order.
+
+        Returns
+        -------
+        Task or None
+            None while something is pending: not before more is told; else: the phase has ended.
+        """
+
+    @abstractmethod
+    def tell(self, task: TaskT) -> bool:
+        """Take the result of a task, in the order of the tasks; returns whether it ends a step."""
+
+
+class Run:
+    """A task of one evaluation.
+
+    Parameters
+    ----------
+    planned
+        The evaluation, without an outcome.
+
+    Attributes
+    ----------
+    evaluation
+        The evaluation; once it is run, with its outcome.
+    """
+
+    def __init__(self, planned: Evaluation) -> None:
+        self.evaluation = planned
+        self._waiting = True
+
+    def ask(self) -> Evaluation | None:
+        """Return the evaluation while it is not run."""
+        return self.evaluation if self._waiting else None
+
+    def tell(self, evaluation: Evaluation) -> None:
+        """Take the result."""
+        self.evaluation, self._waiting = evaluation, False
+
+
+class Runs(Plan[Run]):
+    """A plan of evaluations that are known from the beginning.
+
+    Parameters
+    ----------
+    planned
+        Them, in their order.
+    what
+        What they are, in the plural, for messages.
+
+    Attributes
+    ----------
+    evaluations
+        Those that were run, in their order.
+    """
+
+    def __init__(self, planned: Sequence[Evaluation], what: str = "evaluations") -> None:
+        self.what = what
+        self.steps = len(planned)
+        self._planned: Iterator[Evaluation] = iter(planned)
+        self.evaluations: list[Evaluation] = []
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation as a task."""
+        planned = next(self._planned, None)
+        return None if planned is None else Run(planned)
+
+    def tell(self, task: Run) -> bool:
+        """Take an evaluation, which is a step."""
+        self.evaluations.append(task.evaluation)
+        return True
+
+
+R = TypeVar("R")
+
+Batches = Generator[Sequence[Evaluation], Sequence[Evaluation], R]
+"""Yields batches of planned evaluations, is sent those that were run, and returns a result."""
+
+
+class BatchPlan(Plan[Run], Generic[R]):
+    """A plan whose evaluations depend on each other from one batch to the next only.
+
+    Parameters
+    ----------
+    batches
+        Yields them.
+    ends
+        Returns whether nothing more of a batch is planned after an evaluation.
+
+    Attributes
+    ----------
+    result
+        What the generator has returned; None before.
+    """
+
+    def __init__(
+        self, batches: Batches[R], ends: Callable[[Evaluation], bool] = lambda _: False
+    ) -> None:
+        self._batches = batches
+        self._ends = ends
+        self._unplanned: list[Evaluation] | None = None
+        self._told: list[Evaluation] = []
+        self._over = False
+        self.result: R | None = None
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next evaluation of the batch; the next batch follows from all of it."""
+        while not self._unplanned and not pending and not self._over:
+            self._next_batch()
+        return Run(self._unplanned.pop(0)) if self._unplanned else None
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation, which is a step."""
+        self._told.append(task.evaluation)
+        if self._ends(task.evaluation):
+            self._unplanned = []
+        return True
+
+    def _next_batch(self) -> None:
+        try:
+            if self._unplanned is None:
+                self._unplanned = list(next(self._batches))
+            else:
+                told, self._told = self._told, []
+                self._unplanned = list(self._batches.send(told))
+        except StopIteration as end:
+            self._over, self.result = True, end.value

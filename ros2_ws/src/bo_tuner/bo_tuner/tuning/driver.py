@@ -1,0 +1,196 @@
+"""Carries out plans: has their tasks run, tells observers, counts losses, waits and ends.
+
+With a window of q tasks, task k is planned when exactly the tasks up to k - q are told, even if
+later results are there, and those in between are pending. So what is asked and told is one fixed
+sequence for given q, in whatever order results come; those that come early wait.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Generic
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.errors import BackendError
+from bo_tuner.plans import Plan, Runs, TaskT
+from bo_tuner.trials import Evaluation
+from bo_tuner.tuning.gate import OPEN, Gate
+from bo_tuner.tuning.losses import Losses
+from bo_tuner.tuning.observer import NOBODY, RunObserver
+
+
+class Driver:
+    """Carries out one plan after the other.
+
+    Parameters
+    ----------
+    backend
+        Runs the evaluations; open.
+    observer
+        Is told of each task that is planned, each evaluation and each step.
+    window
+        Number of tasks that are planned at once, at most.
+    gate
+        Passed after each evaluation and each task: there the run waits, or ends.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        observer: RunObserver = NOBODY,
+        *,
+        window: int = 1,
+        gate: Gate = OPEN,
+    ) -> None:
+        self._backend = backend
+        self._observer = observer
+        self._window = window
+        self._gate = gate
+
+    def complete(self, plan: Plan[TaskT]) -> None:
+        """Carry out a plan as a phase of the run, from its beginning to its end.
+
+        Raises
+        ------
+        RunError
+            As in `run`.
+        """
+        self._observer.begin(plan.phase, plan.steps)
+        for _ in self.run(plan):
+            pass
+        self._observer.end(plan.phase)
+
+    def evaluate(self, planned: Evaluation) -> Evaluation:
+        """Run a single evaluation."""
+        (task,) = self.run(Runs([planned]))
+        return task.evaluation
+
+    def run(self, plan: Plan[TaskT]) -> Iterator[TaskT]:
+        """Carry out a plan; yields each task when the plan was told of it, in their order.
+
+        An evaluation that was lost or disturbed is run again at once, as often as the plan has it.
+
+        Raises
+        ------
+        RunError
+            If three tasks in a row were lost with their nodes or disturbed.
+        """
+        losses = Losses(plan.what)
+        window = _Window(plan, self._window, self._observer)
+        window.fill()
+        while window.tasks:
+            yield from self._tell(plan, window, losses)
+            ran = False
+            for evaluation in self._backend.run(window.due()):
+                ran = True
+                self._observer.evaluation(evaluation)
+                self._gate.wait()
+                window.take(evaluation)
+                yield from self._tell(plan, window, losses)
+            if window.tasks and not ran:
+                raise BackendError("the backend has given no result")
+
+    def _tell(self, plan: Plan[TaskT], window: "_Window[TaskT]", losses: Losses) -> Iterator[TaskT]:
+        """Tell the plan of the tasks that have ended, and yield them, up to one that has not."""
+        while (ended := window.ended()) is not None:
+            losses.note(ended.lost)
+            if plan.tell(ended.task):
+                self._observer.advance()
+            yield ended.task
+            self._gate.wait()
+            losses.check()
+            window.fill()
+
+
+class _Planned(Generic[TaskT]):
+    """A task that the plan is not told of yet.
+
+    Attributes
+    ----------
+    task
+        The task.
+    next
+        Its next evaluation; None when it has ended.
+    running
+        Whether a backend has it.
+    lost
+        The first of its evaluations that tells nothing of its parameters, if there is one.
+    """
+
+    def __init__(self, task: TaskT, attempts: int) -> None:
+        self.task = task
+        self.next = task.ask()
+        self.running = False
+        self.lost: Evaluation | None = None
+        self._attempts = attempts
+        self._failed = 0
+
+    def take(self, evaluation: Evaluation) -> None:
+        """Take a result, unless its evaluation is to be run again."""
+        self.running = False
+        spoilt = evaluation.outcome.spoilt
+        if spoilt and self._failed + 1 < self._attempts:
+            self._failed += 1
+            return
+        if spoilt and self.lost is None:
+            self.lost = evaluation
+        self._failed = 0
+        self.task.tell(evaluation)
+        self.next = self.task.ask()
+
+
+class _Window(Generic[TaskT]):
+    """The tasks that are planned and not told, the oldest first.
+
+    Attributes
+    ----------
+    tasks
+        Them.
+    """
+
+    def __init__(self, plan: Plan[TaskT], size: int, observer: RunObserver) -> None:
+        self._plan = plan
+        self._size = size
+        self._observer = observer
+        self.tasks: deque[_Planned[TaskT]] = deque()
+
+    def fill(self) -> None:
+        """Plan tasks until the window is full or the plan has none now."""
+        while len(self.tasks) < self._size:
+            task = self._plan.ask([planned.task for planned in self.tasks])
+            if task is None:
+                return
+            planned = _Planned(task, self._plan.attempts)
+            self.tasks.append(planned)
+            if planned.next is not None:
+                self._observer.planned()
+
+    def due(self) -> Iterator[Evaluation]:
+        """Yield what can be run now, of the oldest task first; pulled when there is room for it."""
+        while (planned := self._waiting()) is not None:
+            planned.running = True
+            if planned.next is not None:
+                yield planned.next
+
+    def _waiting(self) -> _Planned[TaskT] | None:
+        waiting = (p for p in self.tasks if p.next is not None and not p.running)
+        return next(waiting, None)
+
+    def take(self, evaluation: Evaluation) -> None:
+        """Give a result to its task."""
+        for planned in self.tasks:
+            awaited = planned.next if planned.running else None
+            if awaited is not None and _place(awaited) == _place(evaluation):
+                planned.take(evaluation)
+                return
+        raise BackendError(f"the backend has run {evaluation.place}, which was not asked for")
+
+    def ended(self) -> _Planned[TaskT] | None:
+        """Take the oldest task out if it has ended."""
+        if self.tasks and self.tasks[0].next is None:
+            return self.tasks.popleft()
+        return None
+
+
+def _place(evaluation: Evaluation) -> tuple[object, ...]:
+    """Return what tells an evaluation from the others that are planned."""
+    return evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed

@@ -1,0 +1,450 @@
+"""What all plans have in common, carried out by the driver with one task at a time or several."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from functions import Watcher
+
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.errors import BackendError, RunError
+from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.models.fantasies import fantasies
+from bo_tuner.plans import BatchPlan, Plan, Run, Runs
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
+from bo_tuner.tuning.loop import TrialPlan, Tuning
+from bo_tuner.tuning.validation import ValidationPlan
+
+WINDOWS = (1, 2, 4, 8)
+SEVERAL = {"gain": 0.25}
+
+
+def figures(gain, load, seed):
+    """A parabola, and a peak near its limit of 1."""
+    noise = np.random.default_rng(seed).normal(0.0, 0.02, 2)
+    return {
+        "error": 1.0 + (gain - 0.6) ** 2 + 0.05 * load + noise[0],
+        "peak": 0.4 + 0.35 * gain * load + noise[1],
+    }
+
+
+@pytest.fixture
+def study(make_study):
+    return make_study(
+        budget={
+            "trials": 6,
+            "initial_trials": 3,
+            "validation_draws": 4,
+            "drawn_contexts": 2,
+            "search_evaluations": 1,
+        }
+    )
+
+
+class Disorderly:
+    """Begins all that it can have at once; results come in another order, which a seed decides."""
+
+    name = "function"
+
+    def __init__(self, backend, seed):
+        self._backend = backend
+        self._rng = np.random.default_rng(seed)
+        self.most = 0
+
+    def run(self, evaluations):
+        while begun := list(evaluations):
+            self.most = max(self.most, len(begun))
+            done = list(self._backend.run(begun))
+            for k in self._rng.permutation(len(done)):
+                yield done[k]
+
+
+class Asked(Plan):
+    """Another plan, and what it was asked and told, in this order."""
+
+    def __init__(self, plan):
+        self.plan = plan
+        self.phase, self.what, self.attempts = plan.phase, plan.what, plan.attempts
+        self.steps = plan.steps
+        self.log = []
+        self._numbers = {}
+
+    def ask(self, pending):
+        task = self.plan.ask(pending)
+        numbers = tuple(self._numbers[id(item)] for item in pending)
+        if task is not None:
+            # Kept, so that no other task gets its id.
+            self._numbers[id(task)] = len(self._numbers)
+            self.log.append(("ask", self._numbers[id(task)], numbers, task))
+        return task
+
+    def tell(self, task):
+        self.log.append(("tell", self._numbers[id(task)]))
+        return self.plan.tell(task)
+
+    @property
+    def sequence(self):
+        return [entry[:3] for entry in self.log]
+
+
+def of_trials(method):
+    def run(study, driver):
+        return list(Tuning(study, driver, METHODS[method]))
+
+    return run
+
+
+def of_answer(method):
+    def run(study, driver):
+        # Always the same trials.
+        trials = _TRIALS[method]
+        search = METHODS[method].answer_search(study, trials, 8)
+        driver.complete(search)
+        return search.answer
+
+    return run
+
+
+def of_validation(study, driver):
+    plan = ValidationPlan(study, [study.search_space().defaults, SEVERAL])
+    driver.complete(plan)
+    return plan.results
+
+
+def of_certificate(study, driver):
+    certification = Certification(study, driver, confidence=0.9)
+    suspected = ({"load": 1.7},)
+    subjects = [Subject("default", {"gain": 0.5}), Subject("tuned", SEVERAL, suspected)]
+    return certification.collect(subjects, 35)
+
+
+def of_known_runs(study, driver):
+    planned = [Evaluation(0, k, Stage.NOMINAL, SEVERAL, {"load": 1.5}, k) for k in range(5)]
+    plan = Runs(planned)
+    driver.complete(plan)
+    return plan.evaluations
+
+
+_TRIALS = {}
+
+PHASES = {
+    **{f"trials {name}": of_trials(name) for name in ("IV", "boundary")},
+    **{f"answer {name}": of_answer(name) for name in ("IV", "boundary")},
+    "validation": of_validation,
+    "certificate": of_certificate,
+    "runs": of_known_runs,
+}
+
+
+@pytest.fixture(params=PHASES)
+def phase(request, study, function_backend):
+    kind, _, name = request.param.partition(" ")
+    if kind == "answer" and name not in _TRIALS:
+        _TRIALS[name] = of_trials(name)(study, Driver(function_backend(study, figures)))
+    return PHASES[request.param]
+
+
+class Killed(BaseException):
+    pass
+
+
+class Journaling(Watcher):
+    """Keeps evaluations that are not on record yet; is killed after so many."""
+
+    def __init__(self, most=None):
+        super().__init__()
+        self.kept = []
+        self._most = most
+
+    def evaluation(self, evaluation):
+        super().evaluation(evaluation)
+        if not evaluation.recorded:
+            self.kept.append(evaluation)
+            if len(self.kept) == self._most:
+                raise Killed
+
+
+class TestEveryPlan:
+    @pytest.mark.parametrize("window", WINDOWS)
+    def test_the_result_follows_from_the_window_alone(self, study, function_backend, phase, window):
+        """Whatever the order in which results come."""
+        backend = function_backend(study, figures)
+        expected = phase(study, Driver(backend, window=window))
+        for seed in range(2):
+            disorderly = Disorderly(function_backend(study, figures), seed)
+            assert phase(study, Driver(disorderly, window=window)) == expected
+            assert 1 <= disorderly.most <= window
+
+    @pytest.mark.parametrize("window", [1, 4])
+    def test_a_phase_that_was_killed_repeats_what_it_did(
+        self, study, function_backend, phase, window
+    ):
+        """After any evaluation: what is on record is not run again, and the rest is the same."""
+        whole = Journaling()
+        backend = function_backend(study, figures)
+        expected = phase(study, Driver(backend, whole, window=window))
+        count = len(whole.kept)
+        for most in sorted({1, count // 2, count - 1} & set(range(1, count))):
+            killed = Journaling(most)
+            with pytest.raises(Killed):
+                phase(study, Driver(function_backend(study, figures), killed, window=window))
+            again = Journaling()
+            recorded = RecordedEvaluations(function_backend(study, figures), study, killed.kept)
+            assert phase(study, Driver(recorded, again, window=window)) == expected
+            assert killed.kept + again.kept == whole.kept
+
+    def test_with_a_window_several_are_under_way(self, study, function_backend):
+        for name in ("trials IV", "validation", "certificate", "runs"):
+            disorderly = Disorderly(function_backend(study, figures), 0)
+            PHASES[name](study, Driver(disorderly, window=4))
+            assert disorderly.most == 4
+
+
+class TestWindow:
+    @pytest.mark.parametrize("window", WINDOWS)
+    @pytest.mark.parametrize("disorder", [None, 0, 1])
+    def test_which_tasks_are_pending(self, study, function_backend, window, disorder):
+        """Task k is planned when those up to k - q are told, and knows those in between."""
+        backend = function_backend(study, figures)
+        if disorder is not None:
+            backend = Disorderly(backend, disorder)
+        plan = Asked(TrialPlan(study, METHODS["II"]))
+        list(Driver(backend, window=window).run(plan))
+        expected = []
+        for k in range(6):
+            if k >= window:
+                expected.append(("tell", k - window))
+            expected.append(("ask", k, tuple(range(max(0, k - window + 1), k))))
+        expected += [("tell", k) for k in range(max(0, 6 - window), 6)]
+        assert plan.sequence == expected
+
+    @pytest.mark.parametrize("window", [3])
+    @pytest.mark.parametrize("method", ["IV", "boundary"])
+    @pytest.mark.parametrize("known", [1, 4])
+    def test_trials_on_record_are_pending_as_they_were(
+        self, study, function_backend, method, window, known
+    ):
+        def trials(recorded=()):
+            driver = Driver(function_backend(study, figures), window=window)
+            return list(Tuning(study, driver, METHODS[method], trials=recorded))
+
+        whole = trials()
+        assert trials(whole[:known]) == whole[known:]
+
+    @pytest.mark.parametrize("method", ["I", "III", "IV", "V", "boundary"])
+    @pytest.mark.parametrize("window", [2, 4])
+    def test_no_parameter_set_is_proposed_twice(self, make_study, function_backend, method, window):
+        """Not even in a space where there are few, and where the same one looks best to all."""
+        window_of = {"node": "axis", "type": "integer", "bounds": [1, 12], "default": 3}
+        study = make_study(
+            parameters={"window": window_of},
+            budget={"trials": 10, "initial_trials": 3},
+        )
+
+        def function(window, load, seed):
+            return figures(window / 12.0, load, seed)
+
+        driver = Driver(function_backend(study, function), window=window)
+        trials = list(Tuning(study, driver, METHODS[method]))
+        assert len({trial.parameters["window"] for trial in trials}) == len(trials) == 10
+        assert [trial.number for trial in trials] == list(range(10))
+
+    @pytest.mark.parametrize("method", ["IV", "boundary"])
+    def test_proposals_under_way_are_apart(self, make_study, function_backend, method):
+        """The one that knows of another that is pending looks elsewhere."""
+        study = make_study(budget={"trials": 12, "initial_trials": 6})
+        known = list(Tuning(study, Driver(function_backend(study, figures)), METHODS[method]))[:8]
+        optimizer = METHODS[method].optimizer(study)
+        for trial in known:
+            optimizer.tell(trial)
+        first = optimizer.ask()
+        plan = TrialPlan(study, METHODS[method], known)
+        tasks = []
+        while len(plan.trials) < len(known):
+            plan.tell(plan.ask([]))
+        tasks.append(plan.ask([]))
+        tasks.append(plan.ask(tasks))
+        gains = [task.pending.parameters["gain"] for task in tasks]
+        assert gains[0] == first.parameters["gain"]
+        assert abs(gains[1] - gains[0]) > 1e-3
+
+    def test_the_budget_counts_those_that_are_under_way(self, make_study, function_backend):
+        study = make_study(constraints={}, budget={"trials": 9, "initial_trials": 3})
+        study = study.replace(evaluations=10)
+        driver = Driver(function_backend(study, figures), window=8)
+        trials = list(Tuning(study, driver, METHODS["II"]))
+        # Five drawn contexts each, unless the study says otherwise.
+        assert sum(len(trial.evaluations) for trial in trials) == 10
+
+
+def test_what_is_believed_of_a_pending_trial_is_the_mean_of_the_models(
+    make_study, function_backend
+):
+    """On a plane without noise the posterior mean is the plane."""
+    study = make_study(
+        constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 9.0}},
+        budget={"trials": 12, "initial_trials": 12, "drawn_contexts": 3, "search_evaluations": 2},
+    )
+
+    def plane(gain, load, seed):
+        return {"error": 2.0 + gain + 0.5 * load, "peak": gain + load}
+
+    trials = list(Tuning(study, Driver(function_backend(study, plane)), METHODS["IV"]))
+    pending = replace(
+        trials[0],
+        number=12,
+        parameters={"gain": 0.37},
+        state=TrialState.FAILED,
+        evaluations=(Evaluation(12, 0, Stage.DRAWN, {"gain": 0.37}, {"load": 1.4}, 0),),
+        worst_cases={},
+    )
+    (believed,) = fantasies(study, trials, [pending], np.random.default_rng(0))
+    assert believed.state is TrialState.COMPLETE
+    assert believed.parameters == pending.parameters
+    (evaluation,) = believed.evaluations
+    assert evaluation.outcome.metrics["error"] == pytest.approx(2.0 + 0.37 + 0.7, abs=0.02)
+    worst = believed.worst_cases["peak"]
+    assert worst.context["load"] == pytest.approx(2.0)
+    assert worst.value == pytest.approx(2.37, abs=0.05)
+
+
+def test_nothing_is_believed_before_a_trial_is_complete(make_study):
+    assert fantasies(make_study(), [], [], np.random.default_rng(0)) == []
+
+
+class TestLosses:
+    LOST = Outcome(EvaluationState.LOST, reason="axis was ended by SIGKILL")
+
+    @staticmethod
+    def planned(count):
+        return [Evaluation(0, k, Stage.NOMINAL, SEVERAL, {"load": 1.5}, k) for k in range(count)]
+
+    @pytest.mark.parametrize("window", [1, 2])
+    def test_three_in_a_row_end_a_run(self, study, function_backend, window):
+        backend = function_backend(study, lambda **_: self.LOST)
+        plan = Runs(self.planned(9), "runs")
+        with pytest.raises(RunError, match=r"^3 runs in a row were lost with their nodes: axis w"):
+            list(Driver(backend, window=window).run(plan))
+        assert len(plan.evaluations) == 3
+
+    def test_those_in_between_do_not(self, study, function_backend):
+        fates = iter([True, True, False] * 3)
+
+        def fate(**values):
+            return self.LOST if next(fates) else figures(**values)
+
+        plan = Runs(self.planned(9))
+        list(Driver(function_backend(study, fate)).run(plan))
+        assert len(plan.evaluations) == 9
+
+    def test_it_is_run_again_as_often_as_the_plan_has_it(self, study, function_backend):
+        fates = deque([True, True, False, False])
+
+        def fate(**values):
+            return self.LOST if fates.popleft() else figures(**values)
+
+        watcher, plan = Watcher(), Runs(self.planned(2))
+        plan.attempts = 3
+        list(Driver(function_backend(study, fate), watcher).run(plan))
+        assert [e.outcome.complete for e in plan.evaluations] == [True, True]
+        # Each attempt is on record.
+        assert [e.index for e in watcher.evaluations] == [0, 0, 0, 1]
+
+
+class TestGate:
+    def test_a_run_waits_between_evaluations_when_observers_know_all(self, study, function_backend):
+        events = []
+
+        class Observer(Watcher):
+            def evaluation(self, evaluation):
+                events.append("evaluation")
+                if len(events) == 2:
+                    gate.requests.request(True)
+
+            def pause(self, paused):
+                events.append(paused)
+                gate.requests.request(False)
+
+        observer = Observer()
+        gate = Gate(observer=observer)
+        backend = function_backend(study, figures)
+        list(Driver(backend, observer, gate=gate).run(Runs(TestLosses.planned(3))))
+        assert events == ["evaluation", "evaluation", True, False, "evaluation"]
+
+    def test_it_ends_there(self, study, function_backend):
+        watcher = Watcher()
+
+        def check():
+            if len(watcher.evaluations) == 2:
+                raise Killed
+
+        backend = function_backend(study, figures)
+        with pytest.raises(Killed):
+            list(Driver(backend, watcher, gate=Gate(check)).run(Runs(TestLosses.planned(9))))
+        assert len(backend.calls) == 2
+
+
+class TestBatches:
+    def test_a_batch_follows_from_all_of_the_one_before(self):
+        def batches():
+            ran = yield TestLosses.planned(3)
+            assert [e.index for e in ran] == [0, 1, 2]
+            ran = yield []
+            assert ran == []
+            ran = yield TestLosses.planned(2)
+            return len(ran)
+
+        plan = BatchPlan(batches())
+        first = plan.ask([])
+        others = [plan.ask([first]), plan.ask([first])]
+        assert plan.ask([first, *others]) is None
+        for task in (first, *others):
+            plan.tell(task)
+        more = [plan.ask([]), plan.ask([])]
+        for task in more:
+            plan.tell(task)
+        assert plan.ask([]) is None
+        assert plan.result == 2
+
+    def test_one_that_ends_early(self):
+        def batches():
+            ran = yield TestLosses.planned(5)
+            return [e.index for e in ran]
+
+        plan = BatchPlan(batches(), lambda e: e.index == 1)
+        for _ in range(2):
+            plan.tell(plan.ask([]))
+        assert plan.ask([]) is None
+        assert plan.result == [0, 1]
+
+
+class TestBackends:
+    def test_one_that_gives_nothing_ends_the_run(self):
+        class Silent:
+            def run(self, evaluations):
+                return iter(())
+
+        with pytest.raises(BackendError, match=r"^the backend has given no result$"):
+            Driver(Silent()).evaluate(TestLosses.planned(1)[0])
+
+    def test_one_that_runs_something_else_ends_the_run(self):
+        class Other:
+            def run(self, evaluations):
+                for planned in evaluations:
+                    yield replace(planned, index=7)
+
+        with pytest.raises(BackendError, match=r"evaluation 7, which was not asked for$"):
+            Driver(Other()).evaluate(TestLosses.planned(1)[0])
+
+
+def test_a_single_evaluation(study, function_backend):
+    (planned,) = TestLosses.planned(1)
+    done = Driver(function_backend(study, figures)).evaluate(planned)
+    assert done.outcome.metrics == pytest.approx(figures(0.25, 1.5, 0))
+    task = Run(planned)
+    task.tell(done)
+    assert task.ask() is None
