@@ -52,7 +52,7 @@ class TestLevel:
             """The few values beyond the range are moved to its end, which keeps the mean below."""
             return np.minimum((NORMAL | SKEWED | RARE)[law](rng, count), 200.0)
 
-        assert passed(within, Betting(200.0)) <= self.most
+        assert passed(within, Betting(-200.0, 200.0)) <= self.most
 
     def test_the_t_statistic_alone_is_wrong_of_skewed_noise(self):
         """The reason for all this."""
@@ -65,7 +65,7 @@ class TestLevel:
         assert sum(shown) > 2.0 * self.most
 
 
-@pytest.mark.parametrize("test", [Betting(3.0), NormalOrSkewed()])
+@pytest.mark.parametrize("test", [Betting(0.0, 3.0), NormalOrSkewed()])
 class TestBound:
     def test_it_is_where_the_limit_is_just_shown(self, test):
         x = np.random.default_rng(4).uniform(0.0, 1.0, 60)
@@ -92,7 +92,7 @@ class TestBound:
 def test_few_values_without_a_range_bound_nothing():
     assert mean_bound([0.1, 0.2, 0.15, 0.12], CONFIDENCE, NormalOrSkewed()) == math.inf
     assert mean_bound([0.1] * 29, CONFIDENCE, NormalOrSkewed(), least=30) == math.inf
-    assert mean_bound([0.1, 0.2, 0.15, 0.12], CONFIDENCE, Betting(1.0)) < 1.0
+    assert mean_bound([0.1, 0.2, 0.15, 0.12], CONFIDENCE, Betting(0.0, 1.0)) < 1.0
 
 
 def test_skewness_widens_the_bound():
@@ -105,3 +105,12 @@ def test_skewness_widens_the_bound():
         grid = np.linspace(x.mean(), bound, 400)
         t_bound = next(m for m in grid if (log_mean_evidence(x, m)[29:] >= enough).any())
         assert least <= (bound - x.mean()) / (t_bound - x.mean()) <= most
+
+
+def test_the_fewest_values_are_those_at_the_end_of_the_range():
+    for high in (1.5, 3.0, 20.0):
+        test = Betting(0.0, high)
+        fewest = test.fewest(1.0, CONFIDENCE)
+        assert is_mean_shown([0.0] * fewest, 1.0, CONFIDENCE, test)
+        assert not is_mean_shown([0.0] * (fewest - 1), 1.0, CONFIDENCE, test)
+    assert NormalOrSkewed().fewest(1.0, CONFIDENCE) == 5

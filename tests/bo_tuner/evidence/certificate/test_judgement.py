@@ -396,3 +396,50 @@ class TestUnvisitedContexts:
             assert not by_name[name].passed
             seen = name not in found.unseen or "it is not kept" in by_name[name].reason
             assert bool(by_name[name].worst) is seen
+
+
+class TestRange:
+    """A limit on a mean, of a metric whose range is declared."""
+
+    def study(self, make_study, high):
+        study = make_study()
+        metrics = dict(study.metrics)
+        metrics["peak"] = dataclasses.replace(metrics["peak"], range=(0.0, high))
+        return dataclasses.replace(study, metrics=metrics)
+
+    def test_bets_decide(self, make_study):
+        """Thirty runs at 0.5 exclude rare ones at 3, not at 300, whatever the noise is."""
+        runs = evidence([0.5] * 40, [[0.4, 0.6] * 15])
+        for high, passed in ((3.0, True), (300.0, False)):
+            found = judge(self.study(make_study, high), runs, 0.95)
+            assert found.passed is passed
+            (worst,) = found.constraints[0].worst
+            assert (worst.mean.upper <= LIMIT) is passed
+            assert found.constraints[0].assumptions == ()
+        told = judge(make_study(), runs, 0.95)
+        assert told.passed
+        assert "give the metric a range" in told.constraints[0].assumptions[0]
+
+    def test_a_lower_limit_is_the_mirror_image(self, make_study):
+        limit = {"kind": "worst_case", "metric": "peak", "lower": -LIMIT}
+        study = make_study(constraints={"peak": limit})
+        metrics = dict(study.metrics)
+        metrics["peak"] = dataclasses.replace(metrics["peak"], range=(-3.0, 0.0))
+        study = dataclasses.replace(study, metrics=metrics)
+        mirrored = judge(study, evidence([-0.5] * 40, [[-0.4, -0.6] * 15]), 0.95)
+        upper = judge(self.study(make_study, 3.0), evidence([0.5] * 40, [[0.4, 0.6] * 15]), 0.95)
+        assert mirrored.passed
+        bounds = [f.constraints[0].worst[0].mean for f in (mirrored, upper)]
+        assert bounds[0].lower == pytest.approx(-bounds[1].upper)
+
+    def test_skewed_runs_show_less_than_symmetric_ones(self, make_study):
+        """Both with a mean of 0.8 and a deviation of 0.25, and some runs beyond the limit."""
+        rng = np.random.default_rng(3)
+        quantiles = (np.arange(40) + 0.5) / 40
+        skewed = stats.lognorm.ppf(quantiles, 1.2)
+        both = []
+        for values in (stats.norm.ppf(quantiles), skewed):
+            scaled = 0.8 + 0.25 * (values - values.mean()) / values.std()
+            runs = rng.permutation(scaled).tolist()
+            both.append(judge(make_study(), evidence([0.5] * 40, [runs]), 0.95))
+        assert [found.passed for found in both] == [True, False]

@@ -50,6 +50,9 @@ class MeanTest(Protocol):
             Values behind the first evidence that counts.
         """
 
+    def fewest(self, limit: float, confidence: float) -> int:
+        """Return how many values show a limit at least, however far within it they are."""
+
 
 @dataclass(frozen=True)
 class Betting:
@@ -57,15 +60,25 @@ class Betting:
 
     Attributes
     ----------
-    high
-        Upper end of the range.
+    low, high
+        The range.
     """
 
+    low: float
     high: float
 
     def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
         # It needs no values behind it: the range says how far rare ones are.
         return lambda mean, enough: bool((log_wealth(values, mean, self.high) >= enough).any())
+
+    def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
+        # Those that are all at the lower end.
+        most = 1
+        while True:
+            evidence = log_wealth(np.full(most, self.low), limit, self.high)
+            if evidence[-1] >= log(1.0 / (1.0 - confidence)):
+                return 1 + int(np.argmax(evidence >= log(1.0 / (1.0 - confidence))))
+            most *= 2
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,9 @@ class NormalOrSkewed:
             )
 
         return reaches
+
+    def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
+        return FEWEST
 
 
 def is_mean_shown(

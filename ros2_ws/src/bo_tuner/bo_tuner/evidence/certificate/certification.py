@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
@@ -25,9 +26,6 @@ from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 from bo_tuner.tuning.driver import Driver
-
-LEAST_DRAWS = 30
-"""Draws behind the mean of the objective, even if fewer decide the verdict."""
 
 EXPECTED_REPEATS = 25
 """Evaluations in each context that may be the worst, in a clear case; for the progress display."""

@@ -1,9 +1,9 @@
 """What a certificate need not test in full: a limit that is kept by far.
 
-How many runs a limit takes without any assumption is known (`sequential.draws_needed`), and most of
-them are spent on what nobody doubts: a time that is a tenth of its limit, a context in which the
-machine is far from it. Two rules save them. Each rests on more than the runs that are counted, which
-the certificate says; neither applies with ``certificate: {distribution_free: true}``.
+How many runs a limit takes without any assumption is known (`sequential.draws_needed`). Most runs
+are spent on what nobody doubts: a time that is a tenth of its limit, a context in which the machine
+is far from it. Two rules save them. Each rests on more than the runs that are counted, as the
+certificate says, and neither applies with ``certificate: {distribution_free: true}``.
 
 - *A chance constraint* that every run keeps, and the draws by so many of their standard deviations
   that even at twice the deviation any law keeps it as often as asked (Cantelli's inequality): the
@@ -23,13 +23,13 @@ FEW = 5
 """Runs in a context that is clear."""
 
 CLEAR = 3.0
-"""Standard deviations of a single run between its mean and the limit, in a context that is clear."""
+"""Standard deviations of a single run from its mean to the limit, in a context that is clear."""
 
 TWICE = 2.0
 """Factor of the draws' standard deviation."""
 
 LEAST_DRAWS = 30
-"""Draws behind a standard deviation."""
+"""Draws behind a mean and a standard deviation, even if fewer decide the verdict."""
 
 
 def confirms(constraint: Constraint, values: Array) -> bool:

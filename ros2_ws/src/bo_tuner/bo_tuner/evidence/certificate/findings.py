@@ -278,6 +278,8 @@ class Findings:
         Reason and context of the first failure; empty without one.
     outside
         Which run has a metric outside its declared range: a fault of the declaration; else empty.
+    least
+        Fewest runs with which any certificate shows these limits with its confidence.
     constraints
         One for each constraint of the study.
     """
@@ -289,6 +291,7 @@ class Findings:
     failures: int
     first_failure: str
     outside: str
+    least: int
     constraints: tuple[ConstraintVerdict, ...]
 
     @property

@@ -105,6 +105,21 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     return needed[name], name
 
 
+def least_evaluations(study: Study, confidence: float) -> int:
+    """Return the fewest runs that show all limits: none beyond, no search, one worst context."""
+    drawn, repeated = [0], [0]
+    for constraint in study.constraints.values():
+        if constraint.kind != WORST_CASE:
+            drawn.append(draws_needed(constraint.allowed, confidence))
+        elif constraint.statistic == EXPECTATION:
+            sign = constraint.sign
+            test, limit = mean_test(study, constraint), sign * constraint.limit
+            repeated.append(test.fewest(limit, confidence))
+        else:
+            repeated.append(draws_needed(constraint.allowed, confidence))
+    return max(drawn) + max(repeated)
+
+
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     """Judge the evaluations of a parameter set.
 
@@ -129,6 +144,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         failures=len(failed),
         first_failure=_failure(failed[0]) if failed else "",
         outside=outside(study.metrics, evidence.evaluations),
+        least=least_evaluations(study, confidence),
         constraints=tuple(
             _judge(study, constraint, evidence, confidence)
             for constraint in study.constraints.values()
@@ -409,7 +425,7 @@ def _chance(
     *,
     others: int,
 ) -> tuple[bool, str]:
-    """Judge a chance constraint, by the draws or by `others` runs as well, none beyond the limit."""
+    """Judge a chance constraint, by the draws or also by `others` runs that keep the limit."""
     allowed, draws = constraint.allowed, len(events)
     passed = others > 0 or is_shown(events, allowed, confidence)
     if passed and against:
@@ -670,7 +686,8 @@ def mean_test(study: Study, constraint: Constraint) -> MeanTest:
     declared = study.metrics[constraint.metric].range
     if declared is None:
         return NormalOrSkewed()
-    return Betting(declared[1] if constraint.sign > 0.0 else -declared[0])
+    low, high = declared
+    return Betting(low, high) if constraint.sign > 0.0 else Betting(-high, -low)
 
 
 def _shown(

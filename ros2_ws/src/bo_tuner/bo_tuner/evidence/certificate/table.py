@@ -95,6 +95,10 @@ def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]
     for constraint in content[TUNED]["constraints"]:
         kept = "shown to hold" if constraint["passed"] else "NOT shown to hold"
         yield f"{constraint['name']}: {kept}: {constraint['reason']}"
+        for assumption in constraint["assumptions"]:
+            yield f"{constraint['name']}: with an assumption: {assumption}"
+    runs, least = content[TUNED]["evaluations"], content[TUNED]["least"]
+    yield f"{runs} runs; the fewest that show these limits are {least}"
     if searched := search_in_words(content):
         yield f"search for the worst context: {searched}"
     for gap in content["training_gaps"]:
