@@ -115,10 +115,13 @@ class TestProbability:
         told = columns_of(table, row)
         assert told.pop("certificate").endswith(f"for p = {1.0 - p:.2f}")
         needed = {
-            f"{attempt}{suffix}": str(
-                draws_needed_without_event(p, 0.05 / (attempt * (attempt + 1)))
+            f"{attempt}{suffix}": str(draws_needed_without_event(p, error))
+            for attempt, suffix, error in (
+                (1, "st", 0.04),
+                (2, "nd", 0.01 / 2),
+                (5, "th", 0.01 / 20),
+                (20, "th", 0.01 / 380),
             )
-            for attempt, suffix in ((1, "st"), (2, "nd"), (5, "th"), (20, "th"))
         }
         assert told == needed
 

@@ -55,6 +55,14 @@ def test_it_is_more_skewed_than_the_sample():
     assert stats.skew(np.log(x - found.shift)) == pytest.approx(-error, abs=1e-3)
 
 
+def test_of_two_values_the_law_is_not_far_more_skewed():
+    """Of two values that are as frequent, the logarithm has no skewness whatever the shift is."""
+    for count in (30, 300):
+        variance = fit(np.tile([0.4, 0.6], count // 2)).variance
+        error = math.sqrt(6.0 * (count - 2.0) / ((count + 1.0) * (count + 3.0)))
+        assert stats.lognorm.stats(math.sqrt(variance), moments="s") <= 6.0 * error
+
+
 def test_what_is_skewed_to_the_left_has_no_fit():
     assert fit(-log_normal(50, 1.0)) is None
     assert fit(np.full(10, 2.0)) is None

@@ -60,11 +60,14 @@ def log_evidence(events: ArrayLike, probability: ArrayLike) -> Array:
     """
     happened = np.asarray(events, dtype=bool)
     n = np.arange(1.0, len(happened) + 1.0)
-    return _evidence_of(np.cumsum(happened), n, probability)
+    return log_evidence_of_counts(np.cumsum(happened), n, probability)
 
 
-def _evidence_of(k: ArrayLike, n: ArrayLike, probability: ArrayLike) -> Array:
-    """Return log E_n of k events among n draws; all of one shape, or scalar."""
+def log_evidence_of_counts(k: ArrayLike, n: ArrayLike, probability: ArrayLike) -> Array:
+    """Return log E_n of k events among n draws; all of one shape, or scalar.
+
+    The k need not be whole numbers: an expected number gives about what is to be expected.
+    """
     k, n, p = np.asarray(k), np.asarray(n), np.asarray(probability, dtype=np.float64)
     with np.errstate(divide="ignore"):
         mixture = betaln(k + 0.5, n - k + 1.0) + np.log(betainc(k + 0.5, n - k + 1.0, p))
@@ -209,7 +212,7 @@ def draws_needed(allowed: float, confidence: float) -> int:
     """
 
     def shown(draws: int) -> bool:
-        return _reached(_evidence_of(0, float(draws), allowed), confidence)
+        return _reached(log_evidence_of_counts(0, float(draws), allowed), confidence)
 
     # Without any event the evidence increases with the number of draws.
     low, high = 0, 1

@@ -3,7 +3,8 @@
 The t statistic takes the noise for normal. Of a quantity with rare large values a sample has often
 none, and then both its mean and its deviation are too small. Here x - θ is taken to be log-normal.
 The shift θ is the one at which log(x - θ) has a skewness of one standard error to the left: of the
-laws of this family that agree with the sample, one of the most skewed. With n values, the mean and
+laws of this family that agree with the sample, one of the most skewed; but not so near to the
+smallest value that the law is far more skewed than the sample, as that of two values would be. With n values, the mean and
 variance of log(x - θ) give the signed root of the likelihood ratio that the mean of x is m,
 
     r² = n min_v (log v + (v̂ + (D + v/2)²) / v) - n (log v̂ + 1),   D = mean(log((x - θ) / (m - θ))),
@@ -28,6 +29,10 @@ from bo_tuner.numerics.arrays import Array
 
 ERRORS = 1.0
 """Standard errors of the skewness by which the law may be more skewed than the sample."""
+
+TIMES = 3.0
+"""How many times as skewed as the sample, two standard errors added, the law may be. Of a law with
+rare large values the skewness of a sample is too small by such a factor."""
 
 STEPS = 32
 """Of the bisection for the shift."""
@@ -87,24 +92,34 @@ def fit(values: Array) -> LogNormalFit | None:
     n, lowest, deviation = len(values), float(values.min()), float(values.std())
     # Standard error of the skewness of n normal values.
     error = sqrt(6.0 * (n - 2.0) / ((n + 1.0) * (n + 3.0)))
-    if not deviation > 0.0 or not _skewness(values) > -ERRORS * error:
+    skewness = _skewness(values) if deviation > 0.0 else -inf
+    if not skewness > -ERRORS * error:
         return None
+    most, above = TIMES * (max(skewness, 0.0) + 2.0 * error), values - lowest
+
+    def is_possible(logarithms: Array) -> bool:
+        return (
+            _skewness(logarithms) > -ERRORS * error
+            and _log_normal_skewness(float(logarithms.var())) < most
+        )
+
     near, far = log(NEAREST), log(FARTHEST)
     for _ in range(STEPS):
         middle = 0.5 * (near + far)
-        above = _logarithms(values, lowest - deviation * exp(middle))
-        if _skewness(above) > -ERRORS * error:
+        if is_possible(np.log(above + deviation * exp(middle))):
             far = middle
         else:
             near = middle
-    shift = lowest - deviation * exp(near)
-    above = _logarithms(values, shift)
-    return LogNormalFit(n, shift, float(above.mean()), float(above.var()))
+    distance = deviation * exp(far)
+    logarithms = np.log(above + distance)
+    return LogNormalFit(n, lowest - distance, float(logarithms.mean()), float(logarithms.var()))
 
 
-def _logarithms(values: Array, shift: float) -> Array:
-    found: Array = np.log(values - shift)
-    return found
+def _log_normal_skewness(variance: float) -> float:
+    """Return the skewness of a log-normal law by the variance of its logarithm."""
+    if variance > 50.0:
+        return inf
+    return (exp(variance) + 2.0) * sqrt(float(np.expm1(variance)))
 
 
 def _skewness(values: Array) -> float:

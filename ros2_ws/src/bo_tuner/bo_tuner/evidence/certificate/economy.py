@@ -45,10 +45,14 @@ def is_far_from(constraint: Constraint, draws: Array, others: Array) -> bool:
     Cantelli's inequality: at most 1 / (1 + k²) of the values of any law are beyond its mean by k
     standard deviations.
     """
-    if len(draws) < LEAST_DRAWS or bool(constraint.violations([*draws, *others]).any()):
-        return False
+    beyond = bool(constraint.violations([*draws, *others]).any())
+    return len(draws) >= LEAST_DRAWS and not beyond and is_far(constraint, draws)
+
+
+def is_far(constraint: Constraint, draws: Array) -> bool:
+    """Return whether the limit is so many standard deviations away from the mean of draws (n,)."""
     deviations = TWICE * sqrt(1.0 / constraint.allowed - 1.0)
-    return _margin(constraint, draws) >= deviations * float(draws.std(ddof=1))
+    return len(draws) > 1 and _margin(constraint, draws) >= deviations * float(draws.std(ddof=1))
 
 
 def is_shown_by_all(constraint: Constraint, draws: Array, others: Array, confidence: float) -> bool:

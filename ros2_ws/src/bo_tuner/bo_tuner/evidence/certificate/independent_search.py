@@ -78,6 +78,13 @@ def most_searched(space: ContextSpace, known: int) -> int:
     return len(space.corners()) + SPREAD_EVALUATIONS + known + ROUNDS * EVALUATIONS_A_ROUND
 
 
+def least_searched(space: ContextSpace, known: int) -> int:
+    """Return the number of evaluations of `find_worst_contexts` where a limit is clearly kept."""
+    if space.dimension == 0:
+        return 0
+    return len(space.corners()) + SPREAD_EVALUATIONS + known + EVALUATIONS_A_ROUND
+
+
 def find_worst_contexts(
     space: ContextSpace,
     drawn: Sequence[tuple[Context, float]],
