@@ -30,7 +30,6 @@ import numpy as np
 from common import BENCHMARKS, provenance, read_result, table, write_result
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
@@ -220,7 +219,7 @@ def on_the_mean(study: Study) -> Study:
     """Return a study whose worst-case limits are on the mean over noise."""
     content: dict[str, Any] = study_to_mapping(study)
     for constraint in content["constraints"].values():
-        if constraint["kind"] == WORST_CASE:
+        if constraint["kind"] == "worst_case":
             constraint.pop("probability", None)
     return study_from_mapping(content)
 
@@ -264,7 +263,7 @@ def search(study: Study, jobs: int, starts: int) -> dict[str, Any]:
         "best_not_narrow": best_broad[0] if best_broad else None,
         "next_best": best[1:],
         "digest": study_digest(study),
-        "statistic": EXPECTATION,
+        "statistic": "expectation",
         "frontier": work.frontier(),
         "default": default_entry,
         "seconds": round(time.monotonic() - begin, 1),

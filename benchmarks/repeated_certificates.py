@@ -24,11 +24,12 @@ from threadpoolctl import threadpool_limits
 
 from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.evidence.certificate.earlier import refutation
-from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
-from bo_tuner.evidence.certificate.judgement import LEAST_RUNS, judge
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Findings
+from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.search_width import distances
 from bo_tuner.numerics.mean_tests import Betting, NormalOrSkewed
 from bo_tuner.numerics.sequential import spent
+from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.tuning.driver import Driver
 
 WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
@@ -132,7 +133,7 @@ def bumps() -> Iterator[Bump]:
                 yield Bump(dimension, width, seed)
 
 
-def after(earlier: Earlier, evidence: Evidence, findings: Mapping[str, Any], k: int) -> Earlier:
+def after(earlier: Earlier, evidence: Evidence, findings: Findings, k: int) -> Earlier:
     """Return what is known after the k-th attempt, which failed."""
     failed = refutation(f"certificate {k:04d} was a FAIL", findings, evidence.evaluations)
     return Earlier(
@@ -158,8 +159,7 @@ def certify(bump: Bump, *, remembered: bool) -> dict[str, Any]:
         if findings.passed:
             return first | {"passed": attempt}
         if remembered:
-            content = asdict(findings) | {"reasons": findings.reasons}
-            earlier = after(earlier, evidence, content, attempt)
+            earlier = after(earlier, evidence, findings, attempt)
     return first | {"passed": None}
 
 

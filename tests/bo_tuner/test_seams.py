@@ -1,4 +1,4 @@
-"""From outside the package: an acquisition, surrogates, a search, a method, a metric source."""
+"""From outside: an acquisition, surrogates, a search, a method, a metric source, a limit."""
 
 from dataclasses import dataclass, replace
 
@@ -7,6 +7,7 @@ import pytest
 import yaml
 from report_runs import axis_study, run_study
 
+from bo_tuner.cli import validate
 from bo_tuner.cli.report import run
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.paper.searches import Joint
@@ -21,6 +22,8 @@ from bo_tuner.optimizers.base import ACQUISITION, DesignedOptimizer, Proposal
 from bo_tuner.optimizers.ranking import Ranking
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.storage.record import read_run
+from bo_tuner.study.limit_kinds.on_mean import OnMean
+from bo_tuner.study.limit_kinds.registry import KINDS
 from bo_tuner.trials import Stage
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
@@ -278,6 +281,52 @@ class Halves(Method):
 
     def doubt(self, feasibility):
         return "It is doubtful"
+
+
+class MeanOverContexts(OnMean):
+    """The mean over contexts and noise keeps the limit."""
+
+    in_every_context = False
+
+    def check(self):
+        pass
+
+    def response(self, models):
+        # The median of runs stands for their mean.
+        return models.over_contexts(self.limited, 0.5)
+
+    def asked(self, *, everywhere):
+        return "by the mean over contexts and noise"
+
+
+class TestLimit:
+    """The peak is twice the gain times a load between 1 and 2, and the best gain is 0.3."""
+
+    @pytest.mark.parametrize("algorithm", ["IV", "boundary"])
+    def test_a_kind_is_tuned_judged_certified_and_shown(
+        self, tmp_path, monkeypatch, capsys, algorithm
+    ):
+        monkeypatch.setitem(KINDS, "mean", MeanOverContexts)
+        peak = {"kind": "mean", "metric": "peak", "upper": 1.0}
+        budget = {"trials": 12, "initial_trials": 6, "drawn_contexts": 2, "validation_draws": 20}
+        text = yaml.safe_dump(axis_study(constraints={"peak": peak}, budget=budget))
+        record = read_run(run_study(tmp_path, text, "--algorithm", algorithm))
+        # In every context it would be 0.25 at most, over all of them 1/3.
+        gain = record.result.parameters["gain"]
+        assert 0.26 < gain < 0.33
+        monkeypatch.syspath_prepend(tmp_path)
+        capsys.readouterr()
+        assert validate.run([str(record.path)], Interruption()) == 0
+        told = capsys.readouterr().out
+        assert "shown to be kept by the mean over contexts and noise" in told
+        assert "peak: shown to hold: mean over contexts and noise at most 0.9" in told
+        page = Analysis(record)
+        assert page.verdict.certificate == page.certificate.verdict == "PASS"
+        assert run([str(record.path)], Interruption()) == 0
+        assert "by the mean over contexts and noise" in (record.path / "report.html").read_text()
+        beyond = next(t.number for t in record.trials if t.parameters["gain"] > 0.5)
+        assert validate.run([str(record.path), "--trial", str(beyond)], Interruption()) == 3
+        assert "peak: NOT shown to hold" in capsys.readouterr().out
 
 
 class TestMethod:

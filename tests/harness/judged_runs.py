@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from bo_tuner.evidence.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.findings import Evidence
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.study.limits import judge_samples
 from bo_tuner.trials import SEEKING_WORST, Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.validation import Validation

@@ -2,18 +2,15 @@
 
 import hashlib
 import json
+from dataclasses import replace
 
-from bo_tuner.evidence.certificate.store import (
-    FORMAT,
-    evaluations_path,
-    next_path,
-    parameters_sha256,
-)
+from made_certificates import content_of, made_certificate
+
+from bo_tuner.evidence.certificate.store import evaluations_path, next_path
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
-    provenance,
     session_provenance,
     study_sha256,
 )
@@ -80,16 +77,10 @@ def write_certificate(record, trial, verdict="PASS", study=None, number=None, **
     if number is not None:
         path = path.with_name(f"{number:04d}.json")
     evaluations_path(path).write_text("evaluations")
-    content = {
-        "format": FORMAT,
-        "verdict": verdict,
-        "parameters": parameters,
-        "parameters_sha256": parameters_sha256(parameters),
-        "study_sha256": study_sha256(study),
-        "evaluations_sha256": hashlib.sha256(b"evaluations").hexdigest(),
-        "draws": study.certificate.draws,
-        "confidence": study.certificate.confidence,
-        "provenance": provenance(study, record.backend, record.algorithm),
-    } | changes
-    path.write_text(json.dumps(content))
+    made = made_certificate(
+        study, parameters, verdict != "FAIL", backend=record.backend, algorithm=record.algorithm
+    )
+    digest = hashlib.sha256(b"evaluations").hexdigest()
+    content = content_of(replace(made, default=None, evaluations_sha256=digest))
+    path.write_text(json.dumps(content | {"verdict": verdict} | changes))
     return path

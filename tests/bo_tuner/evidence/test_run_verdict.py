@@ -9,8 +9,8 @@ import pytest
 from judged_runs import certify, default_trial, evaluations, made
 
 from bo_tuner.errors import RunRecordError
-from bo_tuner.evidence.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.findings import Evidence
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.differences import Change
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import certified, run_verdict
@@ -21,9 +21,7 @@ from bo_tuner.trials import Stage, WorstCase
 
 
 def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
-    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
-    path = run.path / "certificates" / "0001.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"verdict": PASS}))
+    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, repeated=40)
     with monkeypatch.context() as patch:
         patch.setattr("bo_tuner.evidence.run_verdict.certificate_problem", lambda *_: "")
         commands = [step.command for step in next_steps(run_verdict(run), "run")]

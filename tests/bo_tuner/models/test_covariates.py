@@ -96,7 +96,7 @@ class TestWindThatExplainsTheNoise:
         models = fitted(of_study, runs(30))
         rng = np.random.default_rng(0)
         load, wind = rng.uniform(1.0, 2.0, 100_000), rng.random(100_000)
-        truth = np.quantile(peak(0.5, load, wind), of_study.chance_constraints[0].level)
+        truth = np.quantile(peak(0.5, load, wind), of_study.drawn_constraints[0].level)
         assert models.constraints["run"].predict_mean(np.array([[0.5]])) == pytest.approx(
             [truth], rel=0.04
         )

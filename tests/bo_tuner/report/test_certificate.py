@@ -3,9 +3,10 @@
 import json
 
 import pytest
+from made_certificates import content_of, made_certificate
 
 from bo_tuner.errors import RunRecordError
-from bo_tuner.evidence.certificate.store import FORMAT, next_path, parameters_sha256
+from bo_tuner.evidence.certificate.store import next_path
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.sections.answer import answer
@@ -13,64 +14,15 @@ from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.report.sections.tolerance import tolerance
 
 
-def findings(violations, passed):
-    constraint = {
-        "name": "peak",
-        "metric": "peak",
-        "unit": "N",
-        "limit": 1.0,
-        "side": "upper",
-        "allowed": 1.0,
-        "extreme": 0.9,
-        "tail": 0.8,
-        "violations": violations,
-        "violation_bound": 0.0123,
-        "worst": [
-            {
-                "context": {"load": 2.0},
-                "mean": {"value": 0.75, "standard_error": 0.01, "upper": 0.77},
-                "violation_bound": 0.11,
-                "evaluations": 30,
-                "beyond": 1,
-            }
-        ],
-        "passed": passed,
-    }
-    mean = {"value": 1.5, "standard_error": 0.02, "upper": 1.54}
-    return {
-        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0, "passed": passed,
-        "constraints": [constraint],
-    }  # fmt: skip
+@pytest.fixture
+def content(tuned):
+    """Function that returns the content of a certificate: of a PASS, or of a FAIL."""
 
+    def make(verdict, parameters=None):
+        given = parameters or {"gain": 0.25}
+        return content_of(made_certificate(tuned.study, given, verdict == "PASS"))
 
-def content(verdict):
-    return {
-        "format": FORMAT,
-        "parameters": {"gain": 0.25},
-        "parameters_sha256": parameters_sha256({"gain": 0.25}),
-        "verdict": verdict,
-        "reasons": [] if verdict == "PASS" else ["peak: <b>not</b> shown"],
-        "warnings": ["narrow optimum"],
-        "trial": 3,
-        "draws": 300,
-        "drawn": 112,
-        "attempt": 1,
-        "confidence": 0.95,
-        "bound_confidence": 0.975,
-        "tail_level": 0.95,
-        "objective": {"metric": "error", "unit": "s"},
-        "tuned": findings(0, verdict == "PASS"),
-        "default": findings(8, False),
-        "training_gaps": [
-            {
-                "name": "mean error", "unit": "s", "observed": 1.2, "predicted": 1.3,
-                "validated": 1.5, "gap": 0.3, "standard_error": 0.1,
-            }
-        ],
-        "context_tolerances": [],
-        "earlier": {"refutations": [], "evaluations": 0, "unread": []},
-        "search_widths": [{"probability": 0.9, "width": 0.14}],
-    }  # fmt: skip
+    return make
 
 
 @pytest.fixture
@@ -90,11 +42,11 @@ def test_a_run_without_a_certificate_has_none(tuned):
     assert certificate(tuned, None) is None
 
 
-def test_its_numbers_are_shown(certified):
-    found = certificate(certified(json.dumps(content("PASS"))), None)
+def test_its_numbers_are_shown(certified, content):
+    found, section = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
     assert found.scope == "112 fresh draws, 97.5 % confidence of each bound"
-    limits, gaps = found.section.tables
+    limits, gaps = section.tables
     rows = {row[0].strip(): row[1:] for row in limits.rows}
     assert rows["mean error"] == ["1.5 ± 0.02", "1.5 ± 0.02", "s"]
     assert rows["draws above 1"] == ["8", "0", ""]
@@ -105,24 +57,25 @@ def test_its_numbers_are_shown(certified):
     assert rows["kept in every context"] == ["NOT shown", "shown", ""]
     assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
-    assert "narrow optimum" in found.section.notes
+    assert "narrow optimum" in section.notes
 
 
-def test_what_failed_before_is_told(certified):
+def test_what_failed_before_is_told(certified, content):
     failed = {
         "told": "certificate 0001 was a FAIL",
         "reasons": ["peak: too high"],
         "contexts": [{"load": 1.25}],
     }
     earlier = {"refutations": [failed], "evaluations": 87, "unread": ["0002.json: damaged"]}
-    found = certificate(certified(json.dumps(content("PASS") | {"earlier": earlier})), None)
+    text = json.dumps(content("PASS") | {"earlier": earlier})
+    _, section = certificate(certified(text), None)
     told = (
         "Certificate 0001 was a FAIL (peak: too high). This PASS covers it: the limits were shown "
         "anew in the context (load 1.25), and"
     )
-    assert any(note.startswith(told) for note in found.section.notes)
-    assert any("is missing: 0002.json: damaged" in note for note in found.section.notes)
-    assert any("at least 0.14 of the box's edges" in note for note in found.section.notes)
+    assert any(note.startswith(told) for note in section.notes)
+    assert any("is missing: 0002.json: damaged" in note for note in section.notes)
+    assert any("at least 0.14 of the box's edges" in note for note in section.notes)
 
 
 @pytest.mark.parametrize("value", [1, 1.0, True])
@@ -130,7 +83,7 @@ def test_what_failed_before_is_told(certified):
     "place",
     [("objective", "unit"), ("training_gaps", 0, "name"), ("tuned", "constraints", 0, "name")],
 )
-def test_a_number_for_a_name_is_one_line(certified, place, value):
+def test_a_number_for_a_name_is_one_line(certified, content, place, value):
     changed = content("PASS")
     *path, last = place
     inside = changed
@@ -141,18 +94,9 @@ def test_a_number_for_a_name_is_one_line(certified, place, value):
         certificate(certified(json.dumps(changed)), None)
 
 
-def test_parameters_may_have_the_names_of_its_keys(certified):
-    parameters = {"unit": 1.0, "name": 2}
-    changed = content("PASS") | {
-        "parameters": parameters,
-        "parameters_sha256": parameters_sha256(parameters),
-    }
-    assert certificate(certified(json.dumps(changed)), None).passed
-
-
-def test_without_the_default_there_is_one_column(certified):
-    found = certificate(certified(json.dumps(content("PASS") | {"default": None})), None)
-    limits = found.section.tables[0]
+def test_without_the_default_there_is_one_column(certified, content):
+    _, section = certificate(certified(json.dumps(content("PASS") | {"default": None})), None)
+    limits = section.tables[0]
     assert limits.header == ["", "tuned", "unit"]
     assert ["mean error", "1.5 ± 0.02", "s"] in limits.rows
 
@@ -165,7 +109,7 @@ def drift(bound):
     return {"bound": bound, "limit": band(bound), "breaks": 0.0}
 
 
-def test_what_it_says_of_the_context_is_what_the_report_says(certified, tuned):
+def test_what_it_says_of_the_context_is_what_the_report_says(certified, content, tuned):
     """The certificate has more evaluations than the record of the run."""
     analysis = Analysis(tuned)
     assert "0.123" not in tolerance(analysis).lead
@@ -177,11 +121,7 @@ def test_what_it_says_of_the_context_is_what_the_report_says(certified, tuned):
         "worst_context": {"load": 2.0}, "variables": [variable],
     }  # fmt: skip
     answer = dict(analysis.answer.parameters)
-    ours = content("PASS") | {
-        "context_tolerances": [found],
-        "parameters": answer,
-        "parameters_sha256": parameters_sha256(answer),
-    }
+    ours = content("PASS", answer) | {"context_tolerances": [found]}
     section = tolerance(Analysis(certified(json.dumps(ours))))
     assert "by 0.123 N (0.023 to 0.223)" in section.lead
     assert "From 1234 evaluations" in section.notes[0]
@@ -194,7 +134,9 @@ def test_a_broken_one_is_one_line(certified, text):
     assert "\n" not in str(error.value)
 
 
-def test_a_certificate_of_another_version_does_not_keep_the_report_from_being_made(certified):
+def test_a_certificate_of_another_version_does_not_keep_the_report_from_being_made(
+    certified, content
+):
     analysis = Analysis(certified(json.dumps(content("PASS") | {"format": 3})))
     assert analysis.certificate is None
     first = sections(analysis)[0]
@@ -204,14 +146,12 @@ def test_a_certificate_of_another_version_does_not_keep_the_report_from_being_ma
     assert (tile.value, tile.remarks) == ("not readable", ["run validate"])
 
 
-def test_the_worst_case_is_shown_beside_a_parameter_set_without_one(certified):
+def test_the_worst_case_is_shown_beside_a_parameter_set_without_one(certified, content):
     """There is no search for a default that the draws have refuted."""
-    refuted = findings(8, False)
-    refuted["constraints"][0]["worst"] = []
-    text = json.dumps(content("PASS") | {"default": refuted})
-    rows = {
-        row[0].strip(): row[1:] for row in certificate(certified(text), None).section.tables[0].rows
-    }
+    changed = content("PASS")
+    changed["default"]["constraints"][0]["worst"] = []
+    _, section = certificate(certified(json.dumps(changed)), None)
+    rows = {row[0].strip(): row[1:] for row in section.tables[0].rows}
     assert rows["worst-case peak, mean"] == ["–", "0.75 ± 0.01", "N"]
     assert rows["at load"] == ["–", "2", ""]
     assert rows["evaluations above 1"] == ["–", "1 of 30", ""]

@@ -8,7 +8,6 @@ import pytest
 from bo_tuner.figures.figure import Limit, Line
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.draws import draws
-from bo_tuner.study.constraint import CHANCE
 from bo_tuner.trials import Stage
 
 
@@ -50,7 +49,7 @@ def test_a_bound_is_beside_the_limit_that_it_is_of(analysis):
     """Another limit on the same metric has the same value."""
     record = analysis.record
     peak = record.study.constraints["peak"]
-    often = dataclasses.replace(peak, name="often", kind=CHANCE, probability=0.9)
+    often = dataclasses.replace(peak, name="often", kind="chance", probability=0.9)
     study = dataclasses.replace(record.study, constraints={"peak": peak, "often": often})
     both = Analysis(dataclasses.replace(record, study=study))
     verdict = analysis.verdict

@@ -53,8 +53,8 @@ def on_terminal(run, verdict):
 
 def on_page(run):
     analysis = Analysis(run)
-    found = analysis.certificate
-    return render(analysis, [] if found is None else [found.section])
+    found = analysis.certificate_section
+    return render(analysis, [] if found is None else [found])
 
 
 @pytest.fixture(scope="session")
@@ -298,7 +298,7 @@ def test_a_certificate_that_cannot_be_read_does_not_hide_a_later_one(run):
     path = run.path / "certificates" / "0001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 3}))
     certify(run, draws, draws)
-    assert run_verdict(run).certificate == Analysis(run).certificate.content["verdict"]
+    assert run_verdict(run).certificate == Analysis(run).certificate.verdict
 
 
 def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run):
@@ -354,6 +354,6 @@ def test_the_robustness_of_a_certificate_is_that_of_the_report(run):
     certificate = certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
     analysis = Analysis(read_run(run.path))
     found = parameter_sensitivity(run.study, certificate.tuned.parameters, analysis.models)
-    assert certificate.sensitivity == found
+    assert certificate.parameter_sensitivity == found
     (candidate,) = [c for c in analysis.ranked if c.trial.number == certificate.trial]
-    assert certificate.gaps[0].predicted == candidate.objective
+    assert certificate.training_gaps[0].predicted == candidate.objective

@@ -100,7 +100,7 @@ def test_several_worst_cases(make_study):
         }
     )
     assert [c.name for c in study.worst_case_constraints] == ["peak", "error"]
-    assert [c.name for c in study.chance_constraints] == ["often"]
+    assert [c.name for c in study.drawn_constraints] == ["often"]
 
 
 class TestRefusals:

@@ -15,7 +15,6 @@ from bo_tuner.monitoring.progress import describe
 from bo_tuner.study.limits import (
     judge_sample,
     judge_samples,
-    most_violations,
     outcome_in_words,
     refuted,
     tightest,
@@ -93,7 +92,7 @@ def test_the_tightest_limit_on_single_runs_is_by_what_must_keep_it(
 def test_draws_refute_a_worst_case_by_more_violations_than_chance_explains(
     make_study, count, probability
 ):
-    most = most_violations(worst_case(make_study, probability), count)
+    most = worst_case(make_study, probability).rule.most_violations(count, alone=False)
     violations = binom(count, 1.0 - probability)
     assert violations.sf(most - 1) >= 0.05 > violations.sf(most)
 
@@ -140,7 +139,7 @@ def test_a_worst_case_is_judged_by_what_its_limit_is_on(make_study, probability,
 def test_a_share_that_is_allowed_exactly_holds(make_study, percent, hundreds):
     """Of 100 draws, exactly 100 - percent may violate the limit, despite rounding."""
     constraint = chance(make_study, percent / 100.0)
-    assert most_violations(constraint, 100 * hundreds) == (100 - percent) * hundreds
+    assert constraint.rule.permitted(100 * hundreds) == (100 - percent) * hundreds
 
 
 def test_confirmation_validation_and_record_judge_the_same_values_alike(

@@ -65,7 +65,7 @@ class TestShippedStudies:
             assert variable.distribution == TruncatedNormal(
                 mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3), nominal=1.0
             )
-        (real_time,) = study.chance_constraints
+        (real_time,) = study.drawn_constraints
         assert real_time.probability == 0.96
         assert study.metrics[real_time.metric].key == "return_time_p99"
         (worst,) = study.worst_case_constraints
@@ -101,7 +101,7 @@ class TestReading:
         study = study_from_mapping(changed)
         assert study.context_space().dimension == 0
         assert study.worst_case_constraints == ()
-        assert study.chance_constraints == ()
+        assert study.drawn_constraints == ()
         assert study == study_from_mapping(
             changed | {"contexts": {}, "constraints": {}, "order": []}
         )
@@ -130,6 +130,16 @@ class TestReading:
         with pytest.raises(dataclasses.FrozenInstanceError):
             study.seed = 2
         assert pickle.loads(pickle.dumps(study)) == study
+
+    def test_its_spaces_are_made_once(self):
+        study = load_study("full")
+        assert study.search_space() is study.search_space()
+        assert study.context_space() is study.context_space()
+        # Another process, and a changed study, make their own.
+        again = pickle.loads(pickle.dumps(study))
+        assert again.context_space() is not study.context_space()
+        fewer = dataclasses.replace(study, contexts={})
+        assert fewer.context_space().names == ()
 
 
 class TestWriting:

@@ -50,7 +50,7 @@ def test_single_violations_are_a_share_of_the_drawn_contexts(truth):
     assert verdict.single_violation == pytest.approx((1.2 - 0.75 / 0.65) / 0.4, abs=0.01)
 
 
-def test_chance_constraints_are_counted_over_evaluations(study):
+def test_drawn_constraints_are_counted_over_evaluations(study):
     mapping = study_to_mapping(study)
     often = {"kind": "chance", "metric": "peak", "upper": 0.5, "probability": 0.9}
     limited = study_from_mapping(mapping | {"constraints": mapping["constraints"] | {"o": often}})

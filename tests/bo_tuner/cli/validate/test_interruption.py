@@ -12,7 +12,7 @@ from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import OutputError, RunError
-from bo_tuner.evidence.certificate import certificate as certificate_module
+from bo_tuner.evidence.certificate import making
 from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.evidence.run_verdict import run_verdict
@@ -209,7 +209,7 @@ class TestFaults:
 
     def test_a_crash_between_its_two_files_leaves_the_one_before(self, here, folder, monkeypatch):
         assert here(folder)[0] == 0
-        write = certificate_module.write_atomically
+        write = making.write_atomically
 
         def crash(path, content):
             if path.suffix == ".json":
@@ -217,7 +217,7 @@ class TestFaults:
             return write(path, content)
 
         with monkeypatch.context() as patch:
-            patch.setattr(certificate_module, "write_atomically", crash)
+            patch.setattr(making, "write_atomically", crash)
             assert here(folder)[0] == 1
         names = {path.name for path in (folder / "certificates").iterdir()}
         assert names == {

@@ -14,8 +14,9 @@ from bo_tuner.evidence.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
-from bo_tuner.evidence.certificate.judgement import LEAST_RUNS, judge
+from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning

@@ -12,10 +12,11 @@ from scipy import stats
 
 from bo_tuner.errors import RunError
 from bo_tuner.evidence.certificate.findings import Evidence
-from bo_tuner.evidence.certificate.judgement import LEAST_RUNS, judge, most_draws_needed
+from bo_tuner.evidence.certificate.judgement import judge, most_draws_needed
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.sequential import draws_needed
+from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 DRAWS_NEEDED = draws_needed_without_event(0.04, 0.05)

@@ -10,11 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.cli.common import opened
-from bo_tuner.evidence.certificate.certificate import (
-    Certificate,
-    make_certificate,
-    write_certificate,
-)
+from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import (
     DRAWS,
     Certification,
@@ -22,6 +18,7 @@ from bo_tuner.evidence.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption

@@ -338,11 +338,11 @@ def _not_the_result(verdict: Verdict) -> str:
 
 
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
-    out, content = plain_console(), read_certificate(path)
-    print_verdict(out, study, verdict, content["parameters"])
+    out, certificate = plain_console(), read_certificate(path, study)
+    print_verdict(out, study, verdict, certificate.parameters)
     out.print()
-    out.print(certificate_table(study, content))
-    for line in certificate_lines(study, content):
+    out.print(certificate_table(study, certificate))
+    for line in certificate_lines(study, certificate):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")

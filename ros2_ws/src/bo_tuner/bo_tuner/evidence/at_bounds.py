@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from bo_tuner.study.constraint import UPPER
+from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown

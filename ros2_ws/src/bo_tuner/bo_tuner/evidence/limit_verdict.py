@@ -6,8 +6,8 @@ limit permits. *Kept* is only what is shown, and it stands with what the limit p
 
 from dataclasses import dataclass
 
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
-from bo_tuner.study.limits import Sample, Standing, permitted_violations
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 
@@ -48,11 +48,8 @@ class LimitVerdict:
 
 def asked(study: Study, constraint: Constraint) -> str:
     """Return how often a limit must be kept, in a few words."""
-    everywhere = constraint.kind == WORST_CASE and bool(study.contexts)
-    if constraint.statistic == EXPECTATION:
-        return f"by the mean over noise{' in every context' if everywhere else ''}"
-    share = f"in {100.0 * constraint.level:g} % of the runs"
-    return f"{share} in every context" if everywhere else share
+    everywhere = constraint.rule.in_every_context and bool(study.contexts)
+    return constraint.rule.asked(everywhere=everywhere)
 
 
 def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerdict:
@@ -72,7 +69,8 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
     standing, how_often = sample.standing, asked(study, constraint)
     evidence = _counted(constraint, sample)
     words = evidence
-    if unsearched and sample.violations and sample.agrees and constraint.kind == WORST_CASE:
+    everywhere = constraint.rule.in_every_context
+    if unsearched and sample.violations and sample.agrees and everywhere:
         standing = Standing.VIOLATED
         evidence += " (no search was made for its worst context)"
         words = f"NOT shown to be kept: {evidence}"
@@ -105,7 +103,7 @@ def by_certificate(
         Standing.SHOWN if passed else Standing.VIOLATED,
         draws,
         violations,
-        permitted_violations(constraint, draws),
+        constraint.rule.permitted(draws),
         how_often,
         "",
         f"{'' if passed else 'NOT '}shown to be kept {how_often}",
@@ -117,9 +115,4 @@ def _counted(constraint: Constraint, sample: Sample) -> str:
     if not sample.count:
         return "no test run is complete"
     runs = counted(sample.count, "test run")
-    found = f"{sample.violations} of {runs} {constraint.beyond} the limit"
-    if constraint.statistic == EXPECTATION and not sample.agrees:
-        return f"the mean over {runs} is {constraint.beyond} the limit"
-    if sample.permitted is not None:
-        return f"{found}, {sample.permitted} permitted"
-    return f"{found}, which is on the mean" if sample.violations else found
+    return constraint.rule.counted(sample.violations, runs, sample.count, agrees=sample.agrees)

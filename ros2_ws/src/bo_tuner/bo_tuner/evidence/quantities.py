@@ -8,7 +8,7 @@ from bo_tuner.evidence.differences import Change, Difference, paired, unpaired
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.verdict import Quantity, ordered
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
 
@@ -96,12 +96,12 @@ def _of_constraint(
     difference: Difference | None = None
     change, bound = Change.UNKNOWN, nan
     draws = _draws(default, tuned, metric, None)
-    if constraint.kind == WORST_CASE and name in tuned.worst:
+    if name in tuned.worst:
         theirs, ours = default.worst.get(name), tuned.worst[name]
         label = f"worst-case {constraint.limited}"
         values = nan if theirs is None else theirs.value, ours.value
         draws = ""
-        if constraint.statistic == EXPECTATION:
+        if not constraint.rule.on_runs:
             bound = ours.bound
         if theirs is None:
             remark = f"the default has no certified worst case; {remark}"

@@ -3,21 +3,18 @@
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import inf
 from pathlib import Path
-from typing import Any
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
-from bo_tuner.evidence.certificate.findings import widest
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     certificate_problem,
     latest_certificate,
     read_certificate,
-    seen_of,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
 from bo_tuner.evidence.effects import effects_in_words
@@ -31,11 +28,9 @@ from bo_tuner.evidence.validated import (
     open_verdict,
     validated,
 )
-from bo_tuner.evidence.verdict import PASS, State, Verdict
-from bo_tuner.storage.json_numbers import to_number
+from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
-from bo_tuner.study.constraint import SINGLE_RUN, UPPER
 from bo_tuner.study.measured import seen_in, seen_in_words
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -145,46 +140,37 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
 def _certified(
     record: RunRecord, trial: Trial, path: Path, by_validation: Verdict | None
 ) -> Verdict:
-    content = read_certificate(path)
-    remarks = []
+    certificate, remarks = read_certificate(path, record.study), []
     try:
         rows = read_evaluations(path)
     except RunRecordError as error:
         rows, remarks = [], [f"{error}."]
     study, same = record.study, is_default(record.study, trial.parameters)
-    is_result = record.is_result(trial)
-    passed = content["verdict"] == PASS
+    is_result, passed = record.is_result(trial), certificate.passed
     problem = certificate_problem(record, trial) if passed else ""
     if problem:
         remarks.append(f"apply still refuses it: {problem}.")
     has_result = record.result is not None
     if passed and not has_result:
         remarks.append("apply waits for the result of the run, which has not ended.")
-    try:
-        before = tuple(earlier_in_words(content))
-        seen = tuple(seen_in_words(study.metrics, seen_of(content)))
-        draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
-        overall = min(float(content["confidence"]), *_confidences(record))
-        tuned, default = content[TUNED], content[DEFAULT]
-        reasons = tuple(str(reason) for reason in content["reasons"])
-        of_tuned = {c["name"]: c for c in tuned["constraints"]}
-        of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
-        if default is None:
-            observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
-            default_limits = {} if by_validation is None else _default_limits(by_validation)
-        else:
-            observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
-            default_reasons = _reasons(default)
-            default_limits = _limits(study, default, draws)
-        numbers = quantities(
-            study,
-            *observed,
-            default_limits,
-            _limits(study, tuned, draws),
-            {name: _remark(of_tuned[name], draws, confidence) for name in study.constraints},
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
+    draws, confidence = certificate.drawn, certificate.bound_confidence
+    overall = min(certificate.confidence, *_confidences(record))
+    tuned, default, reasons = certificate.tuned, certificate.default, certificate.tuned.reasons
+    of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
+    if default is None:
+        observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
+        default_limits = {} if by_validation is None else _default_limits(by_validation)
+    else:
+        observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
+        default_reasons = default.reasons
+        default_limits = _limits(study, default, draws)
+    numbers = quantities(
+        study,
+        *observed,
+        default_limits,
+        _limits(study, tuned, draws),
+        {c.name: _remark(study, c, draws, confidence) for c in tuned.constraints},
+    )
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
@@ -194,10 +180,10 @@ def _certified(
         quantities=numbers,
         choice=by_validation.choice if by_validation is not None and is_result else "",
         remarks=(
-            *before,
+            *earlier_in_words(certificate),
             f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
             f"certify this run have {100.0 * overall:.4g} % together.",
-            *seen,
+            *seen_in_words(study.metrics, certificate.seen),
             *remarks,
         ),
         observed=observed,
@@ -220,8 +206,8 @@ def _confidences(record: RunRecord) -> Iterator[float]:
     the error probabilities asked for.
     """
     for path in certificate_paths(record.path):
-        with contextlib.suppress(RunRecordError, KeyError, TypeError, ValueError):
-            yield float(read_certificate(path)["confidence"])
+        with contextlib.suppress(RunRecordError):
+            yield read_certificate(path, record.study).confidence
 
 
 def _evidence(
@@ -259,7 +245,7 @@ def _beside_validation(
 
 
 def _observed(
-    findings: Mapping[str, Any],
+    findings: Findings,
     rows: Sequence[Row],
     name: str,
     draws: int,
@@ -272,15 +258,16 @@ def _observed(
         draws=draws,
         others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
         worst={
-            constraint["name"]: WorstMean(
-                value=to_number(mean["value"]),
-                standard_error=to_number(mean["standard_error"]),
-                bound=widest(side, [_bound(side, w["mean"]) for w in constraint["worst"]]),
-                count=int(constraint["worst"][0]["evaluations"]),
+            constraint.name: WorstMean(
+                value=worst.mean.value,
+                standard_error=worst.mean.standard_error,
+                bound=widest(
+                    constraint.side, (w.mean.bound(constraint.side) for w in constraint.worst)
+                ),
+                count=worst.evaluations,
             )
-            for constraint in findings["constraints"]
-            if constraint["worst"]
-            for mean, side in ((constraint["worst"][0]["mean"], constraint["side"]),)
+            for constraint in findings.constraints
+            for worst in constraint.worst[:1]
         },
     )
 
@@ -294,40 +281,32 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     ]
 
 
-def _bound(side: str, mean: Mapping[str, Any]) -> float:
-    """Return the bound of a mean on the side of the limit."""
-    return to_number(mean[side], inf if side == UPPER else -inf)
-
-
-def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str:
-    bound = to_number(constraint["violation_bound"])
-    beyond = "above" if constraint["side"] == UPPER else "below"
-    where = f"at most {bound:.3g}"
-    if constraint["worst"] and constraint["statistic"] == SINGLE_RUN:
-        allowed = to_number(constraint["allowed"])
-        worst = max(to_number(context["violation_bound"]) for context in constraint["worst"])
+def _remark(study: Study, found: ConstraintVerdict, draws: int, confidence: float) -> str:
+    constraint = study.constraints[found.name]
+    where = f"at most {found.violation_bound:.3g}"
+    if found.worst and constraint.rule.on_runs:
+        worst = max(context.violation_bound for context in found.worst)
         where = (
-            f"of a violation {where}, and {shown_beside(worst, allowed)} in the worst contexts, "
-            f"allowed {shown(allowed)},"
+            f"of a violation {where}, and {shown_beside(worst, found.allowed)} in the worst "
+            f"contexts, allowed {shown(found.allowed)},"
         )
     return (
-        f"{constraint['violations']} of {draws} draws {beyond} the limit; probability {where} with "
-        f"{100.0 * confidence:g} % confidence"
+        f"{found.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
+        f"with {100.0 * confidence:g} % confidence"
     )
 
 
-def _limits(study: Study, findings: Mapping[str, Any], draws: int) -> dict[str, LimitVerdict]:
+def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerdict]:
     """Return what a certificate says of each limit of a parameter set, by its name."""
-    by_name = {c["name"]: c for c in findings["constraints"]}
     return {
-        name: by_certificate(
+        found.name: by_certificate(
             study,
-            constraint,
-            passed=bool(by_name[name]["passed"]),
+            study.constraints[found.name],
+            passed=found.passed,
             draws=draws,
-            violations=int(by_name[name]["violations"]),
+            violations=found.violations,
         )
-        for name, constraint in study.constraints.items()
+        for found in findings.constraints
     }
 
 
@@ -338,7 +317,3 @@ def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:
         for q in by_validation.quantities
         if q.default_found is not None
     }
-
-
-def _reasons(findings: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(str(reason) for reason in findings["reasons"])

@@ -27,15 +27,16 @@ from bo_tuner.models.pooled_responses import (
 )
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import FAILURES, OBJECTIVE, Constraint
+from bo_tuner.study.constraint import FAILURES, OBJECTIVE
+from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Trial, TrialState, pooled
 
 EXPECTED_OVER = 256
 """Number of contexts, the same in every fit, that an expectation is taken over."""
 
-CHANCE_OVER = 64
-"""Number of contexts, the same in every fit, that the probability of a chance limit is over."""
+DRAWN_OVER = 64
+"""Number of contexts, the same in every fit, that a limit over their distribution is over."""
 
 Scale = Callable[[Array, float, float], Compression]
 """Chooses the scale on which a limited metric is modelled, by values (n,), limit and sign."""
@@ -148,50 +149,9 @@ class PooledModels:
         self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
     ) -> dict[str, PooledResponse]:
         """Return the limits, with the models of their responses, by name."""
-        found: dict[str, PooledResponse] = {}
-        for chance in fitting.study.chance_constraints:
-            found[chance.name] = self._over_contexts(fitting, trials, covariates, chance)
-        for worst in fitting.study.worst_case_constraints:
-            found[worst.name] = self._every_context(fitting, trials, covariates, worst)
-        return found
-
-    def _every_context(
-        self,
-        fitting: Fitting,
-        trials: Sequence[Trial],
-        covariates: Covariates,
-        worst: Constraint,
-    ) -> EveryContext:
-        process, scale = self._limited(fitting, trials, covariates, worst)
-        if fitting.study.measured:
-            process = process.averaged(covariates.rows(ROWS))
-        # The searches have looked where no corner is, and may have found the worst context there.
-        candidates = fitting.study.context_space().candidates(self.looked(trials))
-        return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign, scale)
-
-    def _over_contexts(
-        self,
-        fitting: Fitting,
-        trials: Sequence[Trial],
-        covariates: Covariates,
-        chance: Constraint,
-    ) -> OverContexts:
-        process, scale = self._limited(fitting, trials, covariates, chance)
-        contexts = fitting.study.context_space()
-        drawn = contexts.to_cube(contexts.draw_stratified(CHANCE_OVER, np.random.default_rng(0)))
-        over = covariates.beside(drawn)
-        return OverContexts(process, chance.limit, over, chance.level, chance.sign, scale)
-
-    def _limited(
-        self,
-        fitting: Fitting,
-        trials: Sequence[Trial],
-        covariates: Covariates,
-        constraint: Constraint,
-    ) -> tuple[ContextProcess, Compression]:
-        x, c, y = _observations(fitting, trials, covariates, constraint.metric)
-        scale = self.scale(y, constraint.limit, constraint.sign)
-        return fitting.process(self.processes, constraint.name, x, c, scale.apply(y)), scale
+        study, responses = fitting.study, _Responses(self, fitting, trials, covariates)
+        ordered = (*study.drawn_constraints, *study.worst_case_constraints)
+        return {constraint.name: constraint.rule.response(responses) for constraint in ordered}
 
     def _crashes(self, fitting: Fitting, trials: Sequence[Trial]) -> CrashModel:
         """Return the probability that a run fails, as a constraint."""
@@ -215,6 +175,41 @@ class PooledModels:
             rng=fitting.rng,
             start=fitting.kept(FAILURES),
         )
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """What pooled models can predict: `bo_tuner.study.limit_kinds.kind.Responses`."""
+
+    models: PooledModels
+    fitting: Fitting
+    trials: Sequence[Trial]
+    covariates: Covariates
+
+    def in_every_context(self, limited: Limited, deviations: float) -> PooledResponse:
+        """Return the limit in every context."""
+        process, scale = self._process(limited)
+        study = self.fitting.study
+        if study.measured:
+            process = process.averaged(self.covariates.rows(ROWS))
+        # The searches have looked where no corner is, and may have found the worst context there.
+        candidates = study.context_space().candidates(self.models.looked(self.trials))
+        return EveryContext(process, limited.limit, candidates, deviations, limited.sign, scale)
+
+    def over_contexts(self, limited: Limited, level: float) -> PooledResponse:
+        """Return the limit over contexts and noise."""
+        process, scale = self._process(limited)
+        contexts = self.fitting.study.context_space()
+        drawn = contexts.to_cube(contexts.draw_stratified(DRAWN_OVER, np.random.default_rng(0)))
+        over = self.covariates.beside(drawn)
+        return OverContexts(process, limited.limit, over, level, limited.sign, scale)
+
+    def _process(self, limited: Limited) -> tuple[ContextProcess, Compression]:
+        """Return the process of the limited metric, and the scale that it is on."""
+        x, c, y = _observations(self.fitting, self.trials, self.covariates, limited.metric)
+        scale = self.models.scale(y, limited.limit, limited.sign)
+        processes = self.models.processes
+        return self.fitting.process(processes, limited.name, x, c, scale.apply(y)), scale
 
 
 def _observations(

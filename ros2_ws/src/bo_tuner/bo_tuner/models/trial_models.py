@@ -25,6 +25,7 @@ from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import OBJECTIVE, Constraint
+from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
@@ -151,13 +152,27 @@ class TrialModels:
 
     def _constraints(self, fitting: Fitting, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
         """Return the limits, with the models of their responses, by name."""
-        found: dict[str, LimitedResponse] = {}
-        for chance in fitting.study.chance_constraints:
-            x, y, _ = fitting.observations(trials, chance.metric)
-            model = fitting.model(self.fit, chance.name, x, y, fitting.minimum)
-            found[chance.name] = SurrogateConstraint.on_observation(
-                model, chance.limit, chance.level, chance.sign
-            )
-        for worst in fitting.study.worst_case_constraints:
-            found[worst.name] = self.worst_case(fitting, self.fit, trials, worst)
-        return found
+        study, responses = fitting.study, _Responses(self, fitting, trials)
+        ordered = (*study.drawn_constraints, *study.worst_case_constraints)
+        return {constraint.name: constraint.rule.response(responses) for constraint in ordered}
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """What the models of trials can predict: `bo_tuner.study.limit_kinds.kind.Responses`."""
+
+    models: TrialModels
+    fitting: Fitting
+    trials: Sequence[Trial]
+
+    def over_contexts(self, limited: Limited, level: float) -> LimitedResponse:
+        """Model what was observed in the drawn contexts of each trial."""
+        x, y, _ = self.fitting.observations(self.trials, limited.metric)
+        minimum = self.fitting.minimum
+        model = self.fitting.model(self.models.fit, limited.name, x, y, minimum)
+        return SurrogateConstraint.on_observation(model, limited.limit, level, limited.sign)
+
+    def in_every_context(self, limited: Limited, deviations: float) -> LimitedResponse:
+        """Model the worst case."""
+        worst = self.fitting.study.constraints[limited.name]
+        return self.models.worst_case(self.fitting, self.models.fit, self.trials, worst)

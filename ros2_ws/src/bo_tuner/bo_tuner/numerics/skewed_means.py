@@ -4,8 +4,9 @@ The t statistic takes the noise for normal. Of a quantity with rare large values
 none, and then both its mean and its deviation are too small. Here x - θ is taken to be log-normal.
 The shift θ is the one at which log(x - θ) has a skewness of one standard error to the left: of the
 laws of this family that agree with the sample, one of the most skewed; but not so near to the
-smallest value that the law is far more skewed than the sample, as that of two values would be. With n values, the mean and
-variance of log(x - θ) give the signed root of the likelihood ratio that the mean of x is m,
+smallest value that the law is far more skewed than the sample, as that of two values would be. With
+n values, the mean and variance of log(x - θ) give the signed root of the likelihood ratio that the
+mean of x is m,
 
     r² = n min_v (log v + (v̂ + (D + v/2)²) / v) - n (log v̂ + 1),   D = mean(log((x - θ) / (m - θ))),
 

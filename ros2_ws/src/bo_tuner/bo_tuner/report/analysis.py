@@ -9,11 +9,13 @@ from typing import Any, TypeVar
 
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import Candidate, Ranking
-from bo_tuner.report.sections.certificate import CertificateFile, certificate
+from bo_tuner.report.content import Section
+from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
@@ -116,9 +118,16 @@ class Analysis:
         return self._ranking.comparable(self.models, self.trials)
 
     @property
-    def certificate(self) -> CertificateFile | None:
+    def certificate(self) -> Certificate | None:
         """The certificate, if `validate` has written one and it can be read."""
-        return self._certificate[0]
+        found, _ = self._certificate
+        return None if found is None else found[0]
+
+    @property
+    def certificate_section(self) -> Section | None:
+        """The section on the certificate, if there is one and it can be read."""
+        found, _ = self._certificate
+        return None if found is None else found[1]
 
     @property
     def certificate_problem(self) -> str:
@@ -126,7 +135,7 @@ class Analysis:
         return self._certificate[1]
 
     @cached_property
-    def _certificate(self) -> tuple[CertificateFile | None, str]:
+    def _certificate(self) -> tuple[tuple[Certificate, Section] | None, str]:
         try:
             return certificate(self.record, self.answer), ""
         except RunRecordError as error:

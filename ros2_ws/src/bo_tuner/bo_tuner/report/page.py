@@ -48,7 +48,7 @@ def certificate(analysis: Analysis) -> Section | None:
     """Show the certificate; None without one."""
     if problem := analysis.certificate_problem:
         return Section(name="certificate", title="Certificate: not readable", lead=f"{problem}.")
-    return None if analysis.certificate is None else analysis.certificate.section
+    return analysis.certificate_section
 
 
 SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (

@@ -1,25 +1,14 @@
 """Whether the limits of a study hold in evaluations and trials.
 
 The check of candidates, the validation, the record, the report and the displays take the answer
-from here. A limit is one of three:
-
-chance
-    Over contexts and noise, a run keeps it with at least the constraint's `probability`.
-worst case, with a `probability`
-    In every context a run keeps it with at least that probability (`SINGLE_RUN`).
-worst case, without
-    In every context the mean over noise keeps it (`EXPECTATION`).
+from here; what each kind of limit asks for is in `bo_tuner.study.limit_kinds`.
 
 The certificate and the judge of the benchmark ask for the same; they differ in the evidence. What
-is observed in the worst context estimates whether a worst-case limit holds there. Draws from the
-distribution of the contexts cannot show it, only refute it: what holds in every context holds in
-those that were drawn. They do where so many violations, or so large a mean, would be a coincidence
-of less than `COINCIDENCE`. In a study without contexts the draws are of the only one there is.
-
-References
-----------
-Clopper and Pearson (1934). The use of confidence or fiducial limits illustrated in the case of the
-binomial. Biometrika 26(4).
+is observed in the worst context estimates whether a limit in every context holds there. Draws from
+the distribution of the contexts cannot show such a limit, only refute it: what holds in every
+context holds in those that were drawn. They do where so many violations, or so large a mean, would
+be a coincidence of less than `COINCIDENCE`. In a study without contexts the draws are of the only
+one there is.
 """
 
 import math
@@ -29,17 +18,12 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtr, bdtrc, stdtrit
 
-from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import CHANCE, EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
 
 WITHIN = "within limits"
-
-COINCIDENCE = 0.05
-"""Probability below which draws refute a worst-case limit."""
 
 
 class Standing(StrEnum):
@@ -67,7 +51,7 @@ class Sample:
     count, violations
         Number of values, and of those beyond the limit.
     permitted
-        How many of them may be, see `permitted_violations`; None if the limit is on the mean.
+        How many of them may be, see `LimitKind.permitted`; None if the limit is on the mean.
     standing
         What the values say of the constraint; `VIOLATED` if there are none.
     """
@@ -85,33 +69,6 @@ class Sample:
         return self.standing is not Standing.VIOLATED
 
 
-def permitted_violations(constraint: Constraint, count: int) -> int | None:
-    """Return how many of `count` runs a limit on single runs permits beyond it; None on the mean.
-
-    It is floor((1 - probability) count); the tolerance of 1e-9 compensates for the rounding of
-    1 - probability.
-    """
-    if constraint.statistic == EXPECTATION:
-        return None
-    return math.floor(constraint.allowed * count + 1e-9)
-
-
-def most_violations(constraint: Constraint, count: int, *, alone: bool = False) -> int:
-    """Return how many of `count` draws may violate the limit before they refute it.
-
-    They are the `permitted_violations` of a chance constraint, and, with `alone`, of a worst-case
-    one on single runs. Otherwise it is for the latter the largest k with P(X >= k) >= `COINCIDENCE`
-    for X ~ Binomial(count, 1 - probability). One on the mean over noise permits any number.
-    """
-    permitted = permitted_violations(constraint, count)
-    if permitted is None:
-        return count
-    if constraint.kind == WORST_CASE and not alone:
-        above = np.arange(1, count + 1)
-        return int(np.sum(bdtrc(above - 1, count, constraint.allowed) >= COINCIDENCE))
-    return permitted
-
-
 def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = False) -> Sample:
     """Judge a constraint on values (n,) of its metric in draws of context and noise.
 
@@ -119,18 +76,13 @@ def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = Fal
     whether a worst-case limit holds there.
     """
     found = np.asarray(values, dtype=np.float64)
-    violations = int(np.sum(constraint.violations(found)))
-    agrees = len(found) > 0 and violations <= most_violations(constraint, len(found), alone=alone)
-    if agrees and constraint.statistic == EXPECTATION:
-        # From the limit, as the mean of equal values may differ from them by rounding.
-        beyond = constraint.sign * (found - constraint.limit)
-        agrees = (float(beyond.mean()) if alone else _lowest_mean(beyond)) <= 0.0
+    agrees = len(found) > 0 and constraint.rule.agrees(found, alone=alone)
     return Sample(
         name=constraint.name,
         worst=constraint.farthest(found),
         count=len(found),
-        violations=violations,
-        permitted=permitted_violations(constraint, len(found)),
+        violations=int(np.sum(constraint.violations(found))),
+        permitted=constraint.rule.permitted(len(found)),
         standing=Standing.OPEN if agrees else Standing.VIOLATED,
     )
 
@@ -160,17 +112,13 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
 def is_shown(study: Study, sample: Sample) -> bool:
     """Return whether independent draws show that runs keep a limit as often as they must.
 
-    They do if the upper confidence bound of the probability of a violation, at the confidence that
-    the study asks of a certificate, is at most the one that is allowed (Clopper and Pearson 1934):
-    P(X <= violations) <= 1 - confidence for X ~ Binomial(count, allowed). Draws never show what is
-    to hold in every context, unless there is but one, and this bound is none of a mean.
+    The confidence is the one that the study asks of a certificate. Draws never show what is to hold
+    in every context, unless there is but one.
     """
-    constraint = study.constraints[sample.name]
-    over_draws = constraint.kind == CHANCE or not study.contexts
-    if not over_draws or constraint.statistic == EXPECTATION or not sample.agrees:
+    rule = study.constraints[sample.name].rule
+    if not rule.is_estimated(alone=not study.contexts) or not sample.agrees:
         return False
-    luck = float(bdtr(sample.violations, sample.count, constraint.allowed))
-    return luck <= 1.0 - study.certificate.confidence
+    return rule.is_shown_by(sample.violations, sample.count, study.certificate.confidence)
 
 
 def excess(constraint: Constraint, worst_case: WorstCase) -> float:
@@ -213,11 +161,11 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:
     """Return the names of the constraints that a complete trial violates by its own estimates."""
     broken = []
-    for chance in study.chance_constraints:
-        values = trial.observations(chance.metric)
+    for drawn in study.drawn_constraints:
+        values = trial.observations(drawn.metric)
         # A repetition in the worst context alone has none, and says nothing of this limit.
-        if values and not judge_sample(chance, values).agrees:
-            broken.append(chance.name)
+        if values and not judge_sample(drawn, values).agrees:
+            broken.append(drawn.name)
     for worst in study.worst_case_constraints:
         found = trial.worst_cases.get(worst.name)
         if found is not None and worst.violations(found.value):
@@ -263,12 +211,3 @@ def outcome_in_words(study: Study, trial: Trial) -> str:
     kinds = {"violates": violated(study, trial), "may violate": uncertain(study, trial)}
     found = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
     return "; ".join(found) or WITHIN
-
-
-def _lowest_mean(values: Array) -> float:
-    """Return the mean (Student's t) below which that of values (n,) is by `COINCIDENCE` only."""
-    count = len(values)
-    if count < 2:
-        return -math.inf
-    error = float(values.std(ddof=1)) / math.sqrt(count)
-    return float(values.mean()) - float(stdtrit(count - 1, 1.0 - COINCIDENCE)) * error

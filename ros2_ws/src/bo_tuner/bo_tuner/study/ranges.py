@@ -9,7 +9,7 @@ from typing import Any
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.constraint import EXPECTATION, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.trials import Evaluation
 
 Range = tuple[float, float]
@@ -58,7 +58,7 @@ def check_free(constraints: Iterable[Constraint], declared: Mapping[str, Range |
         If there is one on a metric without a range.
     """
     for constraint in constraints:
-        if constraint.statistic == EXPECTATION and declared.get(constraint.metric) is None:
+        if not constraint.rule.on_runs and declared.get(constraint.metric) is None:
             raise StudyError(
                 f"constraint {constraint.name} limits a mean, of which nothing is known without an "
                 f"assumption on the noise: give metrics.{constraint.metric} a range, or the "

@@ -17,9 +17,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.study.constraint import LOWER, UPPER, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import DISTRIBUTIONS
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter

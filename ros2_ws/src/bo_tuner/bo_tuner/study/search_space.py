@@ -19,7 +19,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.conditions import KEY, check_shares
 from bo_tuner.study.conforming import Conforming
-from bo_tuner.study.constraint import LOWER, UPPER
+from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_space import ParameterSpace
 from bo_tuner.trials import Value

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
-from bo_tuner.study.constraint import (
-    CHANCE,
-    MODEL_NAMES,
-    OUTLIERS,
-    WORST_CASE,
-    Constraint,
-)
+from bo_tuner.study.constraint import MODEL_NAMES, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.measured import check_measured, measured_names
@@ -312,8 +307,17 @@ class Study:
             for node in self.nodes.values()
         ) or any(isinstance(metric, PythonMetric) for metric in self.metrics.values())
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is made of the fields: another process makes it again."""
+        return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
+        return self._search_space
+
+    @cached_property
+    def _search_space(self) -> SearchSpace:
+        # Studies that differ in other sections share it.
         return search_space(tuple(self.parameters.values()), self.order, self.where)
 
     @property
@@ -391,6 +395,10 @@ class Study:
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
+        return self._context_space
+
+    @cached_property
+    def _context_space(self) -> ContextSpace:
         return ContextSpace(
             {name: item.distribution for name, item in self.contexts.items()},
             [name for name, item in self.contexts.items() if item.type == INTEGER],
@@ -407,14 +415,14 @@ class Study:
         return any(spec.is_started for spec in self.nodes.values())
 
     @property
-    def chance_constraints(self) -> tuple[Constraint, ...]:
-        """Constraints that must hold with a probability."""
-        return tuple(item for item in self.constraints.values() if item.kind == CHANCE)
+    def drawn_constraints(self) -> tuple[Constraint, ...]:
+        """Constraints over the distribution of the contexts, which draws show."""
+        return tuple(c for c in self.constraints.values() if not c.rule.in_every_context)
 
     @property
     def worst_case_constraints(self) -> tuple[Constraint, ...]:
         """Constraints that must hold in every context."""
-        return tuple(item for item in self.constraints.values() if item.kind == WORST_CASE)
+        return tuple(c for c in self.constraints.values() if c.rule.in_every_context)
 
     def titled(self, constraint: Constraint, text: str) -> str:
         """Return a text on a constraint, with its name if another one limits the same side, too."""

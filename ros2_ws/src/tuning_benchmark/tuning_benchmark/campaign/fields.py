@@ -98,7 +98,7 @@ def true_fields(study: Study, judge: str, figure: SurrogateFigure, first: Value)
         found["objective"].append(_number(judged.objective))
         found["worst"].append(_number(judged.worst))
         metrics = evaluator.metrics(parameters)
-        for constraint in study.chance_constraints:
+        for constraint in study.drawn_constraints:
             value = metrics.get(constraint.metric, np.nan)
             found["constraints"].setdefault(constraint.name, []).append(_number(value))
     return found

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.constraint import WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study
@@ -86,7 +85,7 @@ def study_digest(study: Study) -> str:
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
     judged["constraints"] = {
-        name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != WORST_CASE}
+        name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != "worst_case"}
         for name, item in content.get("constraints", {}).items()
     }
     return hashlib.sha256(json.dumps(judged, sort_keys=True).encode()).hexdigest()[:16]

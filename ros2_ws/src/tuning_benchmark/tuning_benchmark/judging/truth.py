@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import EXPECTATION
 from bo_tuner.study.limits import judge_sample
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
@@ -207,7 +206,7 @@ class Truth:
         values = self.study.assignments(parameters, {}, 0)
         judged: Judgement = self.judge.judge(values)
         within, holds = self.meets_chances(parameters, real_evaluations)
-        on_mean = self.constraint.statistic == EXPECTATION
+        on_mean = not self.constraint.rule.on_runs
         kept = float("nan")
         # An answer is shown with what it realizes; whether an incumbent is feasible is enough.
         if not np.isnan(judged.worst) and not (on_mean and real_evaluations is not None):
@@ -232,7 +231,7 @@ class Truth:
         """Return the shares of evaluations within the chance constraints, and whether all hold."""
         evaluator = Evaluator(self.study)
         space = self.study.context_space()
-        chances = self.study.chance_constraints
+        chances = self.study.drawn_constraints
         seen: dict[str, list[float]] = {constraint.name: [] for constraint in chances}
         count = self.effort.real_evaluations if real_evaluations is None else real_evaluations
         rows = np.linspace(0, self.effort.drawn - 1, count).astype(int)

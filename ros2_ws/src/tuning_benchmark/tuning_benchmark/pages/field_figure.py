@@ -109,7 +109,7 @@ def _predicted(study: Study, result: Record) -> dict[str, Grid]:
 
 def _known(study: Study, columns: Sequence[Record]) -> dict[str, Grid]:
     fields = {study.objective.metric: _grid([c["objective"] for c in columns])}
-    for chance in study.chance_constraints:
+    for chance in study.drawn_constraints:
         fields[chance.name] = _grid([c["constraints"][chance.name] for c in columns])
     for worst in study.worst_case_constraints:
         fields[worst.name] = _grid([c["worst"] for c in columns])

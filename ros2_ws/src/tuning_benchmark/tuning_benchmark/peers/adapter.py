@@ -97,7 +97,7 @@ def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observat
         return Observation(parameters, True, None, {})
     cost = study.objective.to_cost(trial.observations(study.objective.metric))
     constraints = {}
-    for chance in study.chance_constraints:
+    for chance in study.drawn_constraints:
         values = trial.observations(chance.metric)
         costs = chance.sign * np.asarray(values)
         value = float(np.quantile(costs, chance.level, method="inverted_cdf"))

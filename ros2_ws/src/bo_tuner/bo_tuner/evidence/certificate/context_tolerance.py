@@ -14,9 +14,8 @@ sample, and below at that of the value in the stated context, which the largest 
 How often the bands hold the truth is measured by `benchmarks/band_coverage.py`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 
@@ -24,10 +23,10 @@ from bo_tuner.evidence.certificate.context_response import KEPT, ContextResponse
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.storage.json_numbers import to_number
-from bo_tuner.study.constraint import UPPER, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Context, Evaluation, Value
@@ -64,11 +63,6 @@ class Band:
     median: float
     high: float
 
-    @classmethod
-    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return the band that a certificate holds."""
-        return cls(*(to_number(item[name]) for name in ("low", "median", "high")))
-
 
 @dataclass(frozen=True)
 class Drift:
@@ -87,12 +81,6 @@ class Drift:
     bound: float
     limit: Band
     breaks: float
-
-    @classmethod
-    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return the drift that a certificate holds."""
-        limit = Band.from_mapping(item["limit"])
-        return cls(float(item["bound"]), limit, float(item["breaks"]))
 
     @property
     def in_words(self) -> str:
@@ -129,16 +117,6 @@ class VariableTolerance:
     worst_down: Drift
     worst_up: Drift
 
-    @classmethod
-    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return the effect that a certificate holds."""
-        drifts = {
-            name: Drift.from_mapping(item[name])
-            for name in ("down", "up", "worst_down", "worst_up")
-        }
-        relief = Band.from_mapping(item["relief"])
-        return cls(item["name"], item["unit"], float(item["nominal"]), relief, **drifts)
-
 
 @dataclass(frozen=True)
 class ContextTolerance:
@@ -168,19 +146,6 @@ class ContextTolerance:
     worst: Band
     worst_context: Context
     variables: tuple[VariableTolerance, ...]
-
-    @classmethod
-    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return what a certificate holds of a constraint.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If that is not all of it.
-        """
-        bands = {name: Band.from_mapping(item[name]) for name in ("nominal", "worst")}
-        variables = tuple(map(VariableTolerance.from_mapping, item["variables"]))
-        return cls(**dict(item) | bands | {"variables": variables})
 
     @property
     def relieved(self) -> str:

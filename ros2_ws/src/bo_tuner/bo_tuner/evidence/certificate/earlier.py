@@ -8,19 +8,18 @@ by every later certificate, and the earlier runs count against a PASS.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bo_tuner import text
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
-from bo_tuner.evidence.certificate.findings import Earlier, Refutation
+from bo_tuner.evidence.certificate.findings import Earlier, Findings, Refutation
 from bo_tuner.evidence.certificate.judgement import is_refuted_by
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     evaluations_problem,
     read_certificate,
 )
-from bo_tuner.evidence.verdict import PASS
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
@@ -70,9 +69,7 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
-def refutation(
-    told: str, findings: Mapping[str, Any], evaluations: Iterable[Evaluation]
-) -> Refutation:
+def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation]) -> Refutation:
     """Return what a certificate failed on.
 
     Parameters
@@ -80,39 +77,31 @@ def refutation(
     told
         As in `Refutation`.
     findings
-        The findings of the certificate, as in its file.
+        The findings of the certificate.
     evaluations
         Its evaluations.
     """
     found: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
-    for constraint in findings["constraints"]:
-        if not constraint["passed"]:
-            found += [worst["context"] for worst in constraint["worst"] if not worst["shown"]]
-    reasons = tuple(str(reason) for reason in findings["reasons"])
-    return Refutation(told, reasons, tuple(_each_once(found)))
+    for constraint in findings.constraints:
+        if not constraint.passed:
+            found += [worst.context for worst in constraint.worst if not worst.shown]
+    return Refutation(told, findings.reasons, tuple(_each_once(found)))
 
 
-def earlier_in_words(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield sentences on what had failed before, and that a PASS covers it.
-
-    Parameters
-    ----------
-    content
-        Content of a certificate's file.
-    """
-    for found in content["earlier"]["refutations"]:
-        told = str(found["told"])
-        said = f"{told[:1].upper()}{told[1:]} ({'; '.join(map(str, found['reasons']))})"
-        if content["verdict"] != PASS:
+def earlier_in_words(certificate: Certificate) -> Iterator[str]:
+    """Yield sentences on what had failed before a certificate, and that a PASS covers it."""
+    for found in certificate.earlier.refutations:
+        said = f"{found.told[:1].upper()}{found.told[1:]} ({'; '.join(found.reasons)})"
+        if not certificate.passed:
             yield f"{said}."
             continue
-        contexts = " and ".join(f"({text.values(c)})" for c in found["contexts"] if c)
+        contexts = " and ".join(f"({text.values(c)})" for c in found.contexts if c)
         where = f"in the context {contexts}" if contexts else "by fresh evaluations"
         yield (
             f"{said}. This PASS covers it: the limits were shown anew {where}, and the earlier "
             "runs, which count against a PASS only, do not contradict."
         )
-    for reason in content["earlier"]["unread"]:
+    for reason in certificate.earlier.unread:
         yield f"Evidence of an earlier certificate is missing: {reason}."
 
 
@@ -136,7 +125,7 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
 
 
 @dataclass(frozen=True)
-class _Certificate:
+class _Certified:
     """What a certificate failed on, if it did, its backend and runs, or why there are none."""
 
     refutation: Refutation | None
@@ -145,36 +134,32 @@ class _Certificate:
     unread: str
 
 
-def _of_certificate(
-    study: Study, path: Path, parameters: Mapping[str, Value]
-) -> _Certificate | None:
+def _of_certificate(study: Study, path: Path, parameters: Mapping[str, Value]) -> _Certified | None:
     """Read a certificate; None if it is of another parameter set, or of another study."""
-    content = read_certificate(path)
-    try:
-        sides = [name for name in (TUNED, DEFAULT) if _is_of(content[name], parameters)]
-        if not sides or content["study_sha256"] != study_sha256(study):
-            return None
-        side, runs = sides[0], []
-        unread = evaluations_problem(path, content)
-        if not unread:
-            runs = [
-                _evaluation(row, parameters)
-                for row in read_evaluations(path)
-                if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
-            ]
-        findings, told = content[side], f"certificate {path.stem} was a FAIL"
-        return _Certificate(
-            None if findings["passed"] else refutation(told, findings, runs),
-            str(content["provenance"]["backend"]),
-            runs,
-            f"{path}: {unread}" if unread else "",
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
-
-
-def _is_of(findings: Mapping[str, Any] | None, parameters: Mapping[str, Value]) -> bool:
-    return findings is not None and findings["parameters"] == dict(parameters)
+    certificate = read_certificate(path, study)
+    sides = {
+        name: findings
+        for name, findings in certificate.sides.items()
+        if dict(findings.parameters) == dict(parameters)
+    }
+    if not sides or certificate.study_sha256 != study_sha256(study):
+        return None
+    side = TUNED if TUNED in sides else DEFAULT
+    runs: list[Evaluation] = []
+    unread = evaluations_problem(path, certificate)
+    if not unread:
+        runs = [
+            _evaluation(row, parameters)
+            for row in read_evaluations(path)
+            if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
+        ]
+    told = f"certificate {path.stem} was a FAIL"
+    return _Certified(
+        None if sides[side].passed else refutation(told, sides[side], runs),
+        certificate.provenance.get("backend", ""),
+        runs,
+        f"{path}: {unread}" if unread else "",
+    )
 
 
 def _evaluation(row: Row, parameters: Mapping[str, Value]) -> Evaluation:

@@ -1,13 +1,15 @@
-"""Reads the evaluations of a certificate from the CSV file beside it."""
+"""The evaluations of a certificate, in the CSV file beside it."""
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.store import evaluations_path
+from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.trials import Context, EvaluationState, Outcome, Stage
 
 _CONTEXT, _METRIC = "context.", "metric."
@@ -44,6 +46,39 @@ class Row:
     def metrics(self) -> Mapping[str, float]:
         """Its metrics; empty unless it is complete."""
         return self.outcome.metrics
+
+
+def evaluations_csv(
+    evidence: Mapping[str, Evidence], contexts: Iterable[str], metrics: Iterable[str]
+) -> str:
+    """Return all evaluations as CSV, a row each.
+
+    Parameters
+    ----------
+    evidence
+        By the name of its parameter set.
+    contexts, metrics
+        Names, in the order of the columns.
+    """
+    contexts, metrics = list(contexts), list(metrics)
+    # A context and a metric may have the same name.
+    columns = [*(_CONTEXT + name for name in contexts), *(_METRIC + name for name in metrics)]
+    rows: list[list[object]] = [
+        ["parameter_set", "stage", "index", "seed", "state", *columns, "reason"]
+    ]
+    for name, found in evidence.items():
+        for evaluation in found.evaluations:
+            outcome = evaluation.outcome
+            rows.append(
+                [
+                    *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
+                    # As JSON, a text is told from a number.
+                    *(json.dumps(evaluation.context[n]) for n in contexts),
+                    *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
+                    outcome.reason,
+                ]
+            )
+    return csv_text(rows)
 
 
 def read_evaluations(certificate: Path) -> list[Row]:

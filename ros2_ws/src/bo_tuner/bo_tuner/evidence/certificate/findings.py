@@ -4,8 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from bo_tuner import text
 from bo_tuner.evidence.certificate.risk import Mean
-from bo_tuner.study.constraint import UPPER
+from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 
 TAIL = 0.95
@@ -93,12 +94,36 @@ class Earlier:
         """Return the runs in exactly this context."""
         return self._by_context.get(frozenset(context.items()), [])
 
+    @property
+    def in_brief(self) -> "EarlierInBrief":
+        """What a certificate says of it."""
+        return EarlierInBrief(self.refutations, len(self.evaluations), self.unread)
+
     @cached_property
     def _by_context(self) -> Mapping[frozenset[tuple[str, Value]], list[Evaluation]]:
         found: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
         for evaluation in self.evaluations:
             found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
         return found
+
+
+@dataclass(frozen=True)
+class EarlierInBrief:
+    """What a certificate says of the evidence from before.
+
+    Attributes
+    ----------
+    refutations
+        What the parameter set failed on, as in `Earlier`.
+    evaluations
+        Number of all runs.
+    unread
+        Why earlier evidence could not be read, a line for each file.
+    """
+
+    refutations: tuple[Refutation, ...]
+    evaluations: int
+    unread: tuple[str, ...]
 
 
 NOTHING = Earlier()
@@ -205,6 +230,11 @@ class WorstContext:
     earlier: int = 0
     together: float = float("nan")
 
+    @property
+    def place(self) -> str:
+        """The values of the context, in words; empty if there are none."""
+        return text.values(self.context)
+
 
 @dataclass(frozen=True)
 class ConstraintVerdict:
@@ -216,8 +246,6 @@ class ConstraintVerdict:
         As in the study; the limit in `unit`.
     side
         Which limit it is: ``upper`` or ``lower``.
-    statistic
-        What the limit is on, as `Constraint.statistic`.
     allowed
         Largest permitted probability of a violation, as `Constraint.allowed`.
     draws, violations, failures
@@ -245,7 +273,6 @@ class ConstraintVerdict:
     unit: str
     limit: float
     side: str
-    statistic: str
     allowed: float
     draws: int
     violations: int

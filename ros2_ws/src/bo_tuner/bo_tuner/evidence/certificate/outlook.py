@@ -19,7 +19,7 @@ from bo_tuner.evidence.certificate.independent_search import (
     most_searched,
 )
 from bo_tuner.numerics.sequential import draws_needed, log_evidence_of_counts, log_t_evidence
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
 
@@ -75,7 +75,7 @@ def outlook(
     draws, needed = [LEAST_DRAWS, LEAST_DRAWS], 0
     places = [0, 0]
     for constraint in study.constraints.values():
-        if constraint.kind == WORST_CASE:
+        if constraint.rule.in_every_context:
             estimate = trial.worst_cases.get(constraint.name)
             if estimate is None or not estimate.noise > 0.0:
                 return None
@@ -106,7 +106,7 @@ def outlook(
 
 def _runs_in_context(constraint: Constraint, margin: float, most: int, confidence: float) -> int:
     """Return the runs that show a limit in a context, by its margin in deviations of the noise."""
-    if constraint.statistic == EXPECTATION:
+    if not constraint.rule.on_runs:
         return runs_to_show_mean(margin, most, confidence)
     return runs_to_show(float(ndtr(-margin)), constraint.allowed, most, confidence)
 

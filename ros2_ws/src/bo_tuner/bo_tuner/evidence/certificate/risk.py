@@ -13,6 +13,8 @@ import numpy as np
 
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import mean_bounds
+from bo_tuner.storage.typed_json import stands_for
+from bo_tuner.study.limit_kinds.limited import UPPER
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,12 @@ class Mean:
 
     value: float
     standard_error: float
-    upper: float
-    lower: float
+    upper: float = stands_for(inf)
+    lower: float = stands_for(-inf)
+
+    def bound(self, side: str) -> float:
+        """Return the bound on a side, ``upper`` or ``lower``."""
+        return self.upper if side == UPPER else self.lower
 
 
 def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) -> Mean:

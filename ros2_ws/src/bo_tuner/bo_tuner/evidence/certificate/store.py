@@ -9,36 +9,26 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from bo_tuner.errors import RunRecordError
+from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
+from bo_tuner.evidence.certificate.findings import TAIL
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
+from bo_tuner.storage.typed_json import from_json, to_json
 from bo_tuner.study import checks
-from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 5
+FORMAT = 6
 """Version of the files' format."""
-
-TEXTS = frozenset(
-    {"constraint", "direction", "first_failure", "kind", "metric", "name", "reason"}
-    | {"side", "statistic", "study", "told", "unit"}
-)
-"""Keys of a certificate whose values are text, wherever they occur."""
-
-BY_NAME = frozenset(
-    {"changed", "context", "contexts", "held", "parameters", "provenance"}
-    | {"seen", "worst_context"}
-)
-"""Keys of values by names of the study, which may be those of `TEXTS`."""
 
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
 
@@ -81,55 +71,52 @@ def next_attempt(folder: Path) -> int:
     return 1 + max(map(_number, certificate_paths(folder)), default=0)
 
 
-def read_certificate(path: Path) -> Mapping[str, Any]:
-    """Read a certificate.
+def certificate_text(certificate: Certificate) -> str:
+    """Return the text of a certificate's file.
+
+    Besides the certificate it has what follows from it, for readers in other languages.
+    """
+    content = {
+        "format": FORMAT,
+        "verdict": certificate.verdict,
+        "reasons": certificate.tuned.reasons,
+        "parameters": dict(certificate.parameters),
+        "tail_level": TAIL,
+        "credible": CREDIBLE,
+        **to_json(certificate),
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def read_certificate(path: Path, study: Study) -> Certificate:
+    """Read a certificate of a study.
 
     Raises
     ------
     RunRecordError
-        If it is none that `validate` has written. One line.
+        If it is none that `validate` has written for a study with these names. One line.
     """
     try:
         content = json.loads(read_text(path))
+        known = isinstance(content, dict) and content.get("format") == FORMAT
+        certificate = from_json(Certificate, content) if known else None
+        if certificate is not None:
+            certificate.check_names(study)
     except (OSError, ValueError, RecursionError) as error:
         raise RunRecordError(
             f"{path}: not a readable certificate: {one_line(str(error))}; run validate"
         ) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if certificate is None:
         raise RunRecordError(f"{path}: not a certificate of this version of bo_tuner; run validate")
-    parameters, verdict = content.get("parameters"), content.get("verdict")
-    if not isinstance(parameters, dict) or content.get("parameters_sha256") != parameters_sha256(
-        parameters
-    ):
+    if certificate.parameters_sha256 != parameters_sha256(certificate.parameters):
         raise RunRecordError(f"{path}: its parameters do not match its digest; run validate")
-    if verdict not in (PASS, FAIL):
+    if content.get("verdict") != certificate.verdict:
+        found = checks.show(content.get("verdict"))
         raise RunRecordError(
-            f"{path}: expected {PASS} or {FAIL}, found {checks.show(verdict)}; run validate"
+            f"{path}: verdict: expected {certificate.verdict} by its findings, found {found}; run "
+            "validate"
         )
-    if found := _no_text(content):
-        raise RunRecordError(f"{path}: {found}; run validate")
-    return content
-
-
-def _no_text(content: object, where: str = "") -> str:
-    """Return which name, unit or reason in a certificate is no text; empty if all are."""
-    if isinstance(content, list):
-        found = [_no_text(item, f"{where}[{index}]") for index, item in enumerate(content)]
-        return next(filter(None, found), "")
-    for key, value in content.items() if isinstance(content, dict) else ():
-        place = f"{where}.{key}".removeprefix(".")
-        if key in TEXTS and not isinstance(value, str):
-            return f"{place}: expected text, found {checks.show(value)}"
-        if key not in BY_NAME and (found_below := _no_text(value, place)):
-            return found_below
-    return ""
-
-
-def seen_of(content: Mapping[str, Any]) -> dict[str, SeenRange]:
-    """Return what the runs of a certificate have seen of each measured context, by its name."""
-    ends = ("low", "high", "mean")
-    found = content.get("seen", {}).items()
-    return {name: SeenRange(*(float(seen[end]) for end in ends)) for name, seen in found}
+    return certificate
 
 
 def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
@@ -141,7 +128,7 @@ def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
         If a later one cannot be read: it may be of the same parameter set.
     """
     for path in certificate_paths(record.path):
-        if is_of(read_certificate(path), trial):
+        if read_certificate(path, record.study).is_of(trial):
             return path
     return None
 
@@ -155,15 +142,15 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
     first = ""
     for path in certificate_paths(record.path):
         try:
-            content = read_certificate(path)
+            certificate = read_certificate(path, record.study)
         except RunRecordError as error:
             # It may be a FAIL.
             return first or str(error)
-        if not is_of(content, trial):
+        if not certificate.is_of(trial):
             continue
-        if content["verdict"] != PASS:
+        if not certificate.passed:
             return first or f"{path}: expected {PASS}, found {FAIL}"
-        problem = _mismatch(record.study, path, content)
+        problem = _mismatch(record.study, path, certificate)
         if not problem:
             return ""
         first = first or f"{path}: {problem}; run validate"
@@ -176,24 +163,24 @@ def required_draws(study: Study, confidence: float) -> int:
     return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
 
 
-def shortfall(study: Study, draws: object, confidence: object) -> str:
+def shortfall(study: Study, draws: int, confidence: float) -> str:
     """Return in a few words what a certificate lacks of what the study requires; else empty."""
     required = study.certificate.confidence
     needed = required_draws(study, required)
-    if type(draws) is not int or draws < needed:
-        return f"made with {checks.show(draws)} draws, the study requires {needed}"
-    if type(confidence) is not float or not confidence >= required:
+    if draws < needed:
+        return f"made with {draws} draws, the study requires {needed}"
+    if not confidence >= required:
         return f"has a confidence of {checks.show(confidence)}, the study requires {required:g}"
     return ""
 
 
-def evaluations_problem(path: Path, content: Mapping[str, Any]) -> str:
+def evaluations_problem(path: Path, certificate: Certificate) -> str:
     """Return why the evaluations of a certificate cannot be relied on; empty if they can."""
     try:
         evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
     except OSError as error:
         return f"its evaluations cannot be read: {error.strerror}"
-    if content.get("evaluations_sha256") != evaluations:
+    if certificate.evaluations_sha256 != evaluations:
         return f"{evaluations_path(path).name} does not match its digest in the certificate"
     return ""
 
@@ -204,24 +191,16 @@ def parameters_sha256(parameters: Mapping[str, Value]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
-    if content.get("study_sha256") != study_sha256(study):
+def _mismatch(study: Study, path: Path, certificate: Certificate) -> str:
+    if certificate.study_sha256 != study_sha256(study):
         return "belongs to another version of the study"
-    if problem := evaluations_problem(path, content):
+    if problem := evaluations_problem(path, certificate):
         return problem
-    missing = shortfall(study, content.get("draws"), content.get("confidence"))
-    if missing:
+    if missing := shortfall(study, certificate.draws, certificate.confidence):
         return missing
-    provenance = content.get("provenance")
-    if not isinstance(provenance, dict):
-        return "does not name the code it was made with"
-    changed = changed_sources(provenance, sources(study, str(provenance.get("backend"))))
+    made_by = certificate.provenance
+    changed = changed_sources(made_by, sources(study, made_by.get("backend", "")))
     return f"the code of {', '.join(changed)} has changed since" if changed else ""
-
-
-def is_of(content: Mapping[str, Any], trial: Trial) -> bool:
-    """Return whether a certificate's content is of a trial's parameter set."""
-    return bool(content["parameters"] == dict(trial.parameters))
 
 
 def _number(path: Path) -> int:

@@ -1,25 +1,30 @@
 """The numbers of a certificate, row by row, and its table and lines in the terminal."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from math import isfinite, isnan, nan
 
 from rich.table import Table
 
+from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance, VariableTolerance
-from bo_tuner.evidence.certificate.findings import widest
-from bo_tuner.evidence.certificate.search_width import SearchWidth, widths_in_words
+from bo_tuner.evidence.certificate.findings import (
+    TAIL,
+    ConstraintVerdict,
+    WorstContext,
+    widest,
+)
+from bo_tuner.evidence.certificate.risk import Mean
+from bo_tuner.evidence.certificate.search_width import widths_in_words
 from bo_tuner.evidence.verdict import FAIL, PASS
-from bo_tuner.storage.json_numbers import to_number
-from bo_tuner.study.constraint import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
-from bo_tuner.trials import DEFAULT, TUNED, Value
 
-Worst = Sequence[Mapping[str, Any]]
+Worst = Sequence[WorstContext]
 """The contexts that a search has found for a constraint, the worst mean first."""
 NOT_SEARCHED = "–"
+CVAR = f"  CVaR, worst {100.0 * (1.0 - TAIL):.3g} %"
 
 
 @dataclass(frozen=True)
@@ -42,151 +47,130 @@ class Row:
     begins: bool = False
 
 
-def parameter_sets(content: Mapping[str, Any]) -> list[str]:
-    """Return the names of the parameter sets in the content of a certificate's file."""
-    return [name for name in (DEFAULT, TUNED) if content[name] is not None]
-
-
-def certificate_rows(study: Study, content: Mapping[str, Any]) -> list[Row]:
-    """Return the numbers in the content of a certificate's file, each for all parameter sets."""
-    sides = [content[name] for name in parameter_sets(content)]
-    objective, tail = content["objective"], _tail(content)
+def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
+    """Return the numbers of a certificate, each for all of its parameter sets."""
+    sides = [*certificate.sides.values()]
+    objective = certificate.objective
     rows = [
         Row(
-            f"mean {objective['metric']}",
-            objective["unit"],
-            tuple(_mean(side["objective"]) for side in sides),
+            f"mean {objective.metric}",
+            objective.unit,
+            tuple(_mean(side.objective) for side in sides),
             begins=True,
         ),
-        Row(tail, objective["unit"], tuple(_number(side["tail"]) for side in sides)),
+        Row(CVAR, objective.unit, tuple(shown(side.tail) for side in sides)),
     ]
-    level = f"{100.0 * float(content['bound_confidence']):.4g} % bound"
-    for constraints in zip(*(side["constraints"] for side in sides), strict=True):
-        rows += _of_constraint(study, constraints, level, tail)
-    failed = tuple(f"{side['failures']} of {side['evaluations']}" for side in sides)
-    verdicts = tuple(PASS if side["passed"] else FAIL for side in sides)
+    level = f"{100.0 * certificate.bound_confidence:.4g} % bound"
+    for constraints in zip(*(side.constraints for side in sides), strict=True):
+        rows += _of_constraint(study, constraints, level)
+    failed = tuple(f"{side.failures} of {side.evaluations}" for side in sides)
+    verdicts = tuple(PASS if side.passed else FAIL for side in sides)
     return [*rows, Row("failed evaluations", "", failed, begins=True), Row("verdict", "", verdicts)]
 
 
-def certificate_table(study: Study, content: Mapping[str, Any]) -> Table:
+def certificate_table(study: Study, certificate: Certificate) -> Table:
     """Return a table of the tuned parameter set, beside the default if that was evaluated."""
-    names = parameter_sets(content)
-    same = "the same " if len(names) > 1 else ""
+    same = "the same " if certificate.default is not None else ""
     table = Table(
-        title=f"{study.name}, trial {content['trial']}: {same}{content['drawn']} fresh draws",
+        title=f"{study.name}, trial {certificate.trial}: {same}{certificate.drawn} fresh draws",
         title_justify="left",
     )
     table.add_column("")
     table.add_column("unit")
-    for name in names:
+    for name in certificate.sides:
         table.add_column(name, justify="right")
     for name, item in study.parameters.items():
-        values = [shown(content[side]["parameters"][name]) for side in names]
+        values = [shown(side.parameters[name]) for side in certificate.sides.values()]
         table.add_row(name, item.unit, *values)
-    for row in certificate_rows(study, content):
+    for row in certificate_rows(study, certificate):
         if row.begins:
             table.add_section()
         table.add_row(row.label, row.unit, *row.values)
     return table
 
 
-def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]:
+def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
     """Yield lines on what the table leaves out: reasons, training and robustness."""
-    for constraint in content[TUNED]["constraints"]:
-        kept = "shown to hold" if constraint["passed"] else "NOT shown to hold"
-        yield f"{constraint['name']}: {kept}: {constraint['reason']}"
-        for assumption in constraint["assumptions"]:
-            yield f"{constraint['name']}: with an assumption: {assumption}"
-    runs, least = content[TUNED]["evaluations"], content[TUNED]["least"]
+    for constraint in certificate.tuned.constraints:
+        kept = "shown to hold" if constraint.passed else "NOT shown to hold"
+        yield f"{constraint.name}: {kept}: {constraint.reason}"
+        for assumption in constraint.assumptions:
+            yield f"{constraint.name}: with an assumption: {assumption}"
+    runs, least = certificate.tuned.evaluations, certificate.tuned.least
     yield f"{runs} runs; the fewest that show these limits are {least}"
-    if searched := search_in_words(content):
+    if searched := widths_in_words(certificate.search_widths):
         yield f"search for the worst context: {searched}"
-    for gap in content["training_gaps"]:
-        observed = "" if gap["observed"] is None else f"observed {_number(gap['observed'])}, "
-        validated = f"{_number(gap['validated'])} {gap['unit']}".rstrip()
+    for gap in certificate.training_gaps:
+        observed = "" if isnan(gap.observed) else f"observed {shown(gap.observed)}, "
+        validated = f"{shown(gap.validated)} {gap.unit}".rstrip()
         yield (
-            f"training and validation, {gap['name']}: {observed}predicted "
-            f"{_number(gap['predicted'])}, validated {validated} (gap {gap_in_words(gap)})"
+            f"training and validation, {gap.name}: {observed}predicted "
+            f"{shown(gap.predicted)}, validated {validated} (gap {gap.in_words})"
         )
-    for tolerance in content["context_tolerances"]:
-        yield from _context(study, ContextTolerance.from_mapping(tolerance))
-    for warning in content["warnings"]:
+    for tolerance in certificate.context_tolerances:
+        yield from _context(study, tolerance)
+    for warning in certificate.warnings:
         yield f"warning: {warning}"
 
 
-def search_in_words(content: Mapping[str, Any]) -> str:
-    """Return which violations the search for the worst context would have found; or nothing."""
-    return widths_in_words(
-        SearchWidth(float(item["probability"]), to_number(item["width"]))
-        for item in content["search_widths"]
-    )
-
-
-def gap_in_words(gap: Mapping[str, Any]) -> str:
-    """Return the gap between training and validation, with its standard error."""
-    if gap["gap"] is None:
-        return "–"
-    error = gap["standard_error"]
-    return f"{gap['gap']:+.2g}" + ("" if error is None else f" ± {error:.1g}")
-
-
-def _of_constraint(
-    study: Study, both: Sequence[Mapping[str, Any]], level: str, tail: str
-) -> Iterator[Row]:
+def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) -> Iterator[Row]:
     tuned = both[-1]
-    constraint = study.constraints[tuned["name"]]
-    unit, limit, allowed = tuned["unit"], float(tuned["limit"]), float(tuned["allowed"])
+    constraint = study.constraints[tuned.name]
+    unit, limit, allowed = tuned.unit, tuned.limit, tuned.allowed
     beyond = f"{constraint.beyond} {limit:g}"
 
     def row(label: str, unit: str, values: Iterator[str], *, begins: bool = False) -> Row:
         return Row(label, unit, tuple(values), begins)
 
     extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
-    yield row(extreme, unit, (_beside(c["extreme"], limit) for c in both), begins=True)
-    yield row(tail, unit, (_number(c["tail"]) for c in both))
-    yield row(f"  draws {beyond}", "", (str(c["violations"]) for c in both))
+    yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both), begins=True)
+    yield row(CVAR, unit, (shown(c.tail) for c in both))
+    yield row(f"  draws {beyond}", "", (str(c.violations) for c in both))
     violation = f"  P(violation), {level}"
-    yield row(violation, "", (_beside(c["violation_bound"], allowed) for c in both))
-    if constraint.kind == CHANCE:
-        yield row("    allowed", "", (f"{c['allowed']:.4g}" for c in both))
+    yield row(violation, "", (shown_beside(c.violation_bound, allowed) for c in both))
+    if constraint.rule.on_runs and not constraint.rule.in_every_context:
+        yield row("    allowed", "", (f"{c.allowed:.4g}" for c in both))
     # There is no search for the worst context of a parameter set that the draws have refuted.
-    if any(c["worst"] for c in both):
+    if any(c.worst for c in both):
 
         def searched(show: Callable[[Worst], str]) -> Iterator[str]:
-            return (show(c["worst"]) if c["worst"] else NOT_SEARCHED for c in both)
+            return (show(c.worst) if c.worst else NOT_SEARCHED for c in both)
 
         title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
-        yield row(title, unit, searched(lambda worst: _mean(worst[0]["mean"], limit)))
+        yield row(title, unit, searched(lambda worst: _mean(worst[0].mean, limit)))
         # Of all contexts that the search found: the worst one need not have the widest bound.
         side = constraint.side
-        yield row(f"  {level}", unit, searched(lambda worst: _beside(_widest(side, worst), limit)))
-        if constraint.statistic == SINGLE_RUN:
-            yield row(violation, "", searched(lambda worst: _beside(_likeliest(worst), allowed)))
-            yield row("    allowed", "", searched(lambda _: f"{tuned['allowed']:.4g}"))
+        yield row(
+            f"  {level}", unit, searched(lambda worst: shown_beside(_widest(side, worst), limit))
+        )
+        if constraint.rule.on_runs:
+            yield row(
+                violation, "", searched(lambda worst: shown_beside(_likeliest(worst), allowed))
+            )
+            yield row("    allowed", "", searched(lambda _: f"{allowed:.4g}"))
         for name in study.contexts:
             yield row(f"  at {name}", "", searched(partial(_coordinate, name)))
-        counts = searched(lambda worst: f"{worst[0]['beyond']} of {worst[0]['evaluations']}")
+        counts = searched(lambda worst: f"{worst[0].beyond} of {worst[0].evaluations}")
         yield row(f"  evaluations {beyond}", "", counts)
     yield row(
-        f"  {'kept in every context' if constraint.kind == WORST_CASE else 'kept'}",
+        f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        ("shown" if c["passed"] else "NOT shown" for c in both),
+        ("shown" if c.passed else "NOT shown" for c in both),
     )
 
 
-def _widest(side: str, worst: Worst) -> float | None:
-    """Return the bound of the mean that decides; None for an infinite one, as JSON has it."""
-    bounds = [context["mean"][side] for context in worst]
-    return None if None in bounds else widest(side, bounds)
+def _widest(side: str, worst: Worst) -> float:
+    """Return the bound of the mean that decides; NaN if too few runs bound it."""
+    bound = widest(side, (context.mean.bound(side) for context in worst))
+    return bound if isfinite(bound) else nan
 
 
 def _likeliest(worst: Worst) -> float:
-    return max(to_number(context["violation_bound"]) for context in worst)
+    return max(context.violation_bound for context in worst)
 
 
 def _coordinate(name: str, worst: Worst) -> str:
-    value: Value = worst[0]["context"][name]
-    return shown(value) if isinstance(value, (bool, str)) else _number(value)
+    return shown(worst[0].context[name])
 
 
 def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
@@ -209,20 +193,7 @@ def _tolerated(variable: VariableTolerance) -> str:
     return f"may drift {alone}{unit} alone, {worst}{unit} with all others as in the worst context"
 
 
-def _number(value: float | None) -> str:
-    return shown(to_number(value))
-
-
-def _beside(value: float | None, limit: float) -> str:
-    return shown_beside(to_number(value), limit)
-
-
-def _mean(mean: Mapping[str, float | None], limit: float | None = None) -> str:
-    value = to_number(mean["value"])
-    found = shown(value) if limit is None else shown_beside(value, limit)
-    error = mean["standard_error"]
-    return found if error is None else f"{found} ± {error:.2g}"
-
-
-def _tail(content: Mapping[str, Any]) -> str:
-    return f"  CVaR, worst {100.0 * (1.0 - float(content['tail_level'])):.3g} %"
+def _mean(mean: Mean, limit: float | None = None) -> str:
+    value = shown(mean.value) if limit is None else shown_beside(mean.value, limit)
+    error = mean.standard_error
+    return value if isnan(error) else f"{value} ± {error:.2g}"

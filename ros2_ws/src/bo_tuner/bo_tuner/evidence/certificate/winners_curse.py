@@ -53,10 +53,18 @@ class Gap:
         observed = 0.0 if np.isnan(self.observed_error) else self.observed_error
         return hypot(self.validated_error, observed)
 
+    @property
+    def in_words(self) -> str:
+        """The gap with its standard error."""
+        if np.isnan(self.value):
+            return "–"
+        error = self.standard_error
+        return f"{self.value:+.2g}" + ("" if np.isnan(error) else f" ± {error:.1g}")
+
 
 def training_gaps(
     study: Study, trial: Trial, ranked: Sequence[Candidate], findings: Findings
-) -> list[Gap]:
+) -> tuple[Gap, ...]:
     """Compare training and validation, for the objective and, if there is one, the worst case.
 
     Parameters
@@ -97,4 +105,4 @@ def training_gaps(
                     validated_error=constraint.worst[0].mean.standard_error,
                 )
             )
-    return gaps
+    return tuple(gaps)

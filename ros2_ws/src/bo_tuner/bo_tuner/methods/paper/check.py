@@ -236,7 +236,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         return extended, False
     holds = all(
         judge_sample(chance, extended.observations(chance.metric)).agrees
-        for chance in study.chance_constraints
+        for chance in study.drawn_constraints
     )
     samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
     repeated = [e for e in check if e.stage is Stage.CHECK_WORST]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from bo_tuner.deploy.bundle import DEPLOY
 from bo_tuner.evidence.differences import CONFIDENCE, Change
 from bo_tuner.evidence.next_steps import Step, next_steps
-from bo_tuner.evidence.verdict import FAIL, PASS, Quantity, Status, Verdict
+from bo_tuner.evidence.verdict import Quantity, Status, Verdict
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
@@ -103,8 +103,7 @@ def _tiles(analysis: Analysis) -> list[Tile]:
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
     elif found is not None:
         scope = f"of trial {found.trial}, which is not the result"
-        value = PASS if found.passed else FAIL
-        tiles.insert(0, Tile("certificate", value, "", [scope], Status.WARNING))
+        tiles.insert(0, Tile("certificate", found.verdict, "", [scope], Status.WARNING))
     else:
         value = "not readable" if analysis.certificate_problem else "none yet"
         tiles.insert(0, Tile("certificate", value, "", ["run validate"], Status.OPEN))

@@ -27,7 +27,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
-from bo_tuner.study.constraint import EXPECTATION, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import worst_case_holds
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
@@ -156,9 +156,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
     edge, kept = ("top", "Below") if sign > 0.0 else ("bottom", "Above")
     side = f"{kept} the line the limit is kept"
-    if constraint.statistic != EXPECTATION:
-        side += f" by the mean; with a probability of {constraint.probability:g} that single runs "
-        side += "keep it, it must be kept by a margin"
+    side += constraint.rule.note
     places = np.arange(len(found), dtype=float)
     return Figure(
         name=name,
@@ -333,7 +331,8 @@ def _incumbent_lines(
 
 def _default_line(analysis: Analysis) -> list[Element]:
     metric = analysis.study.objective.metric
-    values = [q.default for q in analysis.verdict.quantities if q.label == f"mean {metric}"]
+    found = analysis.verdict.quantities
+    values = [q.default for q in found if q.objective and q.metric == metric]
     if not values or math.isnan(values[0]):
         return []
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]

@@ -36,13 +36,14 @@ def influence(analysis: Analysis) -> Section | None:
     if space.dimension < 2 or len(chosen) < FEWEST_FOR_EACH * space.dimension:
         return None
     chosen = chosen[:: -(-len(chosen) // MOST_TRIALS)]
-    found = {name: _indices(analysis, chosen, y) for name, y in _responses(analysis, chosen)}
+    responses = _responses(analysis, chosen)
+    found = {name: _indices(analysis, chosen, y) for name, _, y in responses}
     if all(np.isnan(totals).any() for totals in found.values()):
         return None
     names, effects = space.names, analysis.verdict.effects
     moved = {e.metric for item in effects for e in item.effects if e.seen}
     # Of a response that none was seen to move, the model has explained noise.
-    still = {f"mean {name}" for name in analysis.study.metrics if effects and name not in moved}
+    still = {name for name, mean_of, _ in responses if effects and mean_of not in {None, *moved}}
     lead = [
         f"{response}: no effect was seen."
         if response in still
@@ -77,16 +78,20 @@ def influence(analysis: Analysis) -> Section | None:
     )
 
 
-def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
-    """Return each response by its name, with its value (N,) in each of the trials."""
+def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, str | None, Array]]:
+    """Return each response: its name, the metric that it is the mean of, and its values (N,).
+
+    A worst case is the mean of none.
+    """
     study = analysis.study
-    found = [
-        (f"mean {name}", np.array([np.mean(trial.observations(name)) for trial in trials]))
+    found: list[tuple[str, str | None, Array]] = [
+        (f"mean {name}", name, np.array([np.mean(trial.observations(name)) for trial in trials]))
         for name in study.metrics
     ]
-    worst = [
+    worst: list[tuple[str, str | None, Array]] = [
         (
             f"{item.extreme} {item.metric} in the worst context",
+            None,
             np.array([trial.worst_cases[item.name].value for trial in trials]),
         )
         for item in study.worst_case_constraints

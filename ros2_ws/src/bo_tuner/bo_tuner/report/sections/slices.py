@@ -23,7 +23,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
 from bo_tuner.report.sections.convergence import describe, predicted_axis
-from bo_tuner.study.constraint import SINGLE_RUN, WORST_CASE, Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1
@@ -110,21 +110,17 @@ def _constraint_slice(
 
 def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
     """Whether a limit with a probability is on a quantile, and not moved by a margin instead."""
-    return constraint.statistic == SINGLE_RUN and model.limit == constraint.limit
+    return constraint.rule.on_runs and model.limit == constraint.limit
 
 
 def _label(constraint: Constraint, model: LimitedResponse) -> str:
     """Name what the model predicts, which is held against its limit."""
-    worst = constraint.kind == WORST_CASE
-    if _is_of_quantile(constraint, model):
-        level = constraint.level if constraint.sign > 0.0 else constraint.allowed
-        return f"{'worst ' if worst else ''}{level:.4g} quantile of {constraint.metric}"
-    return f"{'worst' if worst else 'mean'} {constraint.metric}"
+    return constraint.rule.predicted(quantile=_is_of_quantile(constraint, model))
 
 
 def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
     """Say how the panels allow for the noise of limits with a probability; empty without any."""
-    of_single_runs = [pair for pair in limited if pair[0].statistic == SINGLE_RUN]
+    of_single_runs = [pair for pair in limited if pair[0].rule.on_runs]
     if not of_single_runs:
         return ""
     if all(_is_of_quantile(*pair) for pair in of_single_runs):

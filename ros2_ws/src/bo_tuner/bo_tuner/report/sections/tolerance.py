@@ -21,7 +21,7 @@ def tolerance(analysis: Analysis) -> Section | None:
         return None
     certificate, study = analysis.certificate, analysis.study
     if certificate is not None and certificate.is_of(answer):
-        tolerances = certificate.tolerances
+        tolerances = certificate.context_tolerances
     else:
         tolerances = context_tolerances(study, analysis.evaluations_of(answer.parameters))
     if not tolerances:

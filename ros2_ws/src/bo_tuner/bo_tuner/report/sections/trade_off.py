@@ -21,7 +21,8 @@ from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
-from bo_tuner.study.constraint import UPPER, Constraint
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Trial

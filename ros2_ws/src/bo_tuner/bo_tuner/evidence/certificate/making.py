@@ -1,0 +1,192 @@
+"""Makes the certificate of a parameter set of its evidence, and writes both to their files."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+
+from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
+from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
+from bo_tuner.evidence.certificate.evaluations_file import evaluations_csv
+from bo_tuner.evidence.certificate.findings import Evidence, Findings
+from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
+from bo_tuner.evidence.certificate.store import (
+    certificate_text,
+    evaluations_path,
+    next_path,
+    parameters_sha256,
+)
+from bo_tuner.evidence.certificate.winners_curse import training_gaps
+from bo_tuner.numerics.sequential import spent
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.checks import same_value
+from bo_tuner.study.measured import seen_in
+from bo_tuner.study.parts import ROS
+from bo_tuner.study.study import Study
+from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
+
+
+def make_certificate(
+    record: RunRecord,
+    trial: Trial,
+    evidence: Mapping[str, Evidence],
+    draws: int,
+    confidence: float,
+    attempt: int,
+    backend: str,
+    best_sha256: str | None,
+) -> Certificate:
+    """Judge the evidence, and compare it with the estimates of the run.
+
+    Parameters
+    ----------
+    record
+        The run.
+    trial
+        The trial whose parameter set is judged.
+    evidence
+        Evaluations of the parameter set `TUNED` and, if it was evaluated, of `DEFAULT`.
+    draws
+        Largest number of draws.
+    confidence
+        Confidence over all attempts.
+    attempt
+        Number of this one, from 1.
+    backend
+        Backend on which the evaluations were run.
+    best_sha256
+        Digest of the ``best.yaml`` that holds it; None if that holds another trial's.
+    """
+    study, ranking = record.study, record.method.ranking
+    tuned = evidence[TUNED]
+    level = spent(confidence, attempt, len(evidence))
+    findings = judge(study, tuned, level)
+    trials = record.method.checked(study, record.trials, record.evaluations)
+    surrogates = ranking.models(study, trials)
+    in_training = evaluations_of(record.evaluations, trial.parameters)
+    # Draws come last: beyond the most that the model takes they tell the least.
+    fresh = [
+        evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION
+    ]
+    held, sensitivity = (
+        _held(study, tuned),
+        parameter_sensitivity(study, trial.parameters, surrogates),
+    )
+    made_by = provenance(study, backend, record.algorithm)
+    metric = study.metrics[study.objective.metric]
+    return Certificate(
+        study=study.name,
+        study_sha256=made_by["study_sha256"],
+        trial=trial.number,
+        parameters_sha256=parameters_sha256(tuned.parameters),
+        held=held,
+        seen=seen_in(study.measured, tuned.evaluations),
+        best_yaml_sha256=best_sha256,
+        evaluations_sha256=_sha256(evaluations_csv(evidence, study.contexts, study.metrics)),
+        draws=draws,
+        drawn=len(tuned.drawn),
+        confidence=confidence,
+        attempt=attempt,
+        bound_confidence=level,
+        contexts={name: item.unit for name, item in study.contexts.items()},
+        metrics={name: item.unit for name, item in study.metrics.items()},
+        objective=CertifiedObjective(metric.name, metric.unit, study.objective.direction),
+        tuned=findings,
+        default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
+        earlier=tuned.earlier.in_brief,
+        search_widths=_widths(study, tuned),
+        training_gaps=training_gaps(
+            study, trial, ranking.ranked_by(surrogates, study, trials), findings
+        ),
+        context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
+        parameter_sensitivity=sensitivity,
+        warnings=(
+            *([sensitivity.warning] if sensitivity is not None and sensitivity.warning else ()),
+            *_busy(study, findings, backend),
+            *_rounded(findings, held),
+        ),
+        provenance=made_by,
+        finished=datetime.now().astimezone().isoformat(timespec="seconds"),
+    )
+
+
+def write_certificate(
+    folder: Path, certificate: Certificate, evidence: Mapping[str, Evidence]
+) -> Path:
+    """Write the evaluations, then the certificate with their digest; return the latter's path.
+
+    Earlier certificates stay. The file of the certificate comes last: without it, after a crash,
+    its evaluations are no certificate.
+
+    Parameters
+    ----------
+    folder
+        The run folder, locked.
+    certificate
+        The certificate.
+    evidence
+        Evaluations by the name of their parameter set.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    path = next_path(folder, certificate.attempt)
+    table = evaluations_csv(evidence, certificate.contexts, certificate.metrics)
+    write_atomically(evaluations_path(path), table)
+    return write_atomically(path, certificate_text(certificate))
+
+
+def _busy(study: Study, findings: Findings, backend: str) -> Iterator[str]:
+    """Yield what to know of a limit on a measured time that was not shown."""
+    for constraint in findings.constraints:
+        measured = study.metrics[constraint.metric].measures_time
+        if measured and not constraint.passed and backend == ROS:
+            yield (
+                f"{constraint.name}: {constraint.metric} depends on the load of the machine, "
+                f"which was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; measure it "
+                "with nothing else running, on the computer that will control the machine"
+            )
+
+
+def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:
+    """Yield what a device holds in fewer digits than it was told, which is what was measured."""
+    for name, value in held.items():
+        told = findings.parameters[name]
+        yield f"{name}: the device holds {value}, in 32 bits, of the {told} that it is told"
+
+
+def _widths(study: Study, evidence: Evidence) -> tuple[SearchWidth, ...]:
+    """Return which violations the search met: with its own runs, not with earlier ones."""
+    if not evidence.search:
+        return ()
+    return search_widths(study.context_space(), [e.context for e in evidence.evaluations])
+
+
+def _held(study: Study, evidence: Evidence) -> dict[str, float]:
+    """Return what devices have of the parameters in place of values with more digits."""
+    details: dict[str, str] = {}
+    for evaluation in evidence.evaluations:
+        details |= evaluation.outcome.details
+    held = {}
+    for name, item in study.parameters.items():
+        if text := details.get(f"{HOLDS}{item.node}.{item.array or item.parameter}", ""):
+            # Of an array the items stand in brackets, as in JSON.
+            found = json.loads(text)
+            held[name] = found[item.item] if item.array else found
+    return {
+        name: value
+        for name, value in held.items()
+        if not same_value(value, evidence.parameters[name])
+    }
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

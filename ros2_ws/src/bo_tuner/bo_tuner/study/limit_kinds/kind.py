@@ -1,0 +1,241 @@
+"""What each kind of limit must say."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, TypeVar
+
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.limit_kinds.limited import Limited
+
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Responses(Protocol[R_co]):
+    """What models can predict of a metric and hold against its limit."""
+
+    def over_contexts(self, limited: Limited, level: float) -> R_co:
+        """Return the limit on the quantile `level` of runs over contexts and noise."""
+
+    def in_every_context(self, limited: Limited, deviations: float) -> R_co:
+        """Return the limit on the mean over noise in every context, plus so many deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Runs of one parameter set, in draws of the context or in a single one.
+
+    Attributes
+    ----------
+    events
+        Whether each violates the limit or failed.
+    values : ndarray, shape (n,)
+        The metric in the complete ones.
+    farthest
+        Value farthest on the side of the limit in all runs of the parameter set that are known;
+        NaN of none.
+    elsewhere
+        The values in each context that is run again and again, this one included.
+    known
+        Number of all runs of the parameter set in the same certificate.
+    declared
+        Smallest and largest value that any run can have; None if that is not known.
+    """
+
+    events: Sequence[bool]
+    values: Array
+    farthest: float = float("nan")
+    elsewhere: Sequence[Array] = ()
+    known: int = 0
+    declared: tuple[float, float] | None = None
+
+
+class MeanFound(Protocol):
+    """A mean over noise with its confidence bounds."""
+
+    @property
+    def value(self) -> float:
+        """The mean."""
+
+    def bound(self, side: str) -> float:
+        """Return the bound on a side, ``upper`` or ``lower``."""
+
+
+class InContext(Protocol):
+    """What runs in one context have shown."""
+
+    @property
+    def mean(self) -> MeanFound:
+        """Mean over noise."""
+
+    @property
+    def evaluations(self) -> int:
+        """Number of complete runs."""
+
+    @property
+    def beyond(self) -> int:
+        """Number of those beyond the limit."""
+
+    @property
+    def violation_bound(self) -> float:
+        """Upper confidence bound of the probability of a violation."""
+
+    @property
+    def place(self) -> str:
+        """The values of the context, in words; empty if there are none."""
+
+
+class LimitKind(ABC):
+    """One limit, by its kind.
+
+    Attributes
+    ----------
+    in_every_context
+        Whether it must be kept in every context, so that the worst one is searched, or over their
+        distribution, which draws can show.
+    on_runs
+        Whether a share of single runs must keep it, or the mean over noise.
+    """
+
+    in_every_context: ClassVar[bool]
+    on_runs: ClassVar[bool]
+
+    def __init__(self, limited: Limited) -> None:
+        self.limited = limited
+
+    @abstractmethod
+    def check(self) -> None:
+        """Refuse a limit that is none of this kind.
+
+        Raises
+        ------
+        StudyError
+            With the key that is wrong.
+        """
+
+    @property
+    @abstractmethod
+    def level(self) -> float:
+        """Probability with which a run must keep the limit; one half for one on the mean.
+
+        A run keeps a limit at the mean of symmetric noise just as often.
+        """
+
+    @property
+    @abstractmethod
+    def allowed(self) -> float:
+        """Largest permitted probability that a run violates the limit; 1 for one on the mean."""
+
+    @abstractmethod
+    def response(self, models: Responses[R]) -> R:
+        """Return the limit as models predict it."""
+
+    def is_estimated(self, *, alone: bool) -> bool:
+        """Return whether draws estimate what is limited, and need not only refute the limit.
+
+        With `alone` there is no context but that of the draws.
+        """
+        return alone or not self.in_every_context
+
+    @abstractmethod
+    def permitted(self, count: int) -> int | None:
+        """Return how many of `count` runs may be beyond the limit; None if it is on the mean."""
+
+    @abstractmethod
+    def agrees(self, values: Array, *, alone: bool) -> bool:
+        """Return whether the values (n,) of draws, one at least, agree with the limit."""
+
+    @abstractmethod
+    def is_shown_by(self, violations: int, count: int, confidence: float) -> bool:
+        """Return whether so many violations in independent runs show that the limit is kept."""
+
+    @abstractmethod
+    def runs_needed(self, confidence: float) -> int:
+        """Return how many runs a certificate takes at least, if none violates the limit."""
+
+    @abstractmethod
+    def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
+        """Return how many runs show it in one context at least, with the range of the metric."""
+
+    def assumption(self, declared: tuple[float, float] | None) -> str:
+        """Return on what it rests that runs show it, besides their number; empty if on nothing."""
+        return ""
+
+    @abstractmethod
+    def is_shown(self, runs: Runs, confidence: float) -> bool:
+        """Return whether runs of a certificate show the limit, whenever one looks."""
+
+    @abstractmethod
+    def is_refuted(self, runs: Runs, confidence: float) -> bool:
+        """Return whether they refute it."""
+
+    @abstractmethod
+    def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
+        """Return whether they cannot show it any more, up to `most` of them."""
+
+    @abstractmethod
+    def runs_behind_bound(self, runs: Runs) -> int:
+        """Return the number of runs, of those in a context, that bound their mean first."""
+
+    @abstractmethod
+    def together(self, runs: Runs) -> float:
+        """Return what is limited in all runs taken together; NaN of none."""
+
+    @abstractmethod
+    def contradicts(self, together: float) -> bool:
+        """Return whether what all runs have together is beyond the limit."""
+
+    @abstractmethod
+    def asked(self, *, everywhere: bool) -> str:
+        """Return how often the limit must be kept, in a few words."""
+
+    @abstractmethod
+    def counted(self, violations: int, runs: str, count: int, *, agrees: bool) -> str:
+        """Return what was counted in complete test runs: `count` of them, in words `runs`."""
+
+    @abstractmethod
+    def said_of_draws(self, runs: Runs, unit: str, confidence: float, *, passed: bool) -> str:
+        """Return why the draws of a certificate show the limit, or do not."""
+
+    @abstractmethod
+    def said_of_contexts(
+        self,
+        worst: Sequence[InContext],
+        refuting: Sequence[InContext],
+        unit: str,
+        *,
+        passed: bool,
+    ) -> str:
+        """Return why the runs in the worst contexts show the limit, or do not.
+
+        Parameters
+        ----------
+        worst
+            The contexts that may be the worst, by their mean, the worst one first.
+        refuting
+            Those that refute the limit.
+        unit
+            Of the metric.
+        passed
+            Whether it is shown.
+        """
+
+    @abstractmethod
+    def said_together(self, both: str, together: float) -> str:
+        """Return that earlier and fresh runs, in words `both`, together break the limit."""
+
+    @abstractmethod
+    def predicted(self, *, quantile: bool) -> str:
+        """Name what models predict in a figure: a quantile of runs, or a mean, of the metric."""
+
+    @property
+    @abstractmethod
+    def note(self) -> str:
+        """What to know of the line of the limit in a figure of means, after "the limit is kept"."""
+
+
+def place_of(top: InContext, worst: Sequence[InContext]) -> str:
+    """Name a context among the worst ones, with a space at its end; empty if there is but one."""
+    which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
+    return f"in {which} ({top.place}) " if top.place else ""
