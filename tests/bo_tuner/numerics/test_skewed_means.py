@@ -66,6 +66,8 @@ def test_of_two_values_the_law_is_not_far_more_skewed():
 def test_what_is_skewed_to_the_left_has_no_fit():
     assert fit(-log_normal(50, 1.0)) is None
     assert fit(np.full(10, 2.0)) is None
+    # Equal but for rounding.
+    assert fit(0.1 * np.array([3.0, 3.0, 3.0, 3.0 + 1e-15])) is None
     assert fit(np.random.default_rng(0).normal(size=40)) is not None
 
 

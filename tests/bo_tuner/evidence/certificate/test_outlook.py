@@ -21,21 +21,20 @@ def test_without_a_violation_they_are_the_fewest(allowed):
 
 
 def test_one_violation_in_twenty_runs():
-    """As with one at the end of each twenty."""
+    """About as with one at the beginning of each twenty."""
     n = runs_to_show(0.05, 0.15, 1000, 0.95)
-    assert not is_shown([k % 20 == 19 for k in range(n - 20)], 0.15, 0.95)
-    assert is_shown([k % 20 == 19 for k in range(n + 20)], 0.15, 0.95)
+    assert not is_shown([k % 20 == 0 for k in range(n - 10)], 0.15, 0.95)
+    assert is_shown([k % 20 == 0 for k in range(n + 20)], 0.15, 0.95)
     assert runs_to_show(0.16, 0.15, 1000, 0.95) == 1000
 
 
-@pytest.mark.parametrize("margin", [0.2, 0.5, 2.0])
+@pytest.mark.parametrize("margin", [0.2, 0.5])
 def test_a_mean_by_its_margin(margin):
     """Runs with exactly this mean and standard deviation, in pairs."""
     n = runs_to_show_mean(margin, 1000, 0.95)
-    for count, shown in ((n - 3, False), (n + 3, True)):
-        values = np.array([1.0, -1.0] * (count // 2 + 1))[: count - count % 2] - margin
-        evidence = log_mean_evidence(values, 0.0)[-1]
-        assert (evidence >= math.log(20.0)) is shown or abs(evidence - math.log(20.0)) < 0.7
+    for count, shown in ((n - 4, False), (n + 4, True)):
+        values = np.tile([1.0, -1.0], count // 2) - margin
+        assert bool(log_mean_evidence(values, 0.0)[-1] >= math.log(20.0)) is shown
 
 
 def certified(study, function_backend, margin, noise=0.1):

@@ -38,6 +38,9 @@ rare large values the skewness of a sample is too small by such a factor."""
 STEPS = 32
 """Of the bisection for the shift."""
 
+EQUAL = 1e-12
+"""Standard deviation, in sizes of the values, up to which they differ by rounding alone."""
+
 NEAREST, FARTHEST = 1e-9, 1e4
 """Distance of the shift from the smallest value, in standard deviations, at least and at most."""
 
@@ -93,8 +96,10 @@ def fit(values: Array) -> LogNormalFit | None:
     n, lowest, deviation = len(values), float(values.min()), float(values.std())
     # Standard error of the skewness of n normal values.
     error = sqrt(6.0 * (n - 2.0) / ((n + 1.0) * (n + 3.0)))
-    skewness = _skewness(values) if deviation > 0.0 else -inf
-    if not skewness > -ERRORS * error:
+    if deviation <= EQUAL * float(np.abs(values).max()):
+        return None
+    skewness = _skewness(values)
+    if skewness <= -ERRORS * error:
         return None
     most, above = TIMES * (max(skewness, 0.0) + 2.0 * error), values - lowest
 

@@ -168,9 +168,8 @@ class Certification:
         self, case: "_Case", number: int, subject: Subject, evidence: Evidence
     ) -> Evidence:
         """Make the draws that the limits need beside all other runs, if they are kept there."""
-        if not evidence.repeated or not all(
-            case.holds(evidence, place) for place in range(len(evidence.repeated))
-        ):
+        places = range(len(evidence.repeated))
+        if not places or any(case.open_limits(evidence, place) != [] for place in places):
             return evidence
         plan = FurtherDrawPlan(case, number, subject, evidence)
         self._driver.complete(plan)
@@ -195,15 +194,18 @@ class _Case:
         """Return whether a subject keeps its limits in draws, with other runs; None if open."""
         return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier, others)
 
-    def holds(self, evidence: Evidence, place: int) -> bool | None:
-        """Return whether every worst-case constraint holds in a context; None if open."""
-        decided = [
-            decide_context(self.study, constraint, evidence, place, self.most, self.confidence)
-            for constraint in self.study.worst_case_constraints
-        ]
-        if False in decided:
-            return False
-        return None if None in decided else True
+    def open_limits(self, evidence: Evidence, place: int) -> list[str] | None:
+        """Return the worst-case constraints that are open in a context; None if one is broken."""
+        found = []
+        for constraint in self.study.worst_case_constraints:
+            holds = decide_context(
+                self.study, constraint, evidence, place, self.most, self.confidence
+            )
+            if holds is False:
+                return None
+            if holds is None:
+                found.append(constraint.name)
+        return found
 
     def draw(self) -> list[Context]:
         """Return the contexts of all draws."""
@@ -570,18 +572,28 @@ class RepeatPlan(Plan[Run]):
 
         What was clear in a context may be open again after the runs in the next.
         """
-        repeated = self._evidence.repeated
-        holds = [
-            self._case.holds(self._evidence, place) if here else None
-            for place, here in enumerate(repeated)
-        ]
-        places = [place for place, held in enumerate(holds) if held is None]
-        if False in holds or not places:
+        every = [constraint.name for constraint in self._case.study.worst_case_constraints]
+        open_at: dict[int, list[str]] = {}
+        for place, here in enumerate(self._evidence.repeated):
+            names = self._case.open_limits(self._evidence, place) if here else every
+            if names is None:
+                return None
+            if names:
+                open_at[place] = names
+        if not open_at:
             return None
-        alone = [place for place in places if not self._is_in_group(place)]
-        return alone[0] if alone else min(places, key=lambda place: counts[place])
+        return min(open_at, key=lambda place: self._turn(place, open_at[place], counts[place]))
 
-    def _is_in_group(self, place: int) -> bool:
-        """Return whether runs in a context count together with those in others for a limit."""
+    def _turn(self, place: int, names: Sequence[str], count: int) -> tuple[int, int]:
+        """Return when it is a context's turn, by the limits that are open there: the least first.
+
+        Those that must show a limit by their own runs, the first of them; then those whose runs
+        count together, the one with the fewest; then those in which the limits are kept by far.
+        """
         context = self._suspects.contexts[place]
-        return any(context in item.behind for item in self._suspects.ranking.values())
+        items = [self._suspects.ranking.get(name, Ranking()) for name in names]
+        if all(context in item.clear for item in items):
+            return 2, place
+        if all(context in (*item.clear, *item.behind) for item in items):
+            return 1, count
+        return 0, place

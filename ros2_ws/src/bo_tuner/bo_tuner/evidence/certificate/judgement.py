@@ -311,7 +311,7 @@ def _judge(
     worst: tuple[WorstContext, ...] = ()
     modelled: tuple[WorstContext, ...] = ()
     assumption = rule.assumption(runs.declared)
-    assumptions = (assumption,) if assumption else ()
+    assumptions: tuple[str, ...] = (assumption,) if assumption else ()
     bound = _bound(runs.events, confidence)
     against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
     if rule.in_every_context:
