@@ -23,6 +23,7 @@ from recorded_trials import (
     trial_of,
 )
 
+from bo_tuner.plans import Phase
 from bo_tuner.recording import recorder as recorder_module
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
 from bo_tuner.recording.recorder import Recorder
@@ -309,19 +310,36 @@ class TestRetention:
         recording, waiting = of_few_messages
         with recording:
             waiting += [joints(START)]
-            recording.planned()
+            recording.planned(Phase.TUNING)
             for number in range(2):
                 waiting += [joints(START + 2000 * number + k) for k in range(1, 10)]
                 recording.evaluation(evaluation_of(number, 0))
                 recording.trial(trial_of(number), None)
                 waiting += [joints(START + 2000 * number + 1000 + k) for k in range(100)]
-                recording.planned()
+                recording.planned(Phase.TUNING)
         times = [
             [time - START for _, time, _ in with_rosbags(tmp_path / "bags" / f"trial_000{number}")]
             for number in range(2)
         ]
         assert times == [[*range(1, 10)], [*range(2001, 2010)]]
         assert recording.summary["dropped_messages"] == 0
+
+    def test_the_last_messages_of_an_evaluation_are_kept_where_no_trial_is_proposed(
+        self, of_few_messages, tmp_path
+    ):
+        """In the validation one evaluation follows the other at once, while they still come."""
+        recording, waiting = of_few_messages
+        with recording:
+            recording.begin(Phase.VALIDATION, 2)
+            for index in range(2):
+                recording.planned(Phase.VALIDATION)
+                waiting += [joints(START + 2000 * index + k) for k in range(1, 10)]
+                recording.evaluation(replace(evaluation_of(0, index), stage=Stage.VALIDATION))
+                waiting += [joints(START + 2000 * index + 10)]
+            recording.end(Phase.VALIDATION)
+        (bag,) = (path for path in (tmp_path / "bags").iterdir() if path.is_dir())
+        times = [time - START for _, time, _ in with_rosbags(bag)]
+        assert times == [*range(1, 11), *range(2001, 2011)]
 
     def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, of_few_messages, tmp_path):
         """It would fill the memory, so that the messages of the next evaluation were dropped."""

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import bo_tuner.storage.journal
 from bo_tuner.errors import JournalError, OutputError
 from bo_tuner.metrics.collect import LARGEST_METRIC
+from bo_tuner.plans import Event, EventKind, Phase
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
 from bo_tuner.storage.journal_reader import read_journal
@@ -141,6 +142,21 @@ class TestRoundTrip:
             for stage in others:
                 journal.record_evaluation(evaluation(stage=stage))
             assert read_journal(tmp_path / "j").trials == (recorded,)
+
+    def test_what_came_from_outside(self, tmp_path):
+        """Also half a character of what a guard says, as the record of a reason."""
+        events = [
+            Event("tuning", 3, EventKind.GUARD, "the guard: angle > 2"),
+            Event("tuning", 3, EventKind.CONTINUE),
+            Event(Phase.TUNING, 5, EventKind.FINISH),
+        ]
+        with Journal(tmp_path / "j", {}) as journal:
+            for event in events:
+                journal.record_event(event)
+            journal.record_event(Event("tuning", 6, EventKind.GUARD, "\udcff"))
+            *kept, last = read_journal(tmp_path / "j").events
+        assert kept == events
+        assert last.detail == "?"
 
     def test_order_is_that_of_the_numbers(self, tmp_path):
         with Journal(tmp_path / "j", {}) as journal:

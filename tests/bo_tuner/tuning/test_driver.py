@@ -12,7 +12,7 @@ from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
-from bo_tuner.plans import BatchPlan, Plan, Run, Runs
+from bo_tuner.plans import BatchPlan, Event, EventKind, Plan, Run, Runs, finished_after
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
@@ -386,6 +386,82 @@ class TestGate:
         with pytest.raises(Killed):
             list(Driver(backend, watcher, gate=Gate(check)).run(Runs(TestLosses.planned(9))))
         assert len(backend.calls) == 2
+
+
+class Requests(Watcher):
+    """Asks something of the gate after so many evaluations; keeps events."""
+
+    def __init__(self, asking, after):
+        super().__init__()
+        self.events = []
+        self.gate = Gate(observer=self)
+        self._asking = asking
+        self._after = after
+
+    def evaluation(self, evaluation):
+        super().evaluation(evaluation)
+        if len(self.evaluations) == self._after:
+            self._asking(self.gate)
+
+    def event(self, event):
+        self.events.append(event)
+
+    def pause(self, paused):
+        self.gate.requests.request(False)
+
+
+class TestEvents:
+    @staticmethod
+    def trials(study, backend, watcher, window, recorded=(), finished=None):
+        driver = Driver(backend, watcher, window=window, gate=watcher.gate)
+        return list(Tuning(study, driver, METHODS["II"], trials=recorded, finished=finished))
+
+    @pytest.mark.parametrize("window", [1, 2, 4])
+    def test_trials_that_finish_early(self, study, function_backend, window):
+        """Those under way are run to their end, and a resumed run repeats that."""
+        backend = function_backend(study, figures)
+        watcher = Requests(lambda gate: gate.finish(), 4)
+        whole = self.trials(study, backend, watcher, window)
+        planned = min(1 + window, 6)
+        # Three evaluations each, so that the fourth is of the second one.
+        assert watcher.events == [Event("tuning", planned, EventKind.FINISH)]
+        assert len(whole) == planned
+        nothing = Requests(lambda gate: None, -1)
+        for known in range(planned + 1):
+            rest = self.trials(study, backend, nothing, window, whole[:known], planned)
+            assert rest == whole[known:]
+        assert nothing.events == []
+
+    def test_other_phases_go_on(self, study, function_backend):
+        watcher = Requests(lambda gate: gate.finish(), 1)
+        plan = Runs(TestLosses.planned(3))
+        driver = Driver(function_backend(study, figures), watcher, gate=watcher.gate)
+        list(driver.run(plan))
+        assert len(plan.evaluations) == 3
+        assert watcher.events == []
+
+    @pytest.mark.parametrize(
+        ("asking", "expected"),
+        [
+            (lambda gate: gate.requests.request(True), (EventKind.PAUSE, "")),
+            (lambda gate: gate.halt("the guard"), (EventKind.GUARD, "the guard")),
+        ],
+    )
+    def test_a_pause_and_why(self, study, function_backend, asking, expected):
+        watcher = Requests(asking, 4)
+        self.trials(study, function_backend(study, figures), watcher, 1)
+        assert watcher.events == [
+            Event("tuning", 2, *expected),
+            Event("tuning", 2, EventKind.CONTINUE),
+        ]
+
+    def test_what_is_left_to_do_follows_from_the_latest(self):
+        finish, extend = (Event("tuning", 3, k) for k in (EventKind.FINISH, EventKind.EXTEND))
+        pause = Event("tuning", 4, EventKind.PAUSE)
+        assert finished_after([]) is None
+        assert finished_after([pause, finish, pause]) == 3
+        assert finished_after([finish, extend]) is None
+        assert finished_after([finish, extend, replace(finish, tasks=5)]) == 5
 
 
 class TestBatches:

@@ -50,7 +50,7 @@ class TestWhoMayRead:
     def test_localhost_is_not_another(self, run):
         assert run.ask("/", Host=f"localhost:{run.port}")[0] == 200
 
-    @pytest.mark.parametrize("name", ["pause", "continue", "abort"])
+    @pytest.mark.parametrize("name", ["pause", "continue", "finish", "abort"])
     def test_it_takes_no_requests_unless_allowed(self, run, name):
         assert "data-token" not in run.ask("/")[2]
         headers = run.origin | {"X-Control-Token": run.token}

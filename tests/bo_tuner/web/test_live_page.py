@@ -14,12 +14,12 @@ import pytest
 from live_run import page_processes
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.interruption import Pause
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.plans import Phase
 from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.gate import Gate
 from bo_tuner.web.address import listen
 from bo_tuner.web.live_page import LivePage
 
@@ -161,7 +161,7 @@ class TestWhatWasAsked:
     def told(self, tmp_path, make_study, make_trial):
         """Function for what the page tells was asked, after some requests and an evaluation."""
         study = make_study()
-        control = RunControl(Pause(), SimpleNamespace(request=lambda _: None), tmp_path)
+        control = RunControl(Gate(), SimpleNamespace(request=lambda _: None), tmp_path)
         trial = make_trial(0, {"gain": 0.5}, [1.0])
         steps = {
             "evaluation": lambda page: page.evaluation(trial.evaluations[0]),

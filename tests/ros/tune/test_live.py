@@ -115,6 +115,17 @@ def test_a_late_joiner_gets_all_trials_also_of_a_resumed_run(run, watch):
     assert command.finish() == 143
 
 
+def test_a_run_finishes_with_the_best_so_far(run, watch):
+    command = run("--trials", "1000")
+    command.wait_for_trial(3)
+    answer = watch().peer.trigger("tuner/finish")
+    assert answer.success
+    assert answer.message.startswith("the run begins no further trial; the best so far is then ")
+    assert command.finish() in (0, 3), command.err
+    assert 4 <= len(command.trials()) < 1000
+    assert (command.run_folder / "best.yaml").exists()
+
+
 def test_pause_and_what_is_published(run, watch, shared_pair):
     from std_srvs.srv import SetBool
 

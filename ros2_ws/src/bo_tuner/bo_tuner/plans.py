@@ -5,7 +5,8 @@ The trials, the search for the answer, the validation, the parts of a certificat
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, Protocol, TypeVar
 
@@ -18,6 +19,54 @@ class Phase(StrEnum):
     TUNING = "tuning"
     CHECKING = "checking candidates"
     VALIDATION = "validation"
+
+
+class EventKind(StrEnum):
+    """What comes from outside while a plan is carried out."""
+
+    FINISH = "finish"
+    EXTEND = "extend"
+    PAUSE = "pause"
+    GUARD = "guard"
+    CONTINUE = "continue"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something from outside, on record so that a resumed run repeats what came of it.
+
+    Attributes
+    ----------
+    phase
+        The phase in which it came.
+    tasks
+        Number of tasks that were planned in this phase until then, in all sessions.
+    kind
+        A request to finish the phase early, or to go on with it all the same in a later session; a
+        pause, on request or because the guard had taken over, or its end.
+    detail
+        More in a line; of the guard what it says.
+    """
+
+    phase: str
+    tasks: int
+    kind: EventKind
+    detail: str = ""
+
+
+def finished_after(events: Iterable[Event]) -> int | None:
+    """Return the number of trials after which a run was to finish; None if it goes on.
+
+    Parameters
+    ----------
+    events
+        Of the run, in the order of the record.
+    """
+    latest: Event | None = None
+    for event in events:
+        if event.kind in (EventKind.FINISH, EventKind.EXTEND):
+            latest = event
+    return latest.tasks if latest is not None and latest.kind is EventKind.FINISH else None
 
 
 class Task(Protocol):
@@ -78,6 +127,10 @@ class Plan(ABC, Generic[TaskT]):
     @abstractmethod
     def tell(self, task: TaskT) -> bool:
         """Take the result of a task, in the order of the tasks; returns whether it ends a step."""
+
+    def finish(self) -> bool:
+        """Plan no more tasks on request; returns whether that ends the phase before its time."""
+        return False
 
 
 class Run:

@@ -25,7 +25,7 @@ from bo_tuner.monitoring.monitor import Advisor, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.plans import Phase
+from bo_tuner.plans import Event, EventKind, Phase, finished_after
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
@@ -44,6 +44,7 @@ from bo_tuner.storage.provenance import (
     RECORD,
     RECORD_LIMIT,
     STOP_EARLY,
+    WINDOW,
     changed_sources,
     session_provenance,
 )
@@ -52,11 +53,11 @@ from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_re
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import TUNING, Trial, count_evaluations, count_trials
+from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.journaling import JournalObserver
-from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.loop import Tuning, trials_are_over
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
@@ -86,6 +87,10 @@ class RunOptions:
         What is shown of the run.
     stop_early
         Follow the advice to stop.
+    window
+        Number of trials, or other tasks, that are planned at once.
+    more
+        Whether a run that is resumed goes on with trials although it was asked to finish.
     carried
         What a new run takes of an earlier one; None for nothing.
     web
@@ -101,6 +106,8 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
+    window: int = 1
+    more: bool = False
     carried: Carried | None = None
     web: Address | None = None
     web_control: bool = False
@@ -135,7 +142,7 @@ class Session:
         self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._method, self._observers)
         self._gate = Gate(interruption.check, self._observers)
-        self._control = RunControl(self._gate.requests, interruption, folder.path)
+        self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
         self._backend = make_backend(
@@ -150,7 +157,7 @@ class Session:
 
     def _halt(self, reason: str) -> None:
         """Let the run wait: the guard has taken over, and somebody is to look at the machine."""
-        self._gate.requests.request(True)
+        self._gate.halt(reason)
         self._display.warn(f"{reason}; the run waits until you have looked at the machine")
 
     def run(self) -> int:
@@ -236,8 +243,11 @@ class Session:
 
         One that may stop early may have none to come; its files are written again at the end.
         """
-        done = count_evaluations(earlier.trials)
-        return not self._study.budget.is_spent(count_trials(earlier.trials), done)
+        return not trials_are_over(self._study, earlier.trials, self._finished(earlier))
+
+    def _finished(self, earlier: JournalContent) -> int | None:
+        """Return after how many trials the run is to finish, unless it is to have more now."""
+        return None if self._options.more else finished_after(earlier.events)
 
     def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
         """Return what works on the run from now on, and warn of what has changed."""
@@ -249,6 +259,7 @@ class Session:
             provenance[NAMESPACE] = self._namespace
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
+        provenance[WINDOW] = str(options.window)
         provenance[RECORD] = str(options.record.policy)
         provenance[RECORD_LIMIT] = str(options.record.limit)
         if options.carried is not None:
@@ -295,15 +306,19 @@ class Session:
         if acts := read_acts(self._folder.log):
             self._display.warn(f"on record, {acts[-1]}")
         study, observers = self._study, self._observers
+        if options.more and finished_after(earlier.events) is not None:
+            journal.record_event(Event(Phase.TUNING, len(earlier.trials), EventKind.EXTEND))
+        finished = self._finished(earlier)
         known = continued(
             study,
             self._method,
             earlier.trials,
             earlier.evaluations,
             stop_early=options.stop_early,
+            finished=finished,
         )
-        driver = Driver(backend, observers, gate=self._gate)
-        tuning = Tuning(study, driver, self._method, trials=known)
+        driver = Driver(backend, observers, window=options.window, gate=self._gate)
+        tuning = Tuning(study, driver, self._method, trials=known, finished=finished)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
@@ -419,6 +434,7 @@ class Session:
                 evaluations=content.evaluations,
                 summary=summary,
                 damage=content.damage,
+                events=content.events,
             )
         )
 

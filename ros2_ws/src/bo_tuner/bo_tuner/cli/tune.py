@@ -36,6 +36,7 @@ from bo_tuner.storage.carrying import (
     remeasured,
 )
 from bo_tuner.storage.parameter_set_file import read_parameter_set
+from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted, trust
@@ -144,6 +145,9 @@ def _run(
         record=_recording(arguments, plan.resumed),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
+        window=1 if plan.resumed is None else recorded_window(plan.resumed.provenance),
+        more=plan.resumed is not None
+        and not (arguments.trials is None and arguments.evaluations is None),
         carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web),
         web_control=arguments.web_control,
@@ -314,9 +318,11 @@ def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser
     """Refuse to continue a run to what it has already, or to what it was to have anyway."""
     trials, evaluations = record.study.budget.trials, record.study.budget.evaluations
     done = count_evaluations(record.trials)
-    if evaluations is not None:
+    if evaluations is not None or record.finished is not None:
         # The run may have ended before its last trial.
         trials = count_trials(record.trials)
+    if record.finished is not None:
+        evaluations = None
     for name, given, had in (
         ("trials", arguments.trials, trials),
         ("evaluations", arguments.evaluations, max(done, evaluations or 0)),

@@ -1,10 +1,11 @@
-"""Requests to pause, continue and end a run, from a service or the live page."""
+"""Requests to pause, continue, finish and end a run, from a service or the live page."""
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from bo_tuner.interruption import Interruption, Pause
+from bo_tuner.interruption import Interruption
 from bo_tuner.storage.run_folder import how_to_resume
+from bo_tuner.tuning.gate import Gate
 
 
 class RunControl:
@@ -12,16 +13,16 @@ class RunControl:
 
     Parameters
     ----------
-    pause
-        Takes the requests to pause and to continue.
+    gate
+        Takes the requests to pause, to continue and to finish.
     interruption
         Takes the request to end the run.
     folder
         The run folder.
     """
 
-    def __init__(self, pause: Pause, interruption: Interruption, folder: Path) -> None:
-        self._pause = pause
+    def __init__(self, gate: Gate, interruption: Interruption, folder: Path) -> None:
+        self._gate = gate
         self._interruption = interruption
         self._folder = folder
 
@@ -33,12 +34,20 @@ class RunControl:
     @property
     def pause_requested(self) -> bool:
         """Whether the run waits, or will after the present evaluation."""
-        return self._pause.requested
+        return self._gate.requests.requested
 
     def pause(self, wait: bool) -> str:
         """Ask the run to wait, or to go on."""
-        self._pause.request(wait)
+        self._gate.requests.request(wait)
         return "the run pauses after the present evaluation" if wait else "the run continues"
+
+    def finish(self) -> str:
+        """Ask for the end of the trials, so that the best so far becomes the result."""
+        self._gate.finish()
+        waits = " once it continues" if self.pause_requested else ""
+        return (
+            f"the run begins no further trial{waits}; the best so far is then settled and validated"
+        )
 
     def abort(self, source: str) -> str:
         """Ask for the end of the run as SIGTERM does; `source` says who asks."""

@@ -12,8 +12,9 @@ from rich.text import Text
 from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
+from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
+from bo_tuner.text import counted, printable
 from bo_tuner.trials import Value
 from bo_tuner.tuning.observer import RunObserver
 
@@ -73,6 +74,14 @@ class Display(RunObserver):
     def warn(self, text: str) -> None:
         """Show a warning on standard error."""
         self._console.print(text, soft_wrap=True)
+
+    def event(self, event: Event) -> None:
+        """Show that the run was asked to finish, where others were told of it."""
+        if event.kind is EventKind.FINISH:
+            self.tell(
+                f"asked to finish after {counted(event.tasks, 'trial')}; the best so far is then "
+                "settled and validated"
+            )
 
     def result(self, result: Result) -> None:
         """Show the result on standard output."""

@@ -36,7 +36,7 @@ LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
 
 
 class LiveNode(RunObserver):
-    """ROS node that publishes the state of a run and serves requests to pause or end it.
+    """ROS node that publishes the state of a run and serves requests to pause, finish or end it.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class LiveNode(RunObserver):
     status
         Status of the run; must receive each step before this node.
     control
-        Takes the requests to pause and to end the run.
+        Takes the requests to pause, to finish and to end the run.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class LiveNode(RunObserver):
             for name in HEADLINES
         }
         self._node.create_service(SetBool, "~/pause", self._on_pause)
+        self._node.create_service(Trigger, "~/finish", self._on_finish)
         self._node.create_service(Trigger, "~/abort", self._on_abort)
         # Not the node's own clock: simulated time may stand still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -148,6 +149,11 @@ class LiveNode(RunObserver):
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = True
         response.message = self._control.pause(request.data)
+        return response
+
+    def _on_finish(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        response.message = self._control.finish()
         return response
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

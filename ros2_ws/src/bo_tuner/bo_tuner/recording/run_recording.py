@@ -110,9 +110,13 @@ class RunRecording(RunObserver):
             self._listener.refresh()
             self._pass_news_on()
 
-    def planned(self) -> None:
-        """Let go of what came while it was computed."""
-        self._forget()
+    def planned(self, phase: str) -> None:
+        """Let go of what came while a trial was proposed.
+
+        Elsewhere the last messages of the evaluation before are still on their way.
+        """
+        if phase == Phase.TUNING:
+            self._forget()
 
     def pause(self, paused: bool) -> None:
         """Let go of what came in a pause."""

@@ -1,7 +1,8 @@
-"""The durable record of a run: one SQLite file, a committed row for each evaluation and each trial.
+"""The durable record of a run: one SQLite file, to which a session only ever adds rows.
 
-`bo_tuner.storage.journal_reader` reads it. A session only ever adds rows. Each carries a checksum
-of its values, since SQLite itself notices damage to its structure, but not to what is stored.
+There is a committed row for each evaluation, each trial, and each event from outside.
+`bo_tuner.storage.journal_reader` reads it. Each row carries a checksum of its values, since SQLite
+itself notices damage to its structure, but not to what is stored.
 """
 
 import contextlib
@@ -15,12 +16,13 @@ from pathlib import Path
 from typing import Self
 
 from bo_tuner.errors import JournalError
+from bo_tuner.plans import Event
 from bo_tuner.storage.atomic import synchronize, temporary_path
 from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Of the tables below, and of what a session tells; a journal of another version is refused."""
 
 COLUMNS = {
@@ -33,6 +35,7 @@ COLUMNS = {
         "trial", "position", "stage", "parameters", "context", "seed", "state", "reason",
         "metrics", "details", "seconds",
     ),
+    "event": ("phase", "tasks", "kind", "detail"),
 }  # fmt: skip
 
 SCHEMA = """
@@ -49,6 +52,10 @@ CREATE TABLE evaluation (
     reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, seconds REAL NOT NULL,
     checksum INTEGER NOT NULL
 );
+CREATE TABLE event (
+    phase TEXT NOT NULL, tasks INTEGER NOT NULL, kind TEXT NOT NULL, detail TEXT NOT NULL,
+    checksum INTEGER NOT NULL
+);
 """
 
 
@@ -62,7 +69,7 @@ LONGEST_VALUE = 10_000_000
 
 
 class Journal:
-    """Append-only record of evaluations and trials.
+    """Append-only record of evaluations, trials and events.
 
     Each call that records something returns only once it is on disk.
 
@@ -127,6 +134,10 @@ class Journal:
         """Append a trial whose evaluations were recorded before."""
         self._record("trial", _trial_row(trial))
 
+    def record_event(self, event: Event) -> None:
+        """Append something that came from outside."""
+        self._record("event", _event_row(event))
+
     def count_evaluations(self) -> int:
         """Return the number of evaluations on record, those of earlier sessions included."""
         (count,) = self._db.execute("SELECT count(*) FROM evaluation").fetchone()
@@ -153,6 +164,7 @@ def create_journal(
     sessions: Sequence[Mapping[str, str]],
     evaluations: Sequence[Evaluation],
     trials: Sequence[Trial],
+    events: Sequence[Event] = (),
 ) -> None:
     """Write a journal in one step: a kill leaves the whole of it or nothing.
 
@@ -162,7 +174,7 @@ def create_journal(
         The file; what is there is replaced.
     sessions
         Provenance of each process that worked on the run.
-    evaluations, trials
+    evaluations, trials, events
         What it begins with.
 
     Raises
@@ -184,6 +196,8 @@ def create_journal(
                 _insert(db, "evaluation", evaluation_row(evaluation))
             for trial in trials:
                 _insert(db, "trial", _trial_row(trial))
+            for event in events:
+                _insert(db, "event", _event_row(event))
             db.execute("COMMIT")
         beside.replace(path)
         synchronize(path.parent)
@@ -225,6 +239,10 @@ def _trial_row(trial: Trial) -> tuple[object, ...]:
         len(trial.evaluations),
         float(trial.seconds),
     )
+
+
+def _event_row(event: Event) -> tuple[object, ...]:
+    return str(event.phase), event.tasks, str(event.kind), _storable(event.detail)
 
 
 def _insert(db: sqlite3.Connection, table: str, row: tuple[object, ...]) -> None:

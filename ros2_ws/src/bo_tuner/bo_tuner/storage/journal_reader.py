@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
+from bo_tuner.plans import Event
 from bo_tuner.storage import rows
 from bo_tuner.storage.journal import (
     COLUMNS,
@@ -45,12 +46,15 @@ class JournalContent:
         All evaluations, in the order in which they were recorded.
     damage
         What could not be read; empty if nothing is wrong.
+    events
+        What came from outside, in its order.
     """
 
     sessions: tuple[Mapping[str, str], ...]
     trials: tuple[Trial, ...]
     evaluations: tuple[Evaluation, ...]
     damage: str
+    events: tuple[Event, ...] = ()
 
 
 def read_journal(path: Path) -> JournalContent:
@@ -73,6 +77,7 @@ def read_journal(path: Path) -> JournalContent:
             sessions, damaged_sessions = _rows(db, "session")
             evaluation_rows, damaged_evaluations = _rows(db, "evaluation")
             trial_rows, damaged_trials = _rows(db, "trial")
+            event_rows, damaged_events = _rows(db, "event")
     except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
         if isinstance(error, JournalError):
             raise
@@ -81,18 +86,21 @@ def read_journal(path: Path) -> JournalContent:
         evaluations = tuple(rows.evaluation_of(row) for row in evaluation_rows)
         trials = tuple(_trials(trial_rows, evaluations))
         provenances = tuple(rows.provenance_of(row) for row in sessions)
+        events = tuple(rows.event_of(row) for row in event_rows)
     except ValueError as error:
         # The checksums hold, so it was no disk: somebody else wrote this.
         raise JournalError(
             f"{path}: rows that this program does not write: {one_line(str(error))[:200]}"
         ) from error
     missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its evaluations"
-    damage = damaged_evaluations or damaged_trials or damaged_sessions or missing
+    damaged = damaged_evaluations or damaged_trials or damaged_events or damaged_sessions
+    damage = damaged or missing
     return JournalContent(
         sessions=provenances,
         trials=trials,
         evaluations=evaluations,
         damage=f"{path.name}: {damage}" if damage else "",
+        events=events,
     )
 
 

@@ -50,7 +50,9 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     kept = _keep_damaged(path)
     sessions = content.sessions or ({},)
     session = dict(sessions[-1]) | {"salvaged_from": kept.name}
-    create_journal(_whole(path), (*sessions, session), content.evaluations, content.trials)
+    create_journal(
+        _whole(path), (*sessions, session), content.evaluations, content.trials, content.events
+    )
     _finish_replacement(path)
     return content, f"{content.damage}; {used}, the damaged file is kept as {kept.name}"
 
@@ -79,7 +81,7 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
     if kept == len(content.trials):
         return content
     rest = replace(content, trials=content.trials[:kept])
-    create_journal(_whole(path), rest.sessions, rest.evaluations, rest.trials)
+    create_journal(_whole(path), rest.sessions, rest.evaluations, rest.trials, rest.events)
     _finish_replacement(path)
     return rest
 

@@ -19,6 +19,8 @@ OWN_PACKAGE = "bo_tuner"
 SOURCES = "sources_sha256"
 STOP_EARLY = "stop_early"
 """Key that tells of the option, so that a run goes on as it began."""
+WINDOW = "window"
+"""Key that tells how many trials, or other tasks, are planned at once."""
 ATTACHED = "attached"
 """Key that tells that a session used running nodes."""
 NAMESPACE = "namespace"
@@ -58,6 +60,12 @@ def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
 def session_provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
     """Return the provenance for the journal: with the study itself, to be held against its file."""
     return provenance(study, backend, algorithm) | {STUDY_YAML: study_to_yaml(study)}
+
+
+def recorded_window(provenance: Mapping[str, str]) -> int:
+    """Return how many tasks a run plans at once, by the provenance of one of its sessions."""
+    text = provenance.get(WINDOW, "")
+    return max(1, int(text)) if text.isascii() and text.isdigit() else 1
 
 
 def study_sha256(study: Study) -> str:

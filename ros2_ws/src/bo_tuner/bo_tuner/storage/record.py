@@ -9,6 +9,7 @@ from pathlib import Path
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.plans import Event, finished_after
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
@@ -60,6 +61,8 @@ class RunRecord:
         and makes it from the journal.
     damage
         What of the record could not be read, in a line; empty if nothing is wrong.
+    events
+        What came from outside, in its order.
     """
 
     path: Path
@@ -76,6 +79,12 @@ class RunRecord:
     evaluations: tuple[Evaluation, ...]
     summary: Mapping[str, object] | None
     damage: str
+    events: tuple[Event, ...] = ()
+
+    @property
+    def finished(self) -> int | None:
+        """Number of trials after which it was to finish; None if it goes on to its budget."""
+        return finished_after(self.events)
 
     @property
     def method(self) -> Method:
@@ -143,6 +152,7 @@ def read_run(path: Path) -> RunRecord:
         evaluations=content.evaluations,
         summary=_summary(path / SUMMARY),
         damage=content.damage,
+        events=content.events,
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bo_tuner.errors import ParameterError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.models.replicates import LARGEST_RESPONSE
+from bo_tuner.plans import Event, EventKind
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -57,6 +58,12 @@ def evaluation_of(row: Row) -> Evaluation:
         outcome=Outcome(state, metrics, reason, _texts(row, "details")),
         seconds=float(_number(row["seconds"], "seconds")),
     )
+
+
+def event_of(row: Row) -> Event:
+    """Make an event."""
+    kind = EventKind(_text(row, "kind"))
+    return Event(_text(row, "phase"), _count(row, "tasks"), kind, _text(row, "detail"))
 
 
 def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:

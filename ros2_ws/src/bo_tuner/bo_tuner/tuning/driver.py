@@ -11,7 +11,7 @@ from typing import Generic
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import BackendError
-from bo_tuner.plans import Plan, Runs, TaskT
+from bo_tuner.plans import Event, EventKind, Plan, Runs, TaskT
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.gate import OPEN, Gate
 from bo_tuner.tuning.losses import Losses
@@ -30,7 +30,7 @@ class Driver:
     window
         Number of tasks that are planned at once, at most.
     gate
-        Passed after each evaluation and each task: there the run waits, or ends.
+        Passed after each evaluation and each task: there the run waits, ends, or finishes a phase.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Driver:
             for evaluation in self._backend.run(window.due()):
                 ran = True
                 self._observer.evaluation(evaluation)
-                self._gate.wait()
+                self._pass_gate(plan, window)
                 window.take(evaluation)
                 yield from self._tell(plan, window, losses)
             if window.tasks and not ran:
@@ -96,9 +96,19 @@ class Driver:
             if plan.tell(ended.task):
                 self._observer.advance()
             yield ended.task
-            self._gate.wait()
+            self._pass_gate(plan, window)
             losses.check()
             window.fill()
+
+    def _pass_gate(self, plan: Plan[TaskT], window: "_Window[TaskT]") -> None:
+        """Take requests from outside, and tell observers of them as events."""
+
+        def note(kind: EventKind, detail: str = "") -> None:
+            self._observer.event(Event(plan.phase, window.planned, kind, detail))
+
+        self._gate.wait(note)
+        if self._gate.finishing and plan.finish():
+            note(EventKind.FINISH)
 
 
 class _Planned(Generic[TaskT]):
@@ -145,6 +155,8 @@ class _Window(Generic[TaskT]):
     ----------
     tasks
         Them.
+    planned
+        Number of all tasks of the plan that were planned, the told ones included.
     """
 
     def __init__(self, plan: Plan[TaskT], size: int, observer: RunObserver) -> None:
@@ -152,6 +164,7 @@ class _Window(Generic[TaskT]):
         self._size = size
         self._observer = observer
         self.tasks: deque[_Planned[TaskT]] = deque()
+        self.planned = 0
 
     def fill(self) -> None:
         """Plan tasks until the window is full or the plan has none now."""
@@ -161,8 +174,9 @@ class _Window(Generic[TaskT]):
                 return
             planned = _Planned(task, self._plan.attempts)
             self.tasks.append(planned)
+            self.planned += 1
             if planned.next is not None:
-                self._observer.planned()
+                self._observer.planned(self._plan.phase)
 
     def due(self) -> Iterator[Evaluation]:
         """Yield what can be run now, of the oldest task first; pulled when there is room for it."""

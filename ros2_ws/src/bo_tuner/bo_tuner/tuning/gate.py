@@ -1,13 +1,16 @@
-"""Where a run waits on request, or ends: between two evaluations."""
+"""Where a run takes requests from outside: to wait, to end, or to finish a phase early."""
 
 from collections.abc import Callable
 
 from bo_tuner.interruption import Pause
+from bo_tuner.plans import EventKind
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
 class Gate:
     """Pauses the run between two evaluations on request, and ends it on a signal.
+
+    Requests come from any thread.
 
     It is passed when all observers know of the evaluation: the record and the displays are complete
     before a pause.
@@ -23,6 +26,8 @@ class Gate:
     ----------
     requests
         Takes the requests to pause and to continue.
+    finishing
+        Whether the trials are to end early.
     """
 
     def __init__(
@@ -30,16 +35,36 @@ class Gate:
     ) -> None:
         self._check = check
         self._observer = observer
+        self._halted_by = ""
         self.requests = Pause()
+        self.finishing = False
 
-    def wait(self) -> None:
-        """Wait while a pause is requested; raise if the run is to end."""
+    def halt(self, reason: str) -> None:
+        """Let the run wait because the guard has taken over, as it says in a line."""
+        self._halted_by = reason
+        self.requests.request(True)
+
+    def finish(self) -> None:
+        """Ask for the end of the trials; a pause goes on all the same."""
+        self.finishing = True
+
+    def wait(self, note: Callable[[EventKind, str], None] = lambda kind, detail: None) -> None:
+        """Wait while a pause is requested; raise if the run is to end.
+
+        Parameters
+        ----------
+        note
+            Is passed the beginning of a wait and its end, with what the guard says.
+        """
         self._check()
         if not self.requests.requested:
             return
+        reason, self._halted_by = self._halted_by, ""
+        note(EventKind.GUARD if reason else EventKind.PAUSE, reason)
         self._observer.pause(True)
         self.requests.wait(self._look)
         self._observer.pause(False)
+        note(EventKind.CONTINUE, "")
 
     def _look(self) -> None:
         self._check()

@@ -3,13 +3,14 @@
 from collections.abc import Callable
 
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Event
 from bo_tuner.storage.journal import Journal
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 
 
 class JournalObserver(RunObserver):
-    """Records each evaluation and each trial, except evaluations read from the journal.
+    """Records evaluations, trials and events, except evaluations read from the journal.
 
     Parameters
     ----------
@@ -28,6 +29,11 @@ class JournalObserver(RunObserver):
         if not evaluation.recorded:
             self._check()
             self._journal.record_evaluation(evaluation)
+
+    def event(self, event: Event) -> None:
+        """Record a request from outside."""
+        self._check()
+        self._journal.record_event(event)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Record a finished trial."""

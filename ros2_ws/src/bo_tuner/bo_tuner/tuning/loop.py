@@ -192,6 +192,21 @@ def pending_trial(study: Study, method: Method, number: int, proposal: Proposal)
     return Trial(number, proposal.parameters, proposal.origin, state, "pending", evaluations)
 
 
+def trials_are_over(study: Study, trials: Sequence[Trial], finished: int | None) -> bool:
+    """Return whether no trial is to come: the budget is spent, or the run was asked to finish.
+
+    Parameters
+    ----------
+    study, trials
+        Of the run.
+    finished
+        As in `TrialPlan`.
+    """
+    if finished is not None and len(trials) >= finished:
+        return True
+    return study.budget.is_spent(count_trials(trials), count_evaluations(trials))
+
+
 class TrialPlan(Plan[TrialTask | RecordedTask]):
     """The trials of a study, up to its budget.
 
@@ -206,6 +221,8 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
     recorded
         Trials that an earlier session of the same run recorded, the first of the run. They are
         planned and told like others, so that those after them are planned as they were before.
+    finished
+        Number of trials after which an earlier session was asked to finish.
 
     Attributes
     ----------
@@ -217,32 +234,46 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
     what = "trials"
     attempts = ATTEMPTS
 
-    def __init__(self, study: Study, method: Method, recorded: Sequence[Trial] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        method: Method,
+        recorded: Sequence[Trial] = (),
+        finished: int | None = None,
+    ) -> None:
         self._study = study
         self._method = method
         self._recorded = tuple(recorded)
         self._optimizer = method.optimizer(study)
-        self._finished = False
+        self._finished = finished
+        self._planned = 0
         self.steps = study.budget.trials
         self.trials: list[Trial] = []
 
-    def finish(self) -> None:
+    def finish(self) -> bool:
         """Plan no more trials; those that are pending are run to their end."""
-        self._finished = True
+        if self._finished is not None:
+            return False
+        self._finished = self._planned
+        return True
 
     def ask(self, pending: Sequence[TrialTask | RecordedTask]) -> TrialTask | RecordedTask | None:
         """Propose the next trial."""
-        number = len(self.trials) + len(pending)
+        number = self._planned = len(self.trials) + len(pending)
         if number < len(self._recorded):
+            self._planned += 1
             return RecordedTask(self._study, self._method, self._recorded[number])
         planned = [task.pending for task in pending]
         trials = count_trials(self.trials) + len(planned)
         evaluations = count_evaluations(self.trials) + sum(len(t.evaluations) for t in planned)
-        if self._finished or self._study.budget.is_spent(trials, evaluations):
+        if self._study.budget.is_spent(trials, evaluations):
+            return None
+        if self._finished is not None and number >= self._finished:
             return None
         begin = time.monotonic()
         proposal = self._optimizer.ask(planned)
         seconds = time.monotonic() - begin
+        self._planned += 1
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
 
     def tell(self, task: TrialTask | RecordedTask) -> bool:
@@ -266,6 +297,8 @@ class Tuning:
         The method.
     trials
         As `recorded` of `TrialPlan`.
+    finished
+        As in `TrialPlan`.
 
     Attributes
     ----------
@@ -274,9 +307,15 @@ class Tuning:
     """
 
     def __init__(
-        self, study: Study, driver: Driver, method: Method, *, trials: Sequence[Trial] = ()
+        self,
+        study: Study,
+        driver: Driver,
+        method: Method,
+        *,
+        trials: Sequence[Trial] = (),
+        finished: int | None = None,
     ) -> None:
-        self.plan = TrialPlan(study, method, trials)
+        self.plan = TrialPlan(study, method, trials, finished)
         self._driver = driver
         self._recorded = trials
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Event
 from bo_tuner.trials import Evaluation, Trial
 
 
@@ -19,8 +20,8 @@ class RunObserver:
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Handle the recorded trials of a resumed run, each a step, and their incumbent."""
 
-    def planned(self) -> None:
-        """Handle that the next task, such as a trial, is planned; its evaluations follow."""
+    def planned(self, phase: str) -> None:
+        """Handle that the next task of a phase, such as a trial, is planned; evaluations follow."""
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Handle a finished evaluation, before its result is used."""
@@ -36,6 +37,9 @@ class RunObserver:
 
     def advise(self, advice: StopAdvice) -> None:
         """Handle the advice to stop."""
+
+    def event(self, event: Event) -> None:
+        """Handle a request from outside, before anything follows from it."""
 
     def pause(self, paused: bool) -> None:
         """Handle the start of a pause between two evaluations, or its end."""
@@ -67,10 +71,10 @@ class Observers(RunObserver):
         for observer in self._observers:
             observer.recall(trials, incumbent)
 
-    def planned(self) -> None:
+    def planned(self, phase: str) -> None:
         """Pass on that a task is planned."""
         for observer in self._observers:
-            observer.planned()
+            observer.planned(phase)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Pass on an evaluation."""
@@ -96,6 +100,11 @@ class Observers(RunObserver):
         """Pass on the advice to stop."""
         for observer in self._observers:
             observer.advise(advice)
+
+    def event(self, event: Event) -> None:
+        """Pass on a request from outside."""
+        for observer in self._observers:
+            observer.event(event)
 
     def pause(self, paused: bool) -> None:
         """Pass on a pause or its end."""

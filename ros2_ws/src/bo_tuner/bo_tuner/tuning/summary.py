@@ -14,7 +14,7 @@ from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.storage.json_numbers import without_nan
-from bo_tuner.storage.provenance import study_sha256
+from bo_tuner.storage.provenance import recorded_window, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY
 from bo_tuner.study.study import Study
@@ -22,13 +22,12 @@ from bo_tuner.trials import (
     TUNING,
     Evaluation,
     Trial,
-    count_evaluations,
-    count_trials,
     parameter_set,
 )
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.effects import ParameterEffects, effects_in
 from bo_tuner.tuning.front import pareto_front
+from bo_tuner.tuning.loop import trials_are_over
 from bo_tuner.tuning.validation import Validation, validate
 
 
@@ -91,6 +90,7 @@ def continued(
     evaluations: Sequence[Evaluation],
     *,
     stop_early: bool,
+    finished: int | None = None,
 ) -> list[Trial]:
     """Return the trials of a run on record as its next step is to know them.
 
@@ -106,10 +106,12 @@ def continued(
         Of the record, in its order.
     stop_early
         Whether the run follows the advice to stop.
+    finished
+        As in `TrialPlan`.
     """
     if stop_early:
         return list(trials)
-    more = not study.budget.is_spent(count_trials(trials), count_evaluations(trials))
+    more = not trials_are_over(study, trials, finished)
     return method.continued(trials, evaluations, more=more)
 
 
@@ -216,13 +218,13 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
     study, method = record.study, record.method
-    spent = study.budget.is_spent(count_trials(record.trials), count_evaluations(record.trials))
-    if not spent and not record.stop_early:
+    over = trials_are_over(study, record.trials, record.finished)
+    if not over and not record.stop_early:
         return None
     advisor = StopAdvisor(study, method)
     for count in range(1, len(record.trials) + 1):
         advisor.consider(record.trials[:count])
-    if not spent and advisor.advice is None:
+    if not over and advisor.advice is None:
         return None
     # What the trials hold is not given again, nor what was lost and then run again.
     kept = {_place(item) for item in record.evaluations if not item.outcome.spoilt}
@@ -234,9 +236,15 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)
         trials = continued(
-            study, method, record.trials, record.evaluations, stop_early=record.stop_early
+            study,
+            method,
+            record.trials,
+            record.evaluations,
+            stop_early=record.stop_early,
+            finished=record.finished,
         )
-        conclusion = conclude(study, Driver(backend), method, trials)
+        driver = Driver(backend, window=recorded_window(record.provenance))
+        conclusion = conclude(study, driver, method, trials)
     except (_NotOnRecordError, RunError, KeyError):
         return None
     if conclusion is None:

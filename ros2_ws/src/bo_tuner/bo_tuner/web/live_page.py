@@ -195,6 +195,8 @@ class LivePage(RunObserver):
                 if request is Request.ABORT:
                     self._ending = True
                     self._asked = control.abort("the live page")
+                elif request is Request.FINISH:
+                    self._asked = control.finish()
                 else:
                     self._asked = control.pause(request is Request.PAUSE)
                 self._tell()

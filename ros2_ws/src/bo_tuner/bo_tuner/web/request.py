@@ -8,4 +8,5 @@ class Request(StrEnum):
 
     PAUSE = "pause"
     CONTINUE = "continue"
+    FINISH = "finish"
     ABORT = "abort"

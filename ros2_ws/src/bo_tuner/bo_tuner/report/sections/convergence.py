@@ -294,6 +294,7 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
         record.trials[:count],
         record.evaluations[: max(own, default=-1) + 1],
         stop_early=record.stop_early,
+        finished=record.finished,
     )
     models = method.ranking.models(study, trials, analysis.models.warm_starts)
     return method.ranking.first_by(models, study, trials)
