@@ -86,6 +86,12 @@ class TestCertificate:
         assert verdict.least == draws_needed(0.04, 0.95) + draws_needed(0.15, 0.95)
         assert verdict.evaluations <= 1.5 * verdict.least
         time, peak = verdict.constraints
+        times = round(verdict.evaluations / verdict.least, 1)
+        assert verdict.price == (
+            f"{verdict.evaluations} runs, {times:g} times the fewest that can show these limits "
+            f"({verdict.least})"
+        )
+        assert verdict.assumptions[0] == f"time: with an assumption: {time.assumptions[0]}"
         assert len(found.drawn) < draws_needed(0.04, 0.95)
         assert time.violation_bound <= time.allowed
         assert "count with the" in time.assumptions[0]

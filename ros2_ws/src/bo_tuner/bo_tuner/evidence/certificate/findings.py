@@ -327,6 +327,24 @@ class Findings:
         return self.failures == 0 and not self.outside and all(c.passed for c in self.constraints)
 
     @property
+    def assumptions(self) -> tuple[str, ...]:
+        """On what it rests besides the numbers of runs that are counted, a line each."""
+        return tuple(
+            f"{constraint.name}: with an assumption: {assumption}"
+            for constraint in self.constraints
+            for assumption in constraint.assumptions
+        )
+
+    @property
+    def price(self) -> str:
+        """The number of runs beside the least, in words."""
+        if not self.least:
+            return text.counted(self.evaluations, "run")
+        runs = text.counted(self.evaluations, "run")
+        times = text.shown(round(self.evaluations / self.least, 1))
+        return f"{runs}, {times} times the fewest that can show these limits ({self.least})"
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Why the parameter set does not pass; empty if it does."""
         failed = (

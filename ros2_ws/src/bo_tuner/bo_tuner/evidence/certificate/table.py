@@ -94,10 +94,8 @@ def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
     for constraint in certificate.tuned.constraints:
         kept = "shown to hold" if constraint.passed else "NOT shown to hold"
         yield f"{constraint.name}: {kept}: {constraint.reason}"
-        for assumption in constraint.assumptions:
-            yield f"{constraint.name}: with an assumption: {assumption}"
-    runs, least = certificate.tuned.evaluations, certificate.tuned.least
-    yield f"{runs} runs; the fewest that show these limits are {least}"
+    yield from certificate.tuned.assumptions
+    yield certificate.tuned.price
     if searched := widths_in_words(certificate.search_widths):
         yield f"search for the worst context: {searched}"
     for gap in certificate.training_gaps:
