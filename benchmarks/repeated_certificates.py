@@ -27,7 +27,7 @@ from bo_tuner.evidence.certificate.earlier import refutation
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.search_width import distances
-from bo_tuner.numerics.mean_tests import Betting, NormalOrSkewed
+from bo_tuner.numerics.mean_tests import Betting, MeanTest, NormalOrSkewed
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.tuning.driver import Driver
@@ -76,7 +76,10 @@ def law_row(name: str) -> dict[str, Any]:
     """Return in how many of the samples of a law a certificate, and any of five, is wrong."""
     rng = np.random.default_rng(20_261_127)
     found: dict[str, Any] = {"law": name, "samples": SAMPLES}
-    tests = {"without": (NormalOrSkewed(), LEAST_RUNS), "with": (Betting(-RANGE, RANGE), 1)}
+    tests: dict[str, tuple[MeanTest, int]] = {
+        "without": (NormalOrSkewed(), LEAST_RUNS),
+        "with": (Betting(-RANGE, RANGE), 1),
+    }
     first, ever = dict.fromkeys(tests, 0), dict.fromkeys(tests, 0)
     for _ in range(SAMPLES):
         runs = [np.minimum(LAWS[name](rng, MOST_RUNS), RANGE) for _ in range(LAW_ATTEMPTS)]

@@ -506,8 +506,7 @@ class WorstCasePlan(Plan[Run]):
 class RepeatPlan(Plan[Run]):
     """Repeated runs in contexts that may be the worst, until each is clear.
 
-    First in those that must show a limit by their own runs, one after the other; then in the
-    others in turn.
+    First in the worst ones; those in which the limits are kept by far come last.
 
     Parameters
     ----------
@@ -533,7 +532,7 @@ class RepeatPlan(Plan[Run]):
         counts = [len(here) for here in self._evidence.repeated]
         for task in pending:
             counts[self._places[task.evaluation.seed]] += 1
-        place = self._open_context(counts)
+        place = self._open_context()
         if place is None:
             return None
         k = counts[place]
@@ -567,8 +566,8 @@ class RepeatPlan(Plan[Run]):
             unseen=frozenset(name for name in unvisited if unvisited[name] == len(found_by[name])),
         )
 
-    def _open_context(self, counts: Sequence[int]) -> int | None:
-        """Return the context of the next run, by their numbers; None if the verdict is clear.
+    def _open_context(self) -> int | None:
+        """Return the context of the next run; None if the verdict is clear.
 
         What was clear in a context may be open again after the runs in the next.
         """
@@ -582,18 +581,17 @@ class RepeatPlan(Plan[Run]):
                 open_at[place] = names
         if not open_at:
             return None
-        return min(open_at, key=lambda place: self._turn(place, open_at[place], counts[place]))
+        return min(open_at, key=lambda place: (self._turn(place, open_at[place]), place))
 
-    def _turn(self, place: int, names: Sequence[str], count: int) -> tuple[int, int]:
+    def _turn(self, place: int, names: Sequence[str]) -> int:
         """Return when it is a context's turn, by the limits that are open there: the least first.
 
-        Those that must show a limit by their own runs, the first of them; then those whose runs
-        count together, the one with the fewest; then those in which the limits are kept by far.
+        The worst ones; then those behind them; then those in which the limits are kept by far.
         """
         context = self._suspects.contexts[place]
         items = [self._suspects.ranking.get(name, Ranking()) for name in names]
         if all(context in item.clear for item in items):
-            return 2, place
+            return 2
         if all(context in (*item.clear, *item.behind) for item in items):
-            return 1, count
-        return 0, place
+            return 1
+        return 0

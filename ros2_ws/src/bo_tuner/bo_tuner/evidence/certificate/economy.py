@@ -2,7 +2,7 @@
 
 How many runs a limit takes without any assumption is known (`sequential.draws_needed`). Most runs
 are spent on what nobody doubts: a time that is a tenth of its limit, a context in which the machine
-is far from it. Two rules save them. Each rests on more than the runs that are counted, as the
+is far from it. Three rules save them. Each rests on more than the runs that are counted, as the
 certificate says, and neither applies with ``certificate: {distribution_free: true}``.
 
 - *A chance constraint* that every run keeps, and the draws by so many of their standard deviations
@@ -11,6 +11,9 @@ certificate says, and neither applies with ``certificate: {distribution_free: tr
   their large values.
 - *A context* that is not the worst one of a limit, and in which by a Gaussian process over the
   contexts a single run is `CLEAR` standard deviations within the limit: `FEW` runs must confirm it.
+- *Another context behind the worst one*, by the same process: its runs must show the limit with the
+  confidence `BEHIND`. A parameter set passes wrongly only if the process is wrong on which context
+  is the worst, and then with a probability of 1 - `BEHIND` at most.
 """
 
 from math import sqrt
@@ -24,6 +27,9 @@ FEW = 5
 
 CLEAR = 3.0
 """Standard deviations of a single run from its mean to the limit, in a context that is clear."""
+
+BEHIND = 0.8
+"""Confidence with which a limit is shown in a context that by a model is not the worst."""
 
 TWICE = 2.0
 """Factor of the draws' standard deviation."""

@@ -39,6 +39,7 @@ import numpy as np
 
 from bo_tuner import text
 from bo_tuner.evidence.certificate.economy import (
+    BEHIND,
     FEW,
     confirms,
     is_far_from,
@@ -245,8 +246,9 @@ def decide_context(
     if rule.is_shown(runs, confidence) or _by_model(study, constraint, evidence, place, confidence):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if _contradicted(constraint, earlier, repeated) else True
-    if group := _group(constraint, evidence, place):
-        runs = _in_context(study, constraint, group, evidence)
+    ranking = evidence.ranking.get(constraint.name, Ranking())
+    if repeated[0].context in ranking.behind:
+        confidence = min(confidence, BEHIND)
     return False if rule.is_hopeless(runs, most, confidence) else None
 
 
@@ -256,7 +258,7 @@ def _by_model(
     """Return whether a limit is shown with the help of the ranking of contexts by a model.
 
     Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
-    the worst, and all runs in such contexts show the limit together, and those of none contradict.
+    the worst, and the runs show the limit with the confidence `BEHIND`.
     """
     here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
     values = _values(here, constraint.metric)
@@ -264,23 +266,9 @@ def _by_model(
         return False
     if here[0].context in ranking.clear and confirms(constraint, values):
         return True
-    group, rule = _group(constraint, evidence, place), constraint.rule
-    if not group or _failed(group) or rule.contradicts(rule.together(_runs(constraint, here))):
+    if here[0].context not in ranking.behind:
         return False
-    return rule.is_shown(_in_context(study, constraint, group, evidence), confidence)
-
-
-def _group(constraint: Constraint, evidence: Evidence, place: int) -> list[Evaluation]:
-    """Return the runs in all contexts that count together with those in a place; of none, if alone.
-
-    They are in the order in which they were made: one in each context after the other.
-    """
-    ranking = evidence.ranking.get(constraint.name)
-    if ranking is None or evidence.repeated[place][0].context not in ranking.behind:
-        return []
-    members = [runs for runs in evidence.repeated if runs and runs[0].context in ranking.behind]
-    longest = max(map(len, members))
-    return [runs[k] for k in range(longest) for runs in members if k < len(runs)]
+    return constraint.rule.is_shown(_in_context(study, constraint, here, evidence), BEHIND)
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
@@ -482,8 +470,9 @@ def _said_of_ranking(
         )
     if behind:
         said.append(
-            f"{text.counted(len(behind), 'context')} with {sum(w.evaluations for w in behind)} "
-            "runs are judged together, as by a model over the contexts none of them is the worst"
+            f"in {text.counted(len(behind), 'context')}, by a model over the contexts not the "
+            f"worst, {sum(w.evaluations for w in behind)} runs show the limit with a confidence of "
+            f"{100.0 * BEHIND:g} %"
         )
     return tuple(said)
 
