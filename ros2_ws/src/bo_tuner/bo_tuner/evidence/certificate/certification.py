@@ -169,7 +169,12 @@ class Certification:
     ) -> Evidence:
         """Make the draws that the limits need beside all other runs, if they are kept there."""
         places = range(len(evidence.repeated))
-        if not places or any(case.open_limits(evidence, place) != [] for place in places):
+        others = evidence.evaluations[len(evidence.drawn) :]
+        if (
+            not places
+            or any(case.open_limits(evidence, place) != [] for place in places)
+            or case.decided(subject, evidence.drawn, others) is not None
+        ):
             return evidence
         plan = FurtherDrawPlan(case, number, subject, evidence)
         self._driver.complete(plan)
