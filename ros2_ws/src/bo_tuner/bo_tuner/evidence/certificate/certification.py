@@ -269,7 +269,8 @@ class DrawPlan(Plan[Run]):
         return True
 
     def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
-        decided = self._case.decided(subject, drawn)
+        # Several are compared in the same draws, so that none may need more of them later.
+        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
         least = min(LEAST_DRAWS, self._case.most)
         return decided is False or (decided is True and len(drawn) >= least)
 
