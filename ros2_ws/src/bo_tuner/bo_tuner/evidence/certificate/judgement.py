@@ -268,7 +268,9 @@ def _by_model(
         return True
     if here[0].context not in ranking.behind:
         return False
-    return constraint.rule.is_shown(_in_context(study, constraint, here, evidence), BEHIND)
+    runs = _in_context(study, constraint, here, evidence)
+    # Runs beyond the limit elsewhere ask for more in the worst context.
+    return constraint.rule.is_shown(replace(runs, farthest=float("nan")), BEHIND)
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
