@@ -47,6 +47,8 @@ def made_findings(study, parameters, violations, passed):
             extreme=0.9,
             tail=0.8,
             worst=(replace(WORST, shown=passed),) * (searched and item.rule.in_every_context),
+            modelled=(),
+            assumptions=(),
             passed=passed,
             reason="" if passed else "<b>not</b> shown",
         )
@@ -55,7 +57,7 @@ def made_findings(study, parameters, violations, passed):
     # A study without limits has nothing else to fail on.
     failures = 0 if passed or constraints else 1
     mean = Mean(1.5, 0.02, upper=1.54, lower=1.46)
-    return Findings(parameters, mean, 1.9, 320, failures, "it stopped", constraints)
+    return Findings(parameters, mean, 1.9, 320, failures, "it stopped", "", 141, constraints)
 
 
 def made_certificate(study, parameters, passed=True, *, backend="inprocess", algorithm="boundary"):

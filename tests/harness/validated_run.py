@@ -8,8 +8,8 @@ CHANCE = {
     "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
     "error": {"kind": "chance", "metric": "error", "upper": 9.0, "probability": 0.96},
 }
-# The chance constraint has half of the error probability in the first certificate.
-NEEDED = draws_needed_without_event(0.04, 0.05 / 2)
+# The first certificate has four fifths of the error probability.
+NEEDED = draws_needed_without_event(0.04, 0.8 * 0.05)
 
 
 def certificate(folder, number=1):

@@ -14,7 +14,6 @@ from bo_tuner.numerics.sequential import (
     draws_needed,
     is_hopeless,
     is_mean_refuted,
-    is_mean_shown,
     is_refuted,
     is_shown,
     log_evidence,
@@ -116,10 +115,13 @@ class TestProbability:
         told = columns_of(table, row)
         assert told.pop("certificate").endswith(f"for p = {1.0 - p:.2f}")
         needed = {
-            f"{attempt}{suffix}": str(
-                draws_needed_without_event(p, 0.05 / (attempt * (attempt + 1)))
+            f"{attempt}{suffix}": str(draws_needed_without_event(p, error))
+            for attempt, suffix, error in (
+                (1, "st", 0.04),
+                (2, "nd", 0.01 / 2),
+                (5, "th", 0.01 / 20),
+                (20, "th", 0.01 / 380),
             )
-            for attempt, suffix in ((1, "st"), (2, "nd"), (5, "th"), (20, "th"))
         }
         assert told == needed
 
@@ -207,18 +209,17 @@ class TestMean:
         assert 0.0 < shown <= 0.05 + error
         assert 0.0 < refuted <= 0.05 + error
         below = [mean_bounds(sample, 0.95)[-1] < 3.0 for sample in samples[:30]]
-        assert below == [is_mean_shown(sample, 3.0, 0.95) for sample in samples[:30]]
+        evidence = [log_mean_evidence(sample, 3.0).max() for sample in samples[:30]]
+        held = [sample.mean() < 3.0 for sample in samples[:30]]
+        assert below == [e >= math.log(20.0) and h for e, h in zip(evidence, held, strict=True)]
 
     def test_values_without_noise(self):
-        assert is_mean_shown([0.5] * 8, 1.0, 0.95)
         assert is_mean_refuted([1.5] * 8, 1.0, 0.95)
-        assert not is_mean_shown([1.0] * 50, 1.0, 0.95)
         assert not is_mean_refuted([1.0] * 50, 1.0, 0.95)
 
     def test_later_values_that_contradict_earlier_ones_count(self):
         steady = [0.9 + 0.01 * (-1) ** k for k in range(30)]
-        assert is_mean_shown(steady, 1.0, 0.95)
-        assert not is_mean_shown([*steady, *[1.5] * 10], 1.0, 0.95)
+        assert mean_bounds(steady, 0.95)[-1] < 1.0
         assert mean_bounds([*steady, *[1.5] * 10], 0.95)[-1] == pytest.approx(1.05)
 
     def test_few_values_bound_nothing(self):
@@ -228,6 +229,7 @@ class TestMean:
 
 def test_all_attempts_together_spend_what_one_may():
     shares = [1.0 - spent(0.95, attempt) for attempt in range(1, 2001)]
-    assert shares[0] == pytest.approx(0.025)
-    assert sum(shares) == pytest.approx(0.05 * (1.0 - 1.0 / 2001))
+    assert shares[0] == pytest.approx(0.04)
+    assert shares[1:] == sorted(shares[1:], reverse=True)
+    assert sum(shares) == pytest.approx(0.05 - 0.01 / 2000)
     assert 2.0 * (1.0 - spent(0.95, 3, subjects=2)) == pytest.approx(shares[2])

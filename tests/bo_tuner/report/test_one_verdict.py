@@ -259,7 +259,7 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
         "(both)"
     )
     # The two parameter sets of an attempt share its error probability.
-    each = "98.75" if with_default else "97.5"
+    each = "98" if with_default else "96"
     assert verdict.remarks[0] == (
         f"Each bound has {each} % confidence, so that all attempts to certify this run have 95 % "
         "together."

@@ -110,5 +110,5 @@ def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
         if count < LEAST_RUNS:
             assert said == f"{count} draws are too few to bound the mean over contexts and noise"
         else:
-            assert said.startswith("mean over contexts and noise at most 0.5")
+            assert said.startswith("mean over contexts and noise at most 0.6")
             assert said.endswith(", limit 1 N")

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 from valley import true_worst
 
@@ -144,9 +146,8 @@ def test_the_search_is_judged_apart_from_the_choice(study, small, row):
 def test_an_optimizer_without_an_answer_is_on_record(study):
     limited = study.replace(trials=3)
     row = Row(name="none", optimizer="valley:Draws", protocol="random", contexts=2)
-    hard = {n: c.__class__(**{**c.__dict__, "upper": -1.0}) for n, c in limited.constraints.items()}
-    found = run_and_judge(limited.__class__(**{**limited.__dict__, "constraints": hard}), row, 1,
-                RunSize(8, 0, 2), JUDGE)  # fmt: skip
+    hard = {name: replace(limit, upper=-1.0) for name, limit in limited.constraints.items()}
+    found = run_and_judge(replace(limited, constraints=hard), row, 1, RunSize(8, 0, 2), JUDGE)
     assert found["answer"] is None
     assert found["incumbents"] == {}
     assert all(trial is None for _, trial in found["trajectory"])

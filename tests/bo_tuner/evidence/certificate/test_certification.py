@@ -8,12 +8,12 @@ from certified import CHANCE, LIMIT, collect
 from scipy import stats
 
 from bo_tuner.evidence.certificate.certification import (
-    LEAST_DRAWS,
     Certification,
     MostEvaluations,
     Subject,
     most_evaluations,
 )
+from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS

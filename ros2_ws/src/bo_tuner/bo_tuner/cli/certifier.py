@@ -19,6 +19,7 @@ from bo_tuner.evidence.certificate.certification import (
 )
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.numerics.sequential import spent
@@ -96,7 +97,8 @@ class Certifier:
         nodes = self.make_nodes()
         subjects = self._subjects(trial, nodes.name)
         self._tell_earlier(subjects)
-        self._tell_most(subjects, draws)
+        confidence = spent(self.confidence, attempt, len(subjects))
+        self._tell_most(subjects, draws, trial, confidence)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
@@ -111,7 +113,7 @@ class Certifier:
             certification = Certification(
                 study,
                 Driver(backend, observers, gate=Gate(self.interruption.check, observers)),
-                confidence=spent(self.confidence, attempt, len(subjects)),
+                confidence=confidence,
                 attempt=attempt,
             )
             with opened(backend, self.interruption, again=self.more) as left, bar.progress:
@@ -162,8 +164,10 @@ class Certifier:
                     soft_wrap=True,
                 )
 
-    def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
-        """Say how many evaluations it takes at most."""
+    def _tell_most(
+        self, subjects: Sequence[Subject], draws: int, trial: Trial, confidence: float
+    ) -> None:
+        """Say how many evaluations it takes at most, and probably if it passes."""
         most = most_evaluations(self.record.study, subjects, draws)
         parts = [f"{most.drawn} draws"]
         if most.searched:
@@ -175,6 +179,14 @@ class Certifier:
             "clear",
             soft_wrap=True,
         )
+        drawn = subjects[-1].earlier.drawn
+        probable = outlook(self.record.study, trial, drawn, draws, confidence)
+        if probable is not None:
+            each = " each" if len(subjects) > 1 else ""
+            self.console.print(
+                f"probably {probable} evaluations{each}, by the margins of the run, if it passes",
+                soft_wrap=True,
+            )
 
 
 class _Bar(RunObserver):

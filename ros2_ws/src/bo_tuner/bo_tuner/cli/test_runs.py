@@ -9,6 +9,7 @@ from rich.table import Table
 
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -88,12 +89,21 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         table.add_row(name, metric.unit, *cells, limit, count)
         if beyond:
             notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+        notes += [
+            f"{item.name}: limits a mean, of which a certificate has to assume that the noise is "
+            f"normal or log-normal; give metrics.{name} a range that no run can leave, as "
+            f"[low, high], or constraints.{item.name} a probability"
+            for item in limits
+            if item.rule.assumption(metric.range)
+        ]
         if name in study.measured:
             # Equal runs may well have another wind.
             continue
         if text := spread(name, values, [abs(item.limit) for item in limits]):
             notes.append(text)
     plain_console().print(table)
+    if beyond_range := outside(study.metrics, done):
+        notes.append(beyond_range)
     for note in notes:
         say(f"note: {note}")
 

@@ -72,8 +72,8 @@ PASS requires all of these; a constraint not shown to hold counts as violated:
 Contexts in which this parameter set failed before are evaluated again, and its
 earlier runs count against a PASS, never for it.
 The bounds hold after each evaluation, and over all certificates of the run: the
-j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability,
-which --with-default divides between the two parameter sets.
+first has four fifths of the error probability, and each later one fresh draws
+and less; --with-default divides that between the two parameter sets.
 
 writes RUN/certificates/0001.json, or the next number, and the evaluations as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the

@@ -60,11 +60,14 @@ def log_evidence(events: ArrayLike, probability: ArrayLike) -> Array:
     """
     happened = np.asarray(events, dtype=bool)
     n = np.arange(1.0, len(happened) + 1.0)
-    return _evidence_of(np.cumsum(happened), n, probability)
+    return log_evidence_of_counts(np.cumsum(happened), n, probability)
 
 
-def _evidence_of(k: ArrayLike, n: ArrayLike, probability: ArrayLike) -> Array:
-    """Return log E_n of k events among n draws; all of one shape, or scalar."""
+def log_evidence_of_counts(k: ArrayLike, n: ArrayLike, probability: ArrayLike) -> Array:
+    """Return log E_n of k events among n draws; all of one shape, or scalar.
+
+    The k need not be whole numbers: an expected number gives about what is to be expected.
+    """
     k, n, p = np.asarray(k), np.asarray(n), np.asarray(probability, dtype=np.float64)
     with np.errstate(divide="ignore"):
         mixture = betaln(k + 0.5, n - k + 1.0) + np.log(betainc(k + 0.5, n - k + 1.0, p))
@@ -94,11 +97,27 @@ def log_mean_evidence(values: ArrayLike, mean: ArrayLike) -> Array:
     # All values equal to m tell nothing.
     known = rest > 0.0
     rest = np.where(known, rest, 1.0)
-    t = s * np.sqrt(n / ((n + 1.0) * rest))
+    ratio = np.where(known, v, 1.0) / rest
+    return np.where(known, _evidence_of_ratio(s > 0.0, ratio, n), 0.0)
+
+
+def log_t_evidence(t: float, n: int) -> float:
+    """Return log E_n of n values whose t statistic, of a hypothetical mean, is `t`."""
+    if not np.isfinite(t):
+        return np.inf if t < 0.0 else -np.inf
+    share = t * t / (n - 1.0 + t * t)
+    ratio = 1.0 / (1.0 - share * n / (n + 1.0))
+    return float(_evidence_of_ratio(np.array(t > 0.0), np.array(ratio), np.array(float(n))))
+
+
+def _evidence_of_ratio(above: ArrayLike, ratio: Array, n: Array) -> Array:
+    """Return log E_n by whether S > 0, and V / (V - S² / (n + 1))."""
+    t = np.where(above, 1.0, -1.0) * np.sqrt(n * np.maximum(ratio - 1.0, 0.0))
     with np.errstate(divide="ignore"):
-        ratio = np.where(known, v, 1.0) / rest
-        evidence = log(2.0) + np.log(stdtr(n, -t)) - 0.5 * np.log1p(n) + 0.5 * n * np.log(ratio)
-    return np.where(known, evidence, 0.0)
+        evidence: Array = (
+            log(2.0) + np.log(stdtr(n, -t)) - 0.5 * np.log1p(n) + 0.5 * n * np.log(ratio)
+        )
+    return evidence
 
 
 def probability_bounds(events: ArrayLike, confidence: float) -> Array:
@@ -167,18 +186,6 @@ def is_refuted(events: ArrayLike, allowed: float, confidence: float) -> bool:
     return _reached(log_evidence(other, 1.0 - allowed), confidence)
 
 
-def is_mean_shown(values: ArrayLike, limit: float, confidence: float, least: int = 1) -> bool:
-    """Return whether values show with `confidence` that their expectation is within `limit`.
-
-    The first `least` - 1 of them alone show nothing. What earlier ones have shown, all of them
-    together must not contradict.
-    """
-    beyond = np.asarray(values, dtype=np.float64) - limit
-    if len(beyond) and float(beyond.mean()) > 0.0:
-        return False
-    return _reached(log_mean_evidence(values, limit)[least - 1 :], confidence)
-
-
 def is_mean_refuted(values: ArrayLike, limit: float, confidence: float) -> bool:
     """Return whether values show with `confidence` that their expectation exceeds `limit`."""
     return _reached(log_mean_evidence(-np.asarray(values, dtype=np.float64), -limit), confidence)
@@ -205,7 +212,7 @@ def draws_needed(allowed: float, confidence: float) -> int:
     """
 
     def shown(draws: int) -> bool:
-        return _reached(_evidence_of(0, float(draws), allowed), confidence)
+        return _reached(log_evidence_of_counts(0, float(draws), allowed), confidence)
 
     # Without any event the evidence increases with the number of draws.
     low, high = 0, 1
@@ -214,13 +221,19 @@ def draws_needed(allowed: float, confidence: float) -> int:
     return bisect_left(range(low, high), True, key=shown) + low
 
 
+FIRST = 0.8
+"""Share of the error probability that the first of many attempts gets."""
+
+
 def spent(confidence: float, attempt: int, subjects: int = 1) -> float:
     """Return the confidence for one attempt of many, counted from 1, that have `confidence` in all.
 
-    Attempt j gets the share 1 / (j (j + 1)) of the error probability; the shares sum to one. The
-    parameter sets that an attempt judges, `subjects`, divide its share.
+    Most are certified once: the first attempt gets the share `FIRST` of the error probability, and
+    attempt j > 1 the share 1 / (j (j - 1)) of the rest; the shares sum to one. The parameter sets
+    that an attempt judges, `subjects`, divide its share.
     """
-    return 1.0 - (1.0 - confidence) / (attempt * (attempt + 1) * subjects)
+    share = FIRST if attempt == 1 else (1.0 - FIRST) / (attempt * (attempt - 1))
+    return 1.0 - (1.0 - confidence) * share / subjects
 
 
 def _reached(evidence: Array, confidence: float) -> bool:

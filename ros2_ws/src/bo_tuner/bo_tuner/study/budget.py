@@ -28,14 +28,20 @@ class CertificateRequirement:
     confidence : float
         Confidence over all certificates of a run together, between 0 and 1; each bound has a
         higher one.
+    distribution_free : bool
+        Whether a PASS rests on nothing but counts of runs and declared ranges of metrics: on no
+        model of the metric over the contexts, and no assumption on the noise. It takes more runs.
+        Each limit on a mean needs a metric with a `range`.
     """
 
     draws: int = 1000
     confidence: float = 0.95
+    distribution_free: bool = False
 
     def __post_init__(self) -> None:
         checks.integer(self.draws, "draws", at_least=2, at_most=maxima.DRAWS)
         object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
+        checks.boolean(self.distribution_free, "distribution_free")
 
 
 @dataclass(frozen=True, kw_only=True)

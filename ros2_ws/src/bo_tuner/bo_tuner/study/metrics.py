@@ -16,6 +16,7 @@ from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
 from bo_tuner.study.path_metric import PathMetric
+from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
 
 
@@ -29,6 +30,10 @@ class Metric(Protocol):
     @property
     def unit(self) -> str:
         """Unit, for display only."""
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Smallest and largest value that any run can have; None if not known."""
 
     @property
     def reproducible(self) -> bool:
@@ -56,6 +61,9 @@ class ReportedMetric:
     reproducible : bool
         Whether a repeated evaluation gives the same number. One that depends on measured time
         differs over ROS, and `replay` does not judge it.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
@@ -63,9 +71,11 @@ class ReportedMetric:
     key: str = ""
     unit: str = ""
     reproducible: bool = True
+    range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
         checks.boolean(self.reproducible, "reproducible")
@@ -100,6 +110,9 @@ class SignalMetric:
     band : float, optional
         Distance from `target` within which `settling_time` takes the step as settled, as a share of
         the step; 0.02 unless given.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
@@ -109,6 +122,7 @@ class SignalMetric:
     target: float | str | None = None
     percent: float | None = None
     band: float | None = None
+    range: tuple[float, float] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -117,6 +131,7 @@ class SignalMetric:
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
         check_measure(self)
@@ -163,12 +178,16 @@ class PythonMetric:
         Unit, for display only.
     timeout : float, optional
         Longest time [s] that the function may take; an evaluation in which it takes longer fails.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
     python: str
     unit: str = ""
     timeout: float | None = None
+    range: tuple[float, float] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -177,6 +196,7 @@ class PythonMetric:
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         checks.matching(
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
         )
@@ -199,11 +219,15 @@ class CombinedMetric:
     unit : str
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
     expression: str
     unit: str = ""
+    range: tuple[float, float] | None = None
 
     _of: ClassVar[Expression]
     parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
@@ -211,6 +235,7 @@ class CombinedMetric:
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         checks.text(self.expression, "expression")
         checks.text(self.unit, "unit")
 
@@ -263,18 +288,23 @@ class RelativeMetric:
         Multiple of the default's value that is subtracted; above 0.
     unit : str
         Unit, for display only; that of the other metric unless given.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
     relative: str
     factor: float = 1.0
     unit: str = ""
+    range: tuple[float, float] | None = None
 
     parts: "ClassVar[tuple[StudyMetric, ...]]" = ()
     """The other metric; there as soon as it is `joined` to a study."""
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         checks.text(self.relative, "relative")
         checks.text(self.unit, "unit")
         object.__setattr__(self, "factor", checks.magnitude(self.factor, "factor"))
@@ -292,7 +322,11 @@ class RelativeMetric:
         part = metrics[self.relative]
         if isinstance(part, RelativeMetric):
             raise StudyError(f"metric '{part.name}' is relative itself", ("relative",))
-        found = dataclasses.replace(self, unit=self.unit or part.unit)
+        declared = self.range
+        if declared is None and part.range is not None:
+            low, high = part.range
+            declared = low - self.factor * high, high - self.factor * low
+        found = dataclasses.replace(self, unit=self.unit or part.unit, range=declared)
         object.__setattr__(found, "parts", (part,))
         return found
 

@@ -7,6 +7,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
+from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import Signal
 
 PLAN_TYPE = "nav_msgs/msg/Path"
@@ -35,6 +36,9 @@ class PathMetric:
         Unit, for display only.
     percent : float, optional
         Percentage of the time in which `percentile` is not exceeded, 0 to 100.
+    range : tuple of float, optional
+        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
+        limit on a mean by it, whatever the noise is.
     """
 
     name: str
@@ -43,6 +47,7 @@ class PathMetric:
     measure: str
     unit: str = "m"
     percent: float | None = None
+    range: tuple[float, float] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -51,6 +56,7 @@ class PathMetric:
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
+        check_range(self)
         expected = "two or three signals, as [x, y]"
         names = checks.sequence(self.path, expected, "path")
         if len(names) not in (2, 3):

@@ -30,6 +30,7 @@ from bo_tuner.study.parts import (
     Trigger,
 )
 from bo_tuner.study.path_metric import PathMetric
+from bo_tuner.study.ranges import check_limit
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal, only_numbers
 from bo_tuner.study.step_contexts import check_contexts
@@ -73,6 +74,8 @@ def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric |
     """
     checks.reference(constraint.metric, "metric", metrics, "metric")
     metric = metrics[constraint.metric]
+    if metric is not None:
+        check_limit(constraint, metric.range)
     # A distance is never negative, whatever is measured of it.
     never_negative = isinstance(metric, PathMetric) or (
         isinstance(metric, SignalMetric) and metric.measure in NEVER_NEGATIVE

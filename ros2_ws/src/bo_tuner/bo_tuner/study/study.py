@@ -24,6 +24,7 @@ from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import INTEGER, ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.ranges import check_free
 from bo_tuner.study.references import (
     check_constraint,
     check_kinds,
@@ -183,6 +184,10 @@ class Study:
         for name, constraint in self.constraints.items():
             with findings.under("constraints", name):
                 check_constraint(constraint, self.metrics)
+        if self.certificate.distribution_free:
+            with findings.under():
+                ranges = {name: metric.range for name, metric in self.metrics.items() if metric}
+                check_free(self.constraints.values(), ranges)
         with findings.under():
             check_measured(
                 self.measured, self.metrics, self.contexts, self.objectives, self.constraints

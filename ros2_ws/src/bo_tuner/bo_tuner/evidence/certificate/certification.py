@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
+from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
     CARRIED,
+    MOST_MODELLED,
     find_worst_contexts,
     most_searched,
+    rank,
     worst_of_all,
 )
 from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
@@ -23,9 +26,6 @@ from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 from bo_tuner.tuning.driver import Driver
-
-LEAST_DRAWS = 30
-"""Draws behind the mean of the objective, even if fewer decide the verdict."""
 
 EXPECTED_REPEATS = 25
 """Evaluations in each context that may be the worst, in a clear case; for the progress display."""
@@ -144,9 +144,13 @@ class Certification:
         case = _Case(self._study, self._confidence, self._attempt, draws)
         drawing = DrawPlan(case, subjects)
         self._driver.complete(drawing)
-        return [
+        found = [
             self._look_closely(case, number, subject, drawing.evaluations[number])
             for number, subject in enumerate(subjects)
+        ]
+        return [
+            self._draw_on(case, number, subject, evidence)
+            for number, (subject, evidence) in enumerate(zip(subjects, found, strict=True))
         ]
 
     def _look_closely(
@@ -160,6 +164,22 @@ class Certification:
         self._driver.complete(plan)
         return plan.evidence
 
+    def _draw_on(
+        self, case: "_Case", number: int, subject: Subject, evidence: Evidence
+    ) -> Evidence:
+        """Make the draws that the limits need beside all other runs, if they are kept there."""
+        places = range(len(evidence.repeated))
+        others = evidence.evaluations[len(evidence.drawn) :]
+        if (
+            not places
+            or any(case.open_limits(evidence, place) != [] for place in places)
+            or case.decided(subject, evidence.drawn, others) is not None
+        ):
+            return evidence
+        plan = FurtherDrawPlan(case, number, subject, evidence)
+        self._driver.complete(plan)
+        return plan.evidence
+
 
 @dataclass(frozen=True)
 class _Case:
@@ -170,19 +190,33 @@ class _Case:
     attempt: int
     most: int
 
-    def decided(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool | None:
-        """Return whether a subject keeps its limits in draws; None if open."""
-        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier)
+    def decided(
+        self,
+        subject: Subject,
+        drawn: Sequence[Evaluation],
+        others: Sequence[Evaluation] | None = None,
+    ) -> bool | None:
+        """Return whether a subject keeps its limits in draws, with other runs; None if open."""
+        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier, others)
 
-    def holds(self, evidence: Evidence, place: int) -> bool | None:
-        """Return whether every worst-case constraint holds in a context; None if open."""
-        decided = [
-            decide_context(constraint, evidence, place, self.most, self.confidence)
-            for constraint in self.study.worst_case_constraints
-        ]
-        if False in decided:
-            return False
-        return None if None in decided else True
+    def open_limits(self, evidence: Evidence, place: int) -> list[str] | None:
+        """Return the worst-case constraints that are open in a context; None if one is broken."""
+        found = []
+        for constraint in self.study.worst_case_constraints:
+            holds = decide_context(
+                self.study, constraint, evidence, place, self.most, self.confidence
+            )
+            if holds is False:
+                return None
+            if holds is None:
+                found.append(constraint.name)
+        return found
+
+    def draw(self) -> list[Context]:
+        """Return the contexts of all draws."""
+        space = self.study.context_space()
+        rng = generator(self.study.seed, Stream.CERTIFICATE_CONTEXTS, self.attempt)
+        return [space.to_dict(row) for row in space.draw(self.most, rng)]
 
     def noise_seed(self, *key: int) -> int:
         """Return a seed; it does not depend on the subject: the same noise for all."""
@@ -213,9 +247,7 @@ class DrawPlan(Plan[Run]):
         self._case = case
         self._subjects = subjects
         self._clear = False
-        contexts = case.study.context_space()
-        rng = generator(case.study.seed, Stream.CERTIFICATE_CONTEXTS, case.attempt)
-        self._contexts = [contexts.to_dict(row) for row in contexts.draw(case.most, rng)]
+        self._contexts = case.draw()
         self.steps = case.most
         self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
 
@@ -237,17 +269,73 @@ class DrawPlan(Plan[Run]):
         return True
 
     def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
-        decided = self._case.decided(subject, drawn)
+        # Several are compared in the same draws, so that none may need more of them later.
+        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
         least = min(LEAST_DRAWS, self._case.most)
         return decided is False or (decided is True and len(drawn) >= least)
 
 
+class FurtherDrawPlan(Plan[Run]):
+    """More draws of one subject, as its other runs were too few beside those that it has.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    subject
+        The parameter set.
+    evidence
+        All its runs.
+
+    Attributes
+    ----------
+    evidence
+        With what was told.
+    """
+
+    phase = "more draws"
+
+    def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        self._case = case
+        self._number = number
+        self._subject = subject
+        self._others = evidence.evaluations[len(evidence.drawn) :]
+        self._contexts = case.draw()
+        self.evidence = evidence
+        self.steps = case.most - len(evidence.drawn)
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next draw."""
+        drawn = self.evidence.drawn
+        k = len(drawn) + len(pending)
+        if (
+            k == len(self._contexts)
+            or self._case.decided(self._subject, drawn, self._others) is not None
+        ):
+            return None
+        seed = self._case.noise_seed(DRAWN, k)
+        parameters, context = self._subject.parameters, self._contexts[k]
+        return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add a draw."""
+        self.evidence = replace(self.evidence, drawn=(*self.evidence.drawn, task.evaluation))
+        return True
+
+
 @dataclass(frozen=True)
 class _Suspects:
-    """Contexts that may be the worst ones, and by constraint which of them its search has found."""
+    """Contexts that may be the worst ones.
+
+    By constraint, which of them its search has found, and what a model over the contexts has of
+    them.
+    """
 
     contexts: Sequence[Context]
     found_by: Mapping[str, Sequence[int]]
+    ranking: Mapping[str, Ranking]
 
 
 class WorstCasePlan(Plan[Run]):
@@ -293,7 +381,11 @@ class WorstCasePlan(Plan[Run]):
         if task is not None or pending or self._search.result is None:
             return task
         suspects = self._search.result
-        evidence = replace(self.evidence, repeated=((),) * len(suspects.contexts))
+        evidence = replace(
+            self.evidence,
+            repeated=((),) * len(suspects.contexts),
+            ranking=suspects.ranking,
+        )
         self._repeats = RepeatPlan(self._case, self._number, evidence, suspects)
         self.evidence = self._repeats.visited
         return self._repeats.ask(pending)
@@ -330,7 +422,38 @@ class WorstCasePlan(Plan[Run]):
             known = [*self.evidence.search, *drawn, *subject.earlier.evaluations]
             for constraint in study.worst_case_constraints:
                 candidates += self._carry(constraint, known, candidates, rng)
-        return _Suspects(candidates, found_by)
+        ranking = self._rank(candidates, rng)
+        # Those in which limits are kept by far come last.
+        kept = [sum(context in item.clear for item in ranking.values()) for context in candidates]
+        order = sorted(range(len(candidates)), key=lambda place: kept[place])
+        return _Suspects(
+            [candidates[place] for place in order],
+            {name: sorted(map(order.index, places)) for name, places in found_by.items()},
+            ranking,
+        )
+
+    def _rank(self, candidates: Sequence[Context], rng: np.random.Generator) -> dict[str, Ranking]:
+        """Return by constraint what a model has of the contexts that have not failed before."""
+        study, failed_before = self._case.study, self._subject.earlier.contexts
+        if study.certificate.distribution_free:
+            return {}
+        known = [*self.evidence.search, *self.evidence.drawn]
+        complete = [evaluation for evaluation in known if evaluation.outcome.complete]
+        found = {}
+        for constraint in study.worst_case_constraints:
+            metric, sign = constraint.metric, constraint.sign
+            clear, behind = rank(
+                study.context_space(),
+                [(e.context, sign * e.outcome.metrics[metric]) for e in complete[:MOST_MODELLED]],
+                candidates,
+                sign * constraint.limit,
+                rng,
+            )
+            found[constraint.name] = Ranking(
+                tuple(context for context in clear if context not in failed_before),
+                tuple(context for context in behind if context not in failed_before),
+            )
+        return found
 
     def _find(
         self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator
@@ -387,7 +510,9 @@ class WorstCasePlan(Plan[Run]):
 
 
 class RepeatPlan(Plan[Run]):
-    """Repeated runs in contexts that may be the worst, one after the other until each is clear.
+    """Repeated runs in contexts that may be the worst, until each is clear.
+
+    First in the worst ones; those in which the limits are kept by far come last.
 
     Parameters
     ----------
@@ -409,12 +534,14 @@ class RepeatPlan(Plan[Run]):
         self._places: dict[int, int] = {}
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
-        """Return the next run in the first context that takes more."""
+        """Return the next run in a context that takes more."""
+        counts = [len(here) for here in self._evidence.repeated]
+        for task in pending:
+            counts[self._places[task.evaluation.seed]] += 1
         place = self._open_context()
         if place is None:
             return None
-        awaited = sum(self._places[task.evaluation.seed] == place for task in pending)
-        k = len(self._evidence.repeated[place]) + awaited
+        k = counts[place]
         if k >= self._case.most:
             return None
         seed = self._case.noise_seed(REPEATED, place, k)
@@ -446,12 +573,31 @@ class RepeatPlan(Plan[Run]):
         )
 
     def _open_context(self) -> int | None:
-        """Return the first context that takes more evaluations; None if the verdict is clear.
+        """Return the context of the next run; None if the verdict is clear.
 
         What was clear in a context may be open again after the runs in the next.
         """
+        every = [constraint.name for constraint in self._case.study.worst_case_constraints]
+        open_at: dict[int, list[str]] = {}
         for place, here in enumerate(self._evidence.repeated):
-            holds = self._case.holds(self._evidence, place) if here else None
-            if not holds:
-                return place if holds is None and len(here) < self._case.most else None
-        return None
+            names = self._case.open_limits(self._evidence, place) if here else every
+            if names is None:
+                return None
+            if names:
+                open_at[place] = names
+        if not open_at:
+            return None
+        return min(open_at, key=lambda place: (self._turn(place, open_at[place]), place))
+
+    def _turn(self, place: int, names: Sequence[str]) -> int:
+        """Return when it is a context's turn, by the limits that are open there: the least first.
+
+        The worst ones; then those behind them; then those in which the limits are kept by far.
+        """
+        context = self._suspects.contexts[place]
+        items = [self._suspects.ranking.get(name, Ranking()) for name in names]
+        if all(context in item.clear for item in items):
+            return 2
+        if all(context in (*item.clear, *item.behind) for item in items):
+            return 1
+        return 0

@@ -131,6 +131,22 @@ NOTHING = Earlier()
 
 
 @dataclass(frozen=True)
+class Ranking:
+    """What a model over the contexts has of those that may be the worst for a limit.
+
+    Attributes
+    ----------
+    clear
+        Contexts in which single runs keep the limit by far.
+    behind
+        Others in which the metric is nearer to the limit, but not nearer than in the worst one.
+    """
+
+    clear: tuple[Context, ...] = ()
+    behind: tuple[Context, ...] = ()
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evaluations of one parameter set.
 
@@ -149,6 +165,9 @@ class Evidence:
         run, as another one had decided.
     unseen
         Names of the constraints of whose own contexts none was run for that reason.
+    ranking
+        By constraint, what a model over the contexts has of those in `repeated`; empty if each of
+        them must show each limit by its own runs.
     earlier
         What was known of it before; counts against it only.
     """
@@ -159,6 +178,7 @@ class Evidence:
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
     unvisited: Mapping[str, int] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
+    ranking: Mapping[str, Ranking] = field(default_factory=dict)
     earlier: Earlier = NOTHING
 
     @property
@@ -238,6 +258,11 @@ class ConstraintVerdict:
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, by their mean, the worst one first.
+    modelled
+        Contexts of the searches in which the limit is shown with the help of a model over the
+        contexts, as `assumptions` says; not among `worst`.
+    assumptions
+        On what it rests besides the numbers of runs that are counted, a line each.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """
@@ -256,6 +281,8 @@ class ConstraintVerdict:
     extreme: float
     tail: float
     worst: tuple[WorstContext, ...]
+    modelled: tuple[WorstContext, ...]
+    assumptions: tuple[str, ...]
     passed: bool
     reason: str
 
@@ -276,6 +303,10 @@ class Findings:
         Number of all evaluations, and of those that did not complete.
     first_failure
         Reason and context of the first failure; empty without one.
+    outside
+        Which run has a metric outside its declared range: a fault of the declaration; else empty.
+    least
+        Fewest runs with which any certificate shows these limits with its confidence.
     constraints
         One for each constraint of the study.
     """
@@ -286,12 +317,32 @@ class Findings:
     evaluations: int
     failures: int
     first_failure: str
+    outside: str
+    least: int
     constraints: tuple[ConstraintVerdict, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether every constraint is shown to hold and no evaluation failed."""
-        return self.failures == 0 and all(c.passed for c in self.constraints)
+        """Whether every constraint is shown to hold, and no run failed or left a range."""
+        return self.failures == 0 and not self.outside and all(c.passed for c in self.constraints)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """On what it rests besides the numbers of runs that are counted, a line each."""
+        return tuple(
+            f"{constraint.name}: with an assumption: {assumption}"
+            for constraint in self.constraints
+            for assumption in constraint.assumptions
+        )
+
+    @property
+    def price(self) -> str:
+        """The number of runs beside the least, in words."""
+        if not self.least:
+            return text.counted(self.evaluations, "run")
+        runs = text.counted(self.evaluations, "run")
+        times = text.shown(round(self.evaluations / self.least, 1))
+        return f"{runs}, {times} times the fewest that can show these limits ({self.least})"
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -301,4 +352,5 @@ class Findings:
             f"{self.first_failure}",
         )
         of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
-        return (failed if self.failures else ()) + of_constraints
+        outside = (self.outside,) if self.outside else ()
+        return (failed if self.failures else ()) + outside + of_constraints

@@ -78,6 +78,13 @@ def most_searched(space: ContextSpace, known: int) -> int:
     return len(space.corners()) + SPREAD_EVALUATIONS + known + ROUNDS * EVALUATIONS_A_ROUND
 
 
+def least_searched(space: ContextSpace, known: int) -> int:
+    """Return the number of evaluations of `find_worst_contexts` where a limit is clearly kept."""
+    if space.dimension == 0:
+        return 0
+    return len(space.corners()) + SPREAD_EVALUATIONS + known + EVALUATIONS_A_ROUND
+
+
 def find_worst_contexts(
     space: ContextSpace,
     drawn: Sequence[tuple[Context, float]],
@@ -137,6 +144,48 @@ def find_worst_contexts(
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(space.cube_of([context])[0], value)
     return [space.to_dict(row) for row in tried.candidates(known_points, model, rng)]
+
+
+def rank(
+    space: ContextSpace,
+    runs: Sequence[tuple[Context, float]],
+    candidates: Sequence[Context],
+    limit: float,
+    rng: np.random.Generator,
+) -> tuple[list[Context], list[Context]]:
+    """Return what a model of runs has of candidates for the worst context: those that are not.
+
+    Parameters
+    ----------
+    space
+        The context space.
+    runs
+        Contexts and metric of the runs.
+    candidates
+        Contexts; at least one.
+    limit
+        Upper limit of the metric.
+    rng
+        Starts the fit.
+
+    Returns
+    -------
+    list of dict, list of dict
+        Contexts in which single runs clearly keep the limit, and the others but the one with the
+        largest mean.
+    """
+    if space.dimension == 0 or not runs:
+        return [], []
+    points = space.cube_of([context for context, _ in runs])
+    model = GaussianProcess.fit(points, np.array([value for _, value in runs]), rng=rng)
+    mean, variance = model.predict(space.cube_of(candidates))
+    kept = mean + CLEAR * np.sqrt(variance + model.noise_variance) <= limit
+    worst = int(np.argmax(mean))
+    places = [place for place in range(len(candidates)) if place != worst]
+    return (
+        [candidates[place] for place in places if kept[place]],
+        [candidates[place] for place in places if not kept[place]],
+    )
 
 
 def worst_of_all(

@@ -9,6 +9,9 @@ show it with the stated confidence 1 - α; too few evaluations to show it are a 
   there.
 - What shows a limit in runs is said by its kind (`bo_tuner.study.limit_kinds`): the bound of the
   probability of a violation is at most what is allowed, or that of the mean is within the limit.
+- Where a limit is kept by far, and in contexts that by a model are not the worst, fewer runs
+  suffice (`economy`); the verdict names what it rests on then.
+- A value outside the declared range of its metric is a FAIL: the declaration is wrong.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
 Runs that were made before, in earlier certificates and in the tuning run, count against a PASS and
@@ -35,6 +38,14 @@ from dataclasses import replace
 import numpy as np
 
 from bo_tuner import text
+from bo_tuner.evidence.certificate.economy import (
+    BEHIND,
+    FEW,
+    confirms,
+    is_far_from,
+    is_shown_by_all,
+    said_of_draws,
+)
 from bo_tuner.evidence.certificate.findings import (
     NOTHING,
     TAIL,
@@ -42,13 +53,16 @@ from bo_tuner.evidence.certificate.findings import (
     Earlier,
     Evidence,
     Findings,
+    Ranking,
     WorstContext,
 )
-from bo_tuner.evidence.certificate.risk import conditional_value_at_risk, mean_of
+from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
+from bo_tuner.study.limit_kinds.on_mean import OnMean
+from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -66,6 +80,18 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
         return 1, ""
     name = max(needed, key=lambda key: needed[key])
     return needed[name], name
+
+
+def least_evaluations(study: Study, confidence: float) -> int:
+    """Return the fewest runs that show all limits: none beyond, no search, one worst context."""
+    drawn, repeated = 0, 0
+    for constraint in study.constraints.values():
+        fewest = constraint.rule.fewest(_declared(study, constraint), confidence)
+        if constraint.rule.in_every_context:
+            repeated = max(repeated, fewest)
+        else:
+            drawn = max(drawn, fewest)
+    return drawn + repeated
 
 
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
@@ -91,6 +117,8 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         evaluations=len(evidence.evaluations),
         failures=len(failed),
         first_failure=_failure(failed[0]) if failed else "",
+        outside=outside(study.metrics, evidence.evaluations),
+        least=least_evaluations(study, confidence),
         constraints=tuple(
             _judge(study, constraint, evidence, confidence)
             for constraint in study.constraints.values()
@@ -104,6 +132,7 @@ def decide_draws(
     most: int,
     confidence: float,
     earlier: Earlier = NOTHING,
+    others: Sequence[Evaluation] | None = None,
 ) -> bool | None:
     """Return whether the draws so far decide the verdict: True or False; None if not yet.
 
@@ -119,6 +148,9 @@ def decide_draws(
         As in `judge`.
     earlier
         What was known of the parameter set before.
+    others
+        Its other runs, which count where a chance constraint is kept by far; None if they are
+        still to come.
 
     Returns
     -------
@@ -128,9 +160,11 @@ def decide_draws(
     """
     if _failed(drawn):
         return False if is_failed(drawn) else None
+    if outside(study.metrics, drawn):
+        return False
     undecided = contradicted = False
     for constraint in study.constraints.values():
-        rule, runs = constraint.rule, _drawn(constraint, drawn, earlier)
+        rule, runs = constraint.rule, _drawn(study, constraint, drawn, earlier)
         if rule.in_every_context:
             if rule.is_refuted(runs, confidence):
                 return False
@@ -140,21 +174,55 @@ def decide_draws(
         elif rule.is_hopeless(runs, most, confidence):
             return False
         else:
-            undecided = True
+            undecided = undecided or not _is_shown_with_others(
+                study, constraint, runs.values, others, confidence
+            )
     if contradicted and len(drawn) >= most:
         return False
     return None if undecided or contradicted else True
 
 
+def _is_shown_with_others(
+    study: Study,
+    constraint: Constraint,
+    draws: Array,
+    others: Sequence[Evaluation] | None,
+    confidence: float,
+) -> bool:
+    """Return whether other runs show with the draws what is kept by far, or those to come may."""
+    if not _others_count(study, constraint):
+        return False
+    if others is None:
+        return is_far_from(constraint, draws, draws[:0])
+    values = _values(others, constraint.metric)
+    return not _failed(others) and is_shown_by_all(constraint, draws, values, confidence)
+
+
+def _others_count(study: Study, constraint: Constraint) -> bool:
+    """Return whether runs other than draws may count for a constraint over the contexts."""
+    rule = constraint.rule
+    return (
+        rule.on_runs
+        and not rule.in_every_context
+        and bool(study.worst_case_constraints)
+        and not study.certificate.distribution_free
+    )
+
+
 def decide_context(
-    constraint: Constraint, evidence: Evidence, place: int, most: int, confidence: float
+    study: Study,
+    constraint: Constraint,
+    evidence: Evidence,
+    place: int,
+    most: int,
+    confidence: float,
 ) -> bool | None:
     """Return whether a worst-case constraint holds in a context: True or False; None if open.
 
     Parameters
     ----------
-    constraint
-        The constraint.
+    study, constraint
+        The study, and one of its constraints.
     evidence
         The evaluations so far, with one at least in the context.
     place
@@ -170,13 +238,39 @@ def decide_context(
     repeated = evidence.repeated[place]
     if _failed(repeated):
         return False if is_failed(repeated) else None
-    rule, runs = constraint.rule, _in_context(constraint, repeated, evidence)
+    if outside(study.metrics, repeated):
+        return False
+    rule, runs = constraint.rule, _in_context(study, constraint, repeated, evidence)
     if rule.is_refuted(runs, confidence):
         return False
-    if rule.is_shown(runs, confidence):
+    if rule.is_shown(runs, confidence) or _by_model(study, constraint, evidence, place, confidence):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if _contradicted(constraint, earlier, repeated) else True
+    ranking = evidence.ranking.get(constraint.name, Ranking())
+    if repeated[0].context in ranking.behind:
+        confidence = min(confidence, BEHIND)
     return False if rule.is_hopeless(runs, most, confidence) else None
+
+
+def _by_model(
+    study: Study, constraint: Constraint, evidence: Evidence, place: int, confidence: float
+) -> bool:
+    """Return whether a limit is shown with the help of the ranking of contexts by a model.
+
+    Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
+    the worst, and the runs show the limit with the confidence `BEHIND`.
+    """
+    here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
+    values = _values(here, constraint.metric)
+    if ranking is None or len(values) < max(FEW, len(here)):
+        return False
+    if here[0].context in ranking.clear and confirms(constraint, values):
+        return True
+    if here[0].context not in ranking.behind:
+        return False
+    runs = _in_context(study, constraint, here, evidence)
+    # Runs beyond the limit elsewhere ask for more in the worst context.
+    return constraint.rule.is_shown(replace(runs, farthest=float("nan")), BEHIND)
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
@@ -203,17 +297,28 @@ def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
     rule, unit = constraint.rule, study.metrics[constraint.metric].unit
-    runs = _drawn(constraint, evidence.drawn, evidence.earlier)
+    runs = _drawn(study, constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
+    modelled: tuple[WorstContext, ...] = ()
+    assumption = rule.assumption(runs.declared)
+    assumptions: tuple[str, ...] = (assumption,) if assumption else ()
+    bound = _bound(runs.events, confidence)
     against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
     if rule.in_every_context:
-        worst, passed, reason = _in_every_context(
-            constraint, evidence, runs, unit, confidence, against
+        worst, modelled, passed, reason = _in_every_context(
+            study, constraint, evidence, runs, unit, confidence, against
         )
+        assumptions += _said_of_ranking(constraint, evidence, modelled)
     else:
-        shown = rule.is_shown(runs, confidence)
+        shown, counted = rule.is_shown(runs, confidence), runs
+        others = evidence.evaluations[len(evidence.drawn) :]
+        if not shown and _is_shown_with_others(study, constraint, runs.values, others, confidence):
+            shown, counted = True, _runs(constraint, evidence.evaluations)
+            bound = _bound(counted.events, confidence)
+            elsewhere = _values(others, constraint.metric)
+            assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
         passed = shown and not against
-        said = rule.said_of_draws(runs, unit, confidence, passed=passed)
+        said = rule.said_of_draws(counted, unit, confidence, passed=passed)
         reason = against if shown and against else said
     values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
@@ -227,34 +332,42 @@ def _judge(
         draws=draws,
         violations=int(np.sum(constraint.violations(values))),
         failures=draws - len(values),
-        violation_bound=_bound(runs.events, confidence),
+        violation_bound=bound,
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
+        modelled=modelled,
+        assumptions=assumptions,
         passed=passed,
         reason=reason,
     )
 
 
 def _in_every_context(
+    study: Study,
     constraint: Constraint,
     evidence: Evidence,
     drawn: Runs,
     unit: str,
     confidence: float,
     against: str,
-) -> tuple[tuple[WorstContext, ...], bool, str]:
-    """Return the contexts that may be the worst, whether the limit is shown, and why."""
-    found = [
-        _worst_context(evaluations, constraint, evidence, confidence)
-        for evaluations in evidence.repeated
+) -> tuple[tuple[WorstContext, ...], tuple[WorstContext, ...], bool, str]:
+    """Return the contexts that may be the worst, and whether and why the limit is shown.
+
+    Those in which it is shown with the help of a model come second.
+    """
+    everywhere = [
+        _worst_context(study, place, constraint, evidence, confidence)
+        for place in range(len(evidence.repeated))
     ]
+    found = [context for context, by_model in everywhere if not by_model]
+    modelled = tuple(context for context, by_model in everywhere if by_model)
     # A context without a complete evaluation has no mean, and counts as the worst.
     sign = constraint.sign
     worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
     refuting = [
         context
-        for context, evaluations in zip(found, evidence.repeated, strict=True)
+        for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
         if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
     ]
     told = refuting or _failed(evidence.evaluations)
@@ -271,7 +384,7 @@ def _in_every_context(
         refuting=refuting,
         unvisited=evidence.unvisited.get(constraint.name, 0),
     )
-    return worst, passed, reason
+    return worst, modelled, passed, reason
 
 
 def _worst_case(
@@ -309,18 +422,18 @@ def _worst_case(
 
 
 def _worst_context(
-    evaluations: Sequence[Evaluation],
-    constraint: Constraint,
-    evidence: Evidence,
-    confidence: float,
-) -> WorstContext:
-    runs = _in_context(constraint, evaluations, evidence)
+    study: Study, place: int, constraint: Constraint, evidence: Evidence, confidence: float
+) -> tuple[WorstContext, bool]:
+    """Return what the runs in a context show, and whether they do so with the help of a model."""
+    evaluations, rule = evidence.repeated[place], constraint.rule
+    runs = _in_context(study, constraint, evaluations, evidence)
     earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
-    shown = len(values) == len(evaluations) and constraint.rule.is_shown(runs, confidence)
+    alone = len(values) == len(evaluations) and rule.is_shown(runs, confidence)
+    shown = alone or _by_model(study, constraint, evidence, place, confidence)
     contradicted = shown and _contradicted(constraint, earlier, evaluations)
-    return WorstContext(
+    context = WorstContext(
         context=dict(evaluations[0].context),
-        mean=mean_of(values, confidence, constraint.rule.runs_behind_bound(runs)),
+        mean=_mean(constraint, runs, confidence),
         extreme=constraint.farthest(values),
         evaluations=len(values),
         beyond=int(np.sum(constraint.violations(values))),
@@ -331,6 +444,39 @@ def _worst_context(
         earlier=len(earlier),
         together=_together(constraint, earlier, evaluations) if earlier else float("nan"),
     )
+    return context, context.shown and not alone
+
+
+def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
+    """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
+    rule = constraint.rule
+    found = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
+    if not isinstance(rule, OnMean) or len(runs.values) < 2:
+        return found
+    bound = rule.bound(runs, confidence)
+    return replace(found, upper=bound) if constraint.sign > 0.0 else replace(found, lower=bound)
+
+
+def _said_of_ranking(
+    constraint: Constraint, evidence: Evidence, modelled: Sequence[WorstContext]
+) -> tuple[str, ...]:
+    """Say in which contexts the limit is shown with the help of a model, and by how many runs."""
+    clear = evidence.ranking.get(constraint.name, Ranking()).clear
+    far = [w for w in modelled if w.context in clear]
+    behind = [w for w in modelled if w.context not in clear]
+    said = []
+    if far:
+        said.append(
+            f"in {text.counted(len(far), 'context')} the limit is kept by far by a model over the "
+            f"contexts, which {sum(w.evaluations for w in far)} runs confirm"
+        )
+    if behind:
+        said.append(
+            f"in {text.counted(len(behind), 'context')}, by a model over the contexts not the "
+            f"worst, {sum(w.evaluations for w in behind)} runs show the limit with a confidence of "
+            f"{100.0 * BEHIND:g} %"
+        )
+    return tuple(said)
 
 
 def _contradicted(
@@ -369,28 +515,44 @@ def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
     return constraint.rule.said_together(both, worst.together)
 
 
-def _drawn(constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier) -> Runs:
+def _drawn(
+    study: Study, constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier
+) -> Runs:
     """Return draws as runs of which each stands for all contexts."""
     values = _values(drawn, constraint.metric)
     known = [*values, *earlier.extremes.get(constraint.metric, ())]
-    return Runs(_events(constraint, drawn), values, constraint.farthest(known), (values,))
+    return replace(
+        _runs(constraint, drawn),
+        farthest=constraint.farthest(known),
+        elsewhere=(values,),
+        known=len(values),
+        declared=_declared(study, constraint),
+    )
 
 
 def _in_context(
-    constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
+    study: Study, constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
 ) -> Runs:
     """Return evaluations in one context as runs, with what is known of the parameter set."""
     if constraint.rule.on_runs:
         # Nothing else counts for a share of these.
         return _runs(constraint, evaluations)
     metric = constraint.metric
+    own = _values(evidence.evaluations, metric)
     # Earlier ones as well.
-    known = [*_values(evidence.evaluations, metric), *evidence.earlier.extremes.get(metric, ())]
+    known = [*own, *evidence.earlier.extremes.get(metric, ())]
     return replace(
         _runs(constraint, evaluations),
         farthest=constraint.farthest(known),
         elsewhere=[_values(runs, metric) for runs in evidence.repeated],
+        known=len(own),
+        declared=_declared(study, constraint),
     )
+
+
+def _declared(study: Study, constraint: Constraint) -> tuple[float, float] | None:
+    """Return the declared range of the limited metric, if there is one."""
+    return study.metrics[constraint.metric].range
 
 
 def _runs(constraint: Constraint, evaluations: Sequence[Evaluation]) -> Runs:

@@ -94,6 +94,8 @@ def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
     for constraint in certificate.tuned.constraints:
         kept = "shown to hold" if constraint.passed else "NOT shown to hold"
         yield f"{constraint.name}: {kept}: {constraint.reason}"
+    yield from certificate.tuned.assumptions
+    yield certificate.tuned.price
     if searched := widths_in_words(certificate.search_widths):
         yield f"search for the worst context: {searched}"
     for gap in certificate.training_gaps:

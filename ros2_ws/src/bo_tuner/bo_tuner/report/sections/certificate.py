@@ -64,6 +64,8 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
         tables=[_numbers(study, certificate), *_gaps(certificate)],
         notes=[
             *certificate.tuned.reasons,
+            *certificate.tuned.assumptions,
+            f"{certificate.tuned.price}.",
             *earlier_in_words(certificate),
             *([f"Search for the worst context: {searched}."] if searched else []),
             *seen_in_words(study.metrics, certificate.seen),

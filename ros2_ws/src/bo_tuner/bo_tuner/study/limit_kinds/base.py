@@ -37,12 +37,18 @@ class Runs:
         NaN of none.
     elsewhere
         The values in each context that is run again and again, this one included.
+    known
+        Number of all runs of the parameter set in the same certificate.
+    declared
+        Smallest and largest value that any run can have; None if that is not known.
     """
 
     events: Sequence[bool]
     values: Array
     farthest: float = float("nan")
     elsewhere: Sequence[Array] = ()
+    known: int = 0
+    declared: tuple[float, float] | None = None
 
 
 class MeanFound(Protocol):
@@ -147,6 +153,14 @@ class LimitKind(ABC):
     @abstractmethod
     def runs_needed(self, confidence: float) -> int:
         """Return how many runs a certificate takes at least, if none violates the limit."""
+
+    @abstractmethod
+    def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
+        """Return how many runs show it in one context at least, with the range of the metric."""
+
+    def assumption(self, declared: tuple[float, float] | None) -> str:
+        """Return on what it rests that runs show it, besides their number; empty if on nothing."""
+        return ""
 
     @abstractmethod
     def is_shown(self, runs: Runs, confidence: float) -> bool:

@@ -70,6 +70,11 @@ class OnRuns(LimitKind):
     def runs_needed(self, confidence: float) -> int:  # noqa: D102
         return draws_needed(self.allowed, confidence)
 
+    def fewest(  # noqa: D102
+        self, declared: tuple[float, float] | None, confidence: float
+    ) -> int:
+        return self.runs_needed(confidence)
+
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
         return is_shown(runs.events, self.allowed, confidence)
 

@@ -1,0 +1,169 @@
+"""How a certificate shows that a mean over noise is within a limit: by what is known of the noise.
+
+Of a metric with a declared range, bets on its values show it, exactly, whatever the noise is. Else
+two tests must both show it: the t mixture of `sequential`, which is exact for normal noise, and the
+same with the statistic of a shifted log-normal law (`numerics.skewed_means`), which is more skewed
+than the sample. Rare values far beyond all that was seen are in neither; no test without a range
+is safe from them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from math import inf, log
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bo_tuner.numerics import skewed_means
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.bounded_means import log_wealth
+from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
+
+LOOK = 1.05
+"""Factor between the numbers of values at which a skewed law is fitted: each fit takes time."""
+
+FEWEST = 5
+"""Values of the first fit."""
+
+HALVINGS = 60
+"""Steps of a bisection for a bound."""
+
+
+Reaches = Callable[[float, float], bool]
+"""Whether the evidence that an expectation is less than a mean reaches a log evidence: its
+arguments. Monotone in the mean."""
+
+
+class MeanTest(Protocol):
+    """Shows that the expectation of values is small."""
+
+    def of(self, values: Array, least: int) -> Reaches:
+        """Return what values show at any time up to now.
+
+        Parameters
+        ----------
+        values
+            Shape (n,), n > 0, in their order.
+        least
+            Values behind the first evidence that counts.
+        """
+
+    def fewest(self, limit: float, confidence: float) -> int:
+        """Return how many values show a limit at least, however far within it they are."""
+
+
+@dataclass(frozen=True)
+class Betting:
+    """For values of a known range: exact for each law.
+
+    Attributes
+    ----------
+    low, high
+        The range.
+    """
+
+    low: float
+    high: float
+
+    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
+        # It needs no values behind it: the range says how far rare ones are.
+        return lambda mean, enough: bool((log_wealth(values, mean, self.high) >= enough).any())
+
+    def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
+        # Those that are all at the lower end.
+        most = 1
+        while True:
+            evidence = log_wealth(np.full(most, self.low), limit, self.high)
+            if evidence[-1] >= log(1.0 / (1.0 - confidence)):
+                return 1 + int(np.argmax(evidence >= log(1.0 / (1.0 - confidence))))
+            most *= 2
+
+
+@dataclass(frozen=True)
+class NormalOrSkewed:
+    """For values without a known range: normal ones, and log-normal ones with any shift."""
+
+    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
+        # A fit takes time, and most decisions need none.
+        fits = lru_cache(maxsize=None)(lambda n: skewed_means.fit(values[:n]))
+
+        def skewed(mean: float, n: int) -> float:
+            fitted = fits(n)
+            if fitted is None:
+                return float(log_mean_evidence(values[:n], mean)[-1])
+            return log_t_evidence(fitted.statistic(mean), n)
+
+        def reaches(mean: float, enough: float) -> bool:
+            normal = log_mean_evidence(values, mean)[least - 1 :]
+            return bool((normal >= enough).any()) and any(
+                skewed(mean, n) >= enough for n in reversed(_looks(least, len(values)))
+            )
+
+        return reaches
+
+    def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
+        return FEWEST
+
+
+def is_mean_shown(
+    values: ArrayLike, limit: float, confidence: float, test: MeanTest, least: int = 1
+) -> bool:
+    """Return whether values show with `confidence` that their expectation is within `limit`.
+
+    What earlier ones have shown, all of them together must not contradict.
+
+    Parameters
+    ----------
+    values
+        Shape (n,), in their order.
+    limit
+        Upper limit of the expectation.
+    confidence
+        Between 0 and 1.
+    test
+        By what is known of the values.
+    least
+        As in `MeanTest.of`.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    if not len(sample) or float(sample.mean()) > limit:
+        return False
+    return test.of(sample, least)(limit, log(1.0 / (1.0 - confidence)))
+
+
+def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int = 1) -> float:
+    """Return the upper confidence bound of the expectation, infinite where there is none yet.
+
+    It is not below the mean of the values, whatever earlier ones have shown. The arguments are as
+    in `is_mean_shown`.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    if not len(sample):
+        return inf
+    reaches, enough = test.of(sample, least), log(1.0 / (1.0 - confidence))
+    low = float(sample.mean())
+    spread = max(float(sample.std()), 1e-9 * max(abs(low), 1.0))
+    high = low + 1e6 * spread
+    if isinstance(test, Betting):
+        high = max(low, test.high)
+    elif not reaches(high, enough):
+        return inf
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if reaches(middle, enough):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _looks(least: int, most: int) -> list[int]:
+    """Return numbers of values, each by `LOOK` larger than the one before, of those possible."""
+    found, n = [], FEWEST
+    while n <= most:
+        if n >= least:
+            found.append(n)
+        n = max(n + 1, round(n * LOOK))
+    return found

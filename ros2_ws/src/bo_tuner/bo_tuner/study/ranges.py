@@ -1,0 +1,81 @@
+"""The declared range of a metric: no run has a value beyond it, whatever happens.
+
+A certificate rests on it, and no sample can show it: the rare runs that it bounds are those that
+nobody has seen.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.trials import Evaluation
+
+Range = tuple[float, float]
+
+
+def check_range(metric: Any) -> None:
+    """Refuse the `range` of a frozen metric, if it has one, and settle it.
+
+    Raises
+    ------
+    StudyError
+        If it is no pair of finite numbers, the first one smaller.
+    """
+    if metric.range is None:
+        return
+    found = checks.pair(metric.range, "two numbers, as [low, high]", "range")
+    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(found))
+    if not low < high:
+        raise StudyError(f"expected low < high, found [{low:g}, {high:g}]", ("range",))
+    object.__setattr__(metric, "range", (low, high))
+
+
+def check_limit(constraint: Constraint, declared: Range | None) -> None:
+    """Refuse a limit that the range of its metric keeps or breaks by itself.
+
+    Raises
+    ------
+    StudyError
+        If the limit is not inside the range.
+    """
+    if declared is not None and not declared[0] < constraint.limit < declared[1]:
+        low, high = declared
+        raise StudyError(
+            f"expected a limit inside the range of {constraint.metric}, [{low:g}, {high:g}], "
+            f"found {constraint.limit:g}",
+            (constraint.side,),
+        )
+
+
+def check_free(constraints: Iterable[Constraint], declared: Mapping[str, Range | None]) -> None:
+    """Refuse a limit on a mean that no certificate can show without an assumption on the noise.
+
+    Raises
+    ------
+    StudyError
+        If there is one on a metric without a range.
+    """
+    for constraint in constraints:
+        if not constraint.rule.on_runs and declared.get(constraint.metric) is None:
+            raise StudyError(
+                f"constraint {constraint.name} limits a mean, of which nothing is known without an "
+                f"assumption on the noise: give metrics.{constraint.metric} a range, or the "
+                "constraint a probability",
+                ("certificate", "distribution_free"),
+            )
+
+
+def outside(metrics: Mapping[str, Any], evaluations: Iterable[Evaluation]) -> str:
+    """Say which value of the evaluations is first outside the range of its metric; else empty."""
+    declared = {name: m.range for name, m in metrics.items() if m.range is not None}
+    for evaluation in evaluations if declared else ():
+        for name, (low, high) in declared.items():
+            value = evaluation.outcome.metrics.get(name)
+            if evaluation.outcome.complete and value is not None and not low <= value <= high:
+                return (
+                    f"{name} was {value:.4g}, outside its range [{low:g}, {high:g}] in the study "
+                    f"(metrics.{name}.range); declare one that no run can leave"
+                )
+    return ""

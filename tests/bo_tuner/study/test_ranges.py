@@ -1,0 +1,77 @@
+"""Declared ranges of metrics: what is refused, and what a run outside is told as."""
+
+import dataclasses
+
+import pytest
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study.metrics import RelativeMetric, ReportedMetric
+from bo_tuner.study.ranges import outside
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+
+FREE = {"certificate": {"distribution_free": True}}
+
+
+def metrics(**peak):
+    return {"error": {"node": "axis"}, "peak": {"node": "axis"} | peak}
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        ([0.0], "expected two numbers, as [low, high]"),
+        ([1.0, 1.0], "expected low < high, found [1, 1]"),
+        ([2.0, 1.0], "expected low < high, found [2, 1]"),
+        ([0.0, float("inf")], "expected a finite number"),
+        ("wide", "expected two numbers"),
+    ],
+)
+def test_no_range(found, told):
+    with pytest.raises(StudyError) as error:
+        ReportedMetric(name="peak", node="axis", range=found)
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize("limits", [[1.0, 2.0], [-1.0, 1.0], [2.0, 3.0]])
+def test_a_limit_that_the_range_decides(make_study, limits):
+    """The limit of this study is an upper one of 1."""
+    with pytest.raises(StudyError, match="expected a limit inside the range of peak"):
+        make_study(metrics=metrics(range=limits))
+    assert make_study(metrics=metrics(range=[0.0, 2.0])).metrics["peak"].range == (0.0, 2.0)
+
+
+def test_a_difference_to_the_default_has_the_range_that_follows():
+    part = ReportedMetric(name="peak", node="axis", range=(0.0, 2.0))
+    assert RelativeMetric(name="gain", relative="peak", factor=1.5).joined(
+        {"peak": part}
+    ).range == (-3.0, 2.0)
+
+
+def test_free_of_assumptions_a_mean_needs_a_range(make_study):
+    with pytest.raises(StudyError, match="constraint peak limits a mean") as error:
+        make_study(**FREE)
+    assert error.value.path == ("certificate", "distribution_free")
+    assert make_study(**FREE, metrics=metrics(range=[0.0, 2.0])).certificate.distribution_free
+
+
+def test_a_run_outside_is_a_fault_of_the_declaration(make_study):
+    study = make_study(metrics=metrics(range=[0.0, 2.0]))
+    runs = [
+        Evaluation(
+            0,
+            k,
+            Stage.VALIDATION,
+            {"gain": 0.5},
+            {"load": 1.0},
+            k,
+            Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": peak}),
+        )
+        for k, peak in enumerate([0.0, 2.0, 2.1])
+    ]
+    assert outside(study.metrics, runs[:2]) == ""
+    assert outside(study.metrics, runs) == (
+        "peak was 2.1, outside its range [0, 2] in the study (metrics.peak.range); declare one "
+        "that no run can leave"
+    )
+    failed = dataclasses.replace(runs[2], outcome=Outcome(EvaluationState.FAILED, reason="stalled"))
+    assert outside(study.metrics, [failed]) == ""
