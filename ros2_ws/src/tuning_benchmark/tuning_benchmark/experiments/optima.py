@@ -13,7 +13,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study.constraint import WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
-from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study
+from tuning_benchmark.problems import closed_form, two_basins
 
 JUDGED = ("nodes", "parameters", "contexts", "metrics", "objective", "constraints", "order")
 """Sections of a study that change the truth of a parameter set."""
@@ -61,9 +61,12 @@ def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
         None if nothing is known.
     """
     objects = [node.object for node in study.nodes.values()]
-    if objects == [f"{Node.__module__}:{Node.__name__}"]:
-        problem = problem_of_study(study)
-        worst = np.linspace(0.0, 1.5 * LIMIT, SAMPLES)
+    if objects == [_path(two_basins.Node)]:
+        (node,) = study.nodes.values()
+        return Optimum(two_basins.problem_of(node.parameters).best)
+    if objects == [_path(closed_form.Node)]:
+        problem = closed_form.problem_of_study(study)
+        worst = np.linspace(0.0, 1.5 * closed_form.LIMIT, SAMPLES)
         return Optimum(problem.best, tuple(worst), tuple(problem.frontier(worst)))
     digest = study_digest(study)
     entry = next((entry for entry in entries.values() if entry["digest"] == digest), None)
@@ -75,6 +78,10 @@ def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
         tuple(float(worst) for worst, _ in frontier),
         tuple(float(least) for _, least in frontier),
     )
+
+
+def _path(node: type) -> str:
+    return f"{node.__module__}:{node.__name__}"
 
 
 def study_digest(study: Study) -> str:

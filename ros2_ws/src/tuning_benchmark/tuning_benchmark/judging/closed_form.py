@@ -1,14 +1,14 @@
 """The truth of a parameter set of a problem in closed form: exact, without any sampling."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.numerics.arrays import Array
 from tuning_benchmark.judging.truth import Judgement
-from tuning_benchmark.problems.closed_form import problem_of
+from tuning_benchmark.problems import closed_form, two_basins
 
 NODE = "problem"
 
@@ -17,7 +17,16 @@ class Judge:
     """Judges parameter sets of a closed-form problem.
 
     Its parameters are those of `truth.Judge`; the corners are not needed.
+
+    Attributes
+    ----------
+    problem_of
+        Makes the problem that a node's parameters describe.
     """
+
+    problem_of: ClassVar[
+        Callable[[Mapping[str, Any]], closed_form.ClosedForm | two_basins.TwoBasins]
+    ] = staticmethod(closed_form.problem_of)
 
     def __init__(
         self,
@@ -27,7 +36,7 @@ class Judge:
         corners: NDArray[np.intp],
         seed: int,
     ) -> None:
-        self._problem = problem_of(constants[NODE])
+        self._problem = self.problem_of(constants[NODE])
         names = [f"w{j + 1}" for j in range(self._problem.contexts)]
         self._drawn = np.column_stack([drawn[name] for name in names])
         self._grid = np.column_stack([grid[name] for name in names])
@@ -45,7 +54,7 @@ class Judge:
             standard_error=0.0,
             worst=worst,
             worst_index=int(np.argmin(((self._grid - context) ** 2).sum(axis=1))),
-            single=problem.metric(u, self._drawn) + problem.deviation(u, self._drawn) * self._noise,
+            single=problem.observed(u, self._drawn, self._noise),
         )
 
     def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
@@ -54,3 +63,9 @@ class Judge:
         if self._problem.crashes(u):
             return np.full((1, 1), np.nan)
         return self._problem.runs(u)[None]
+
+
+class BasinsJudge(Judge):
+    """Judges parameter sets of `TwoBasins`."""
+
+    problem_of = staticmethod(two_basins.problem_of)
