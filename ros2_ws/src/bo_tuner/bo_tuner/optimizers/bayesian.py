@@ -217,11 +217,15 @@ def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ..
 
 def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
     """Return the point (d,), among random ones, with the largest distance to the `tried` (n, d)."""
-    candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
-    farthest: Array = candidates[0]
+    return farthest(space, tried, space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng))
+
+
+def farthest(space: SearchSpace, tried: Array, candidates: Array) -> Array:
+    """Return the one (d,) of `candidates` (m, d) that is farthest from the `tried` (n, d)."""
+    found: Array = candidates[0]
     if len(tried) > 0:
         coding = Coding(space.levels)
         apart = coding.encode(candidates)[:, None, :] - coding.encode(tried)[None, :, :]
         squared = (apart**2).sum(axis=2)
-        farthest = candidates[int(squared.min(axis=1).argmax())]
-    return farthest
+        found = candidates[int(squared.min(axis=1).argmax())]
+    return found

@@ -15,6 +15,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
+from bo_tuner.study.metric_scale import AUTO, check_scale
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
 
@@ -29,6 +30,10 @@ class Metric(Protocol):
     @property
     def unit(self) -> str:
         """Unit, for display only."""
+
+    @property
+    def scale(self) -> str:
+        """On which it is modelled if it is limited."""
 
     @property
     def reproducible(self) -> bool:
@@ -56,18 +61,24 @@ class ReportedMetric:
     reproducible : bool
         Whether a repeated evaluation gives the same number. One that depends on measured time
         differs over ROS, and `replay` does not judge it.
+    scale : str
+        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
+        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
+        likely.
     """
 
     name: str
     node: str
     key: str = ""
     unit: str = ""
+    scale: str = AUTO
     reproducible: bool = True
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
+        check_scale(self)
         checks.boolean(self.reproducible, "reproducible")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
@@ -100,12 +111,17 @@ class SignalMetric:
     band : float, optional
         Distance from `target` within which `settling_time` takes the step as settled, as a share of
         the step; 0.02 unless given.
+    scale : str
+        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
+        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
+        likely.
     """
 
     name: str
     of: str
     measure: str
     unit: str = ""
+    scale: str = AUTO
     target: float | str | None = None
     percent: float | None = None
     band: float | None = None
@@ -119,6 +135,7 @@ class SignalMetric:
         checks.parameter_name(self.name)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
+        check_scale(self)
         check_measure(self)
 
     def check_signals(self, signals: Iterable[str]) -> None:
@@ -163,11 +180,16 @@ class PythonMetric:
         Unit, for display only.
     timeout : float, optional
         Longest time [s] that the function may take; an evaluation in which it takes longer fails.
+    scale : str
+        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
+        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
+        likely.
     """
 
     name: str
     python: str
     unit: str = ""
+    scale: str = AUTO
     timeout: float | None = None
 
     reproducible = False
@@ -181,6 +203,7 @@ class PythonMetric:
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
         )
         checks.text(self.unit, "unit")
+        check_scale(self)
         if self.timeout is not None:
             object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
@@ -199,11 +222,16 @@ class CombinedMetric:
     unit : str
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
+    scale : str
+        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
+        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
+        likely.
     """
 
     name: str
     expression: str
     unit: str = ""
+    scale: str = AUTO
 
     _of: ClassVar[Expression]
     parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
@@ -213,6 +241,7 @@ class CombinedMetric:
         checks.parameter_name(self.name)
         checks.text(self.expression, "expression")
         checks.text(self.unit, "unit")
+        check_scale(self)
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
         """Return it with its parts among the metrics of a study.
@@ -269,6 +298,9 @@ class RelativeMetric:
     relative: str
     factor: float = 1.0
     unit: str = ""
+
+    scale = AUTO
+    """A difference can be negative, and so has no logarithm."""
 
     parts: "ClassVar[tuple[StudyMetric, ...]]" = ()
     """The other metric; there as soon as it is `joined` to a study."""

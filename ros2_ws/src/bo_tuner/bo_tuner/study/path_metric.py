@@ -7,6 +7,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
+from bo_tuner.study.metric_scale import AUTO, check_scale
 from bo_tuner.study.signals import Signal
 
 PLAN_TYPE = "nav_msgs/msg/Path"
@@ -35,6 +36,10 @@ class PathMetric:
         Unit, for display only.
     percent : float, optional
         Percentage of the time in which `percentile` is not exceeded, 0 to 100.
+    scale : str
+        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
+        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
+        likely.
     """
 
     name: str
@@ -42,6 +47,7 @@ class PathMetric:
     plan: str
     measure: str
     unit: str = "m"
+    scale: str = AUTO
     percent: float | None = None
 
     reproducible = False
@@ -59,6 +65,7 @@ class PathMetric:
         object.__setattr__(self, "path", path)
         checks.text(self.plan, "plan")
         checks.text(self.unit, "unit")
+        check_scale(self)
         of_distance = [name for name in MEASURES if not options_of(name).get("target")]
         known = [*of_distance, *(s for s, name in SYNONYMS.items() if name in of_distance)]
         checks.choice(self.measure, known, "measure")

@@ -69,8 +69,8 @@ class PooledSearch:
         self._evaluations = evaluations
         self._point = point
         self._processes = models.processes
-        self._compression = models.scale(y, limit, 1.0)
-        self._x, self._c, self._y = x, c, self._compression.apply(y)
+        self._scale = models.scale(np.hstack([coding.encode(x), c]), y, limit, 1.0)
+        self._x, self._c, self._y = x, c, self._scale.apply(y)
         self._coding = coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
@@ -85,8 +85,8 @@ class PooledSearch:
         self._c = np.vstack([self._c, self._space.cube_of([context])])
         for name, values in self._measured.items():
             self._measured[name] = np.append(values, float(context[name]))
-        self._compression = self._compression.including(value)
-        self._y = np.append(self._y, self._compression.apply(value))
+        self._scale = self._scale.including(value)
+        self._y = np.append(self._y, self._scale.apply(value))
         self._observed.append(value)
         self._process = None
 
@@ -141,9 +141,7 @@ class PooledSearch:
         return self._everywhere(process, c).predict_in(points, np.arange(len(c)))
 
     def _everywhere(self, process: ContextProcess, c: Array) -> EveryContext:
-        return EveryContext(
-            process, self._limit, c, self._deviations, compression=self._compression
-        )
+        return EveryContext(process, self._limit, c, self._deviations, scale=self._scale)
 
     def _upper(self, process: ContextProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:

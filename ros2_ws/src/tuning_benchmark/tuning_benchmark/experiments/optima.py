@@ -87,11 +87,16 @@ def _path(node: type) -> str:
 def study_digest(study: Study) -> str:
     """Digest of what decides over the truth of a study's parameter sets.
 
-    Seed, budget and what is tried first are no part of it, nor is the probability of the worst-case
-    constraint, since a search says itself what it asked for.
+    Seed, budget and what is tried first are no part of it, nor is the scale on which a metric is
+    modelled, nor the probability of the worst-case constraint, since a search says itself what it
+    asked for.
     """
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
+    judged["metrics"] = {
+        name: {key: value for key, value in item.items() if key != "scale"}
+        for name, item in content["metrics"].items()
+    }
     judged["constraints"] = {
         name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != WORST_CASE}
         for name, item in content.get("constraints", {}).items()

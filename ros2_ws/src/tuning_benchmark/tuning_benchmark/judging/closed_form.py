@@ -1,7 +1,7 @@
 """The truth of a parameter set of a problem in closed form: exact, without any sampling."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,7 @@ class Judge:
     """Judges parameter sets of a closed-form problem.
 
     Its parameters are those of `truth.Judge`; the corners are not needed.
-
-    Attributes
-    ----------
-    problem_of
-        Makes the problem that a node's parameters describe.
     """
-
-    problem_of: ClassVar[
-        Callable[[Mapping[str, Any]], closed_form.ClosedForm | two_basins.TwoBasins]
-    ] = staticmethod(closed_form.problem_of)
 
     def __init__(
         self,
@@ -41,6 +32,13 @@ class Judge:
         self._drawn = np.column_stack([drawn[name] for name in names])
         self._grid = np.column_stack([grid[name] for name in names])
         self._noise = np.random.default_rng(seed).standard_normal(len(self._drawn))
+
+    @staticmethod
+    def problem_of(
+        settings: Mapping[str, Any],
+    ) -> closed_form.ClosedForm | two_basins.TwoBasins:
+        """Return the problem that a node's parameters describe."""
+        return closed_form.problem_of(settings)
 
     def judge(self, values: Mapping[str, Mapping[str, Any]]) -> Judgement:
         """Compute the truth; the worst context is the nearest one of the grid."""
@@ -68,4 +66,7 @@ class Judge:
 class BasinsJudge(Judge):
     """Judges parameter sets of `TwoBasins`."""
 
-    problem_of = staticmethod(two_basins.problem_of)
+    @staticmethod
+    def problem_of(settings: Mapping[str, Any]) -> two_basins.TwoBasins:
+        """Return the problem that a node's parameters describe."""
+        return two_basins.problem_of(settings)

@@ -56,7 +56,7 @@ class Pooled(SearchRule):
             constraint.sign * y,
             Coding(space.levels),
             proposal.hyperparameters.get(constraint.name) or None,
-            models=self.models,
+            models=self.models.of_metric(study, constraint.metric),
             until_clear=proposal.protocol is None,
             measured=dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
         )
