@@ -21,7 +21,7 @@ STUDY = {
     "fast": NODE | {"type": "boolean", "default": True},
     "follower": NODE | {"type": "double", "tied_to": "kp"},
 }
-INSIDE = {"kd": 0.1, 
+INSIDE = {"kd": 0.1,
     "kp": 1.0, "horizon": 9, "weight": 1.0, "offset": 0.0, "ki": 1.0, "taps": 5, "law": "b",
     "fast": False,
 }  # fmt: skip

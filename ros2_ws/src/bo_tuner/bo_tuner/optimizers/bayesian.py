@@ -217,15 +217,16 @@ def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ..
 
 def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
     """Return the point (d,), among random ones, with the largest distance to the `tried` (n, d)."""
-    return farthest(space, tried, space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng))
+    candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
+    farthest: Array = candidates[int(distances(space, tried, candidates).argmax())]
+    return farthest
 
 
-def farthest(space: SearchSpace, tried: Array, candidates: Array) -> Array:
-    """Return the one (d,) of `candidates` (m, d) that is farthest from the `tried` (n, d)."""
-    found: Array = candidates[0]
-    if len(tried) > 0:
-        coding = Coding(space.levels)
-        apart = coding.encode(candidates)[:, None, :] - coding.encode(tried)[None, :, :]
-        squared = (apart**2).sum(axis=2)
-        found = candidates[int(squared.min(axis=1).argmax())]
-    return found
+def distances(space: SearchSpace, tried: Array, points: Array) -> Array:
+    """Return the distance (m,) of points (m, d) from the nearest of `tried` (n, d); or infinite."""
+    if not len(tried):
+        return np.full(len(points), np.inf)
+    coding = Coding(space.levels)
+    apart = coding.encode(points)[:, None, :] - coding.encode(tried)[None, :, :]
+    nearest: Array = np.sqrt((apart**2).sum(axis=2).min(axis=1))
+    return nearest

@@ -3,9 +3,9 @@
 Where no limit binds, the search ends at the bottom of the basin that it knows: what further trials
 can gain there is below what their noise lets anyone tell, and a model whose length scales were
 learnt in a wide basin is sure that there is no other. Its own uncertainty cannot say where to look,
-so such a trial goes to the point that is farthest from all tried ones, of those that are expected
-to keep the limits and not to fail. It is every other trial, so that whatever is found is followed
-up, and none at the end of the budget, which refines.
+so such a trial goes to the middle of the largest gap between all tried ones, of those places that
+are expected to keep the limits and not to fail. If it finds another basin, the expected gain there
+is large, and the next trials follow it up. The end of the budget refines what was found.
 
 Where a limit binds, trials at its boundary are not lost, however small the gain: they show which
 side of it a parameter set is on. That is told by the costs: beyond a limit that binds they are
@@ -21,7 +21,7 @@ from bo_tuner.acquisition.acquisition import AcquisitionRule
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.bayesian import SPACE_FILLING_CANDIDATES, AcquisitionSearch, farthest
+from bo_tuner.optimizers.bayesian import SPACE_FILLING_CANDIDATES, AcquisitionSearch, distances
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
@@ -33,19 +33,15 @@ class Exploration:
 
     Attributes
     ----------
-    every
-        Each so many-th trial may.
     until
         Part of the budget after which none may; 0 for none at all.
     """
 
-    every: int = 2
     until: float = 0.8
 
     def is_due(self, study: Study, trials: int, evaluations: int) -> bool:
         """Return whether the trial after so many, with so many evaluations, may look elsewhere."""
-        spent = study.budget.part_spent(trials, evaluations)
-        return trials % self.every == 0 and spent < self.until
+        return study.budget.part_spent(trials, evaluations) < self.until
 
 
 def ends_in_a_basin(
@@ -86,7 +82,11 @@ def elsewhere(
     avoid: float,
     rng: np.random.Generator,
 ) -> Array | None:
-    """Return the point (d,), among random ones, that is farthest from all trials.
+    """Return the middle (d,) of the largest gap between all trials, among random points.
+
+    It is the point with the largest distance to the trials, and to the faces of the cube, lest
+    nearly all of them are at the faces: a place there is half empty. Distances to trials grow with
+    √d, and those to faces count as many times as much.
 
     None if all of them are expected to fail or to violate a limit. Arguments as in
     `ends_in_a_basin`.
@@ -97,4 +97,11 @@ def elsewhere(
         kept &= classifier.probability(candidates) <= avoid
     if not kept.any():
         return None
-    return farthest(space, space.cube_of(t.parameters for t in trials), candidates[kept])
+    candidates = candidates[kept]
+    apart = distances(space, space.cube_of(t.parameters for t in trials), candidates)
+    numbers = candidates[:, np.array(space.levels) == 0]
+    if numbers.shape[1]:
+        to_face = np.minimum(numbers, 1.0 - numbers).min(axis=1)
+        apart = np.minimum(apart, 2.0 * np.sqrt(numbers.shape[1]) * to_face)
+    middle: Array = candidates[int(apart.argmax())]
+    return middle
