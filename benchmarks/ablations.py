@@ -61,7 +61,7 @@ class Variant:
     cases: Sequence[str] = ("mean",)
 
 
-def _as_it_is(_: Array, __: Array, limit: float, sign: float) -> Compression:
+def _as_it_is(_: Array, limit: float, sign: float) -> Compression:
     return Compression(limit, sign)
 
 

@@ -46,7 +46,7 @@ def test_the_scale_of_limited_metrics_is_that_of_both_stages(study, function_bac
     """It is chosen by as many values as there are, in the models and in each search."""
     asked = []
 
-    def scale(z, y, limit, sign):
+    def scale(y, limit, sign):
         asked.append(len(y))
         return Compression(limit, sign)
 

@@ -10,7 +10,6 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.compression import Compression
 from bo_tuner.models.logarithm import Logarithm
 from bo_tuner.models.pooled_models import PooledModels
-from bo_tuner.models.scale_choice import most_likely
 from bo_tuner.study.study_file import study_from_mapping, study_to_mapping
 from bo_tuner.trials import TrialState
 from bo_tuner.tuning.loop import Tuning
@@ -25,9 +24,9 @@ def with_scale(scale, **limits):
     return changed
 
 
-def test_unless_given_it_is_left_to_what_is_measured():
+def test_unless_given_it_is_linear():
     study = study_from_mapping(mapping())
-    assert study.metrics["peak"].scale == "auto"
+    assert study.metrics["peak"].scale == "linear"
     assert study.logarithmic_metrics == []
 
 
@@ -41,7 +40,8 @@ def test_it_is_kept_in_the_file():
 def test_another_one_is_refused(value):
     message = refusal(with_scale(value))
     assert message.startswith("metrics.peak.scale: ")
-    assert "auto, linear, log" in message
+    assert "linear" in message
+    assert "log" in message
 
 
 @pytest.mark.parametrize(
@@ -78,19 +78,13 @@ def test_a_difference_from_the_default_has_none():
     assert refusal(changed).startswith("metrics.other.scale: unknown key")
 
 
-@pytest.mark.parametrize(
-    ("named", "kind"), [("log", Logarithm), ("linear", Compression), ("auto", None)]
-)
+@pytest.mark.parametrize(("named", "kind"), [("log", Logarithm), ("linear", Compression)])
 def test_the_models_are_on_the_one_that_it_names(named, kind):
-    """Without a name, they choose."""
     models = PooledModels().of_metric(study_from_mapping(with_scale(named)), "peak")
-    if kind is None:
-        assert models.scale is most_likely
-    else:
-        assert isinstance(models.scale(np.ones((9, 1)), np.arange(1.0, 10.0), 5.0, 1.0), kind)
+    assert isinstance(models.scale(np.arange(1.0, 10.0), 5.0, 1.0), kind)
 
 
-@pytest.mark.parametrize("scale", ["log", "auto"])
+@pytest.mark.parametrize("scale", ["log", "linear"])
 def test_a_run_in_which_a_metric_is_not_positive_goes_on(make_study, function_backend, scale):
     node = {"node": "axis"}
     study = make_study(metrics={"error": node, "peak": node | {"scale": scale}}).replace(trials=9)
@@ -120,8 +114,10 @@ def test_a_run_in_which_a_metric_is_not_positive_goes_on(make_study, function_ba
     ],
     ids=["all alike", "two values", "far beyond", "far within", "infinite"],
 )
-def test_runs_that_say_nothing_of_a_scale(make_study, function_backend, peak):
-    study = make_study().replace(trials=9)
+@pytest.mark.parametrize("scale", ["log", "linear"])
+def test_runs_that_say_nothing_of_a_scale(make_study, function_backend, peak, scale):
+    node = {"node": "axis"}
+    study = make_study(metrics={"error": node, "peak": node | {"scale": scale}}).replace(trials=9)
     backend = function_backend(study, lambda gain, load, seed: {"error": gain, "peak": peak(gain)})
     trials = list(Tuning(study, backend, replace(METHODS["boundary"])))
     assert len(trials) == 9

@@ -112,12 +112,6 @@ class Compression:
         )
         return found
 
-    def log_slopes(self, y: Array) -> Array:
-        """Return the logarithm (n,) of the slope of the map at values (n,) of the metric."""
-        ratio = self.sign * (y - self.limit) / self.width
-        result: Array = -np.log(np.maximum(ratio, 1.0))
-        return result
-
     def _is_far(self, z: Array) -> NDArray[np.bool_]:
         return np.asarray(self.sign * (z - self.limit) > self.width)
 

@@ -13,10 +13,13 @@ from typing import Self
 
 import numpy as np
 
+from bo_tuner.models.compression import Compression
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.covariates import ROWS, Covariates, measured_in
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
+from bo_tuner.models.logarithm import Logarithm
+from bo_tuner.models.model_scale import ModelScale, ScaleRule
 from bo_tuner.models.observations import searched_contexts
 from bo_tuner.models.pooled_process import PooledProcesses
 from bo_tuner.models.pooled_responses import (
@@ -25,17 +28,10 @@ from bo_tuner.models.pooled_responses import (
     OverContexts,
     PooledResponse,
 )
-from bo_tuner.models.scale_choice import (
-    ModelScale,
-    ScaleRule,
-    as_it_is,
-    logarithmic,
-    most_likely,
-)
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import FAILURES, OBJECTIVE, Constraint
-from bo_tuner.study.parts import LINEAR, LOG
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Trial, TrialState, pooled
 
@@ -44,9 +40,6 @@ EXPECTED_OVER = 256
 
 CHANCE_OVER = 64
 """Number of contexts, the same in every fit, that the probability of a chance limit is over."""
-
-NAMED_SCALES: Mapping[str, ScaleRule] = {LINEAR: as_it_is, LOG: logarithmic}
-"""Scales that a study can name for a metric."""
 
 Looked = Callable[[Sequence[Trial]], Sequence[Context]]
 """Returns the contexts where trials have looked for the worst one, which are candidates for it."""
@@ -94,19 +87,19 @@ class PooledModels:
     processes
         The kind of process.
     scale
-        Chooses the scale on which a limited metric is modelled, unless the study names it.
+        Chooses the scale on which a limited metric is modelled, unless the study asks for the
+        logarithm.
     looked
         Returns contexts that are candidates for the worst one, besides corners and a hypercube.
     """
 
     processes: ContextProcesses = field(default_factory=PooledProcesses)
-    scale: ScaleRule = most_likely
+    scale: ScaleRule = Compression.of
     looked: Looked = searched_contexts
 
     def of_metric(self, study: Study, metric: str) -> Self:
-        """Return them with the scale of a metric that the study names, if it does."""
-        named = NAMED_SCALES.get(study.metrics[metric].scale)
-        return self if named is None else replace(self, scale=named)
+        """Return them with the logarithm for a metric for which the study asks for it."""
+        return replace(self, scale=Logarithm.of) if study.metrics[metric].scale == LOG else self
 
     def __call__(
         self,
@@ -204,8 +197,7 @@ class PooledModels:
     ) -> tuple[ContextProcess, ModelScale]:
         x, c, y = _observations(fitting, trials, covariates, constraint.metric)
         rule = self.of_metric(fitting.study, constraint.metric).scale
-        z = np.hstack([fitting.coding.encode(x), c])
-        scale = rule(z, y, constraint.limit, constraint.sign)
+        scale = rule(y, constraint.limit, constraint.sign)
         return fitting.process(self.processes, constraint.name, x, c, scale.apply(y)), scale
 
     def _crashes(self, fitting: Fitting, trials: Sequence[Trial]) -> CrashModel:

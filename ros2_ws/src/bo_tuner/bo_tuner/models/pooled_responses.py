@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 from bo_tuner.models.compression import NO_COMPRESSION
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.context_process import ContextProcess
-from bo_tuner.models.scale_choice import ModelScale
+from bo_tuner.models.model_scale import ModelScale
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
 

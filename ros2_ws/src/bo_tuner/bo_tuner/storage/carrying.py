@@ -35,7 +35,6 @@ from bo_tuner.study import checks
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
-from bo_tuner.study.metric_scale import AUTO
 from bo_tuner.study.metrics import (
     COMPUTED,
     PythonMetric,
@@ -43,6 +42,7 @@ from bo_tuner.study.metrics import (
     StudyMetric,
     signals_of,
 )
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
@@ -403,7 +403,7 @@ def _measures(metric: StudyMetric) -> StudyMetric:
     """Return a metric without what is for display and models only."""
     if isinstance(metric, RelativeMetric):
         return dataclasses.replace(metric, unit="")
-    return dataclasses.replace(metric, unit="", scale=AUTO)
+    return dataclasses.replace(metric, unit="", scale=LINEAR)
 
 
 def _same_default(then: Study, now: Study) -> bool:

@@ -7,10 +7,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.parts import LINEAR, LOG
 
-AUTO = "auto"
-"""The scale on which what was measured is most likely."""
-
-SCALES = (AUTO, LINEAR, LOG)
+SCALES = (LINEAR, LOG)
 
 
 class HasScale(Protocol):

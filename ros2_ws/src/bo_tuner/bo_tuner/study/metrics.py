@@ -15,7 +15,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
-from bo_tuner.study.metric_scale import AUTO, check_scale
+from bo_tuner.study.metric_scale import check_scale
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
 
@@ -62,16 +63,15 @@ class ReportedMetric:
         Whether a repeated evaluation gives the same number. One that depends on measured time
         differs over ROS, and `replay` does not judge it.
     scale : str
-        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
-        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
-        likely.
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     """
 
     name: str
     node: str
     key: str = ""
     unit: str = ""
-    scale: str = AUTO
+    scale: str = LINEAR
     reproducible: bool = True
 
     def __post_init__(self) -> None:
@@ -112,16 +112,15 @@ class SignalMetric:
         Distance from `target` within which `settling_time` takes the step as settled, as a share of
         the step; 0.02 unless given.
     scale : str
-        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
-        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
-        likely.
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     """
 
     name: str
     of: str
     measure: str
     unit: str = ""
-    scale: str = AUTO
+    scale: str = LINEAR
     target: float | str | None = None
     percent: float | None = None
     band: float | None = None
@@ -181,15 +180,14 @@ class PythonMetric:
     timeout : float, optional
         Longest time [s] that the function may take; an evaluation in which it takes longer fails.
     scale : str
-        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
-        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
-        likely.
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     """
 
     name: str
     python: str
     unit: str = ""
-    scale: str = AUTO
+    scale: str = LINEAR
     timeout: float | None = None
 
     reproducible = False
@@ -223,15 +221,14 @@ class CombinedMetric:
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
     scale : str
-        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
-        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
-        likely.
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     """
 
     name: str
     expression: str
     unit: str = ""
-    scale: str = AUTO
+    scale: str = LINEAR
 
     _of: ClassVar[Expression]
     parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
@@ -299,7 +296,7 @@ class RelativeMetric:
     factor: float = 1.0
     unit: str = ""
 
-    scale = AUTO
+    scale = LINEAR
     """A difference can be negative, and so has no logarithm."""
 
     parts: "ClassVar[tuple[StudyMetric, ...]]" = ()

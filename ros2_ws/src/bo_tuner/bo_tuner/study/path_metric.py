@@ -7,7 +7,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
-from bo_tuner.study.metric_scale import AUTO, check_scale
+from bo_tuner.study.metric_scale import check_scale
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.signals import Signal
 
 PLAN_TYPE = "nav_msgs/msg/Path"
@@ -37,9 +38,8 @@ class PathMetric:
     percent : float, optional
         Percentage of the time in which `percentile` is not exceeded, 0 to 100.
     scale : str
-        How it is modelled if it is limited: `log` for a positive metric whose noise grows with it,
-        `linear` as it is, or `auto`, the one of a few scales on which what was measured is most
-        likely.
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     """
 
     name: str
@@ -47,7 +47,7 @@ class PathMetric:
     plan: str
     measure: str
     unit: str = "m"
-    scale: str = AUTO
+    scale: str = LINEAR
     percent: float | None = None
 
     reproducible = False

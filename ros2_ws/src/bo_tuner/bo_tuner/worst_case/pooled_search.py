@@ -69,7 +69,7 @@ class PooledSearch:
         self._evaluations = evaluations
         self._point = point
         self._processes = models.processes
-        self._scale = models.scale(np.hstack([coding.encode(x), c]), y, limit, 1.0)
+        self._scale = models.scale(y, limit, 1.0)
         self._x, self._c, self._y = x, c, self._scale.apply(y)
         self._coding = coding
         self._hyperparameters = hyperparameters

@@ -170,8 +170,10 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         def rule(
             surrogates: PooledSurrogates, rng: np.random.Generator
         ) -> Iterator[tuple[Array, str]]:
-            if ends_in_a_basin(surrogates, self.space, self._acquisition, self.avoid, rng):
-                point = elsewhere(surrogates, self.space, self.trials, self.avoid, rng)
+            # Of its own, so that the search goes on as without this question.
+            (own,) = rng.spawn(1)
+            if ends_in_a_basin(surrogates, self.space, self._acquisition, self.avoid, own):
+                point = elsewhere(surrogates, self.space, self.trials, self.avoid, own)
                 if point is not None:
                     yield point, SPACE_FILLING
             yield from points(surrogates, rng)
