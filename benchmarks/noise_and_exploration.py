@@ -1,10 +1,9 @@
 """Answers of `boundary` under noise that is not normal, and where no limit binds, by the truth.
 
 The runs are those of cases of the experiments, in one process, each with seeds 1, 2, ...; of each
-case it reports the share of truly feasible answers, their regret, the realized probability of a
-limit on single runs, and how far the tried parameter sets lie from each other. Runs of another
-installation with the same seeds can be compared: `--against` takes its result file, and the table
-then has the paired differences.
+case it reports the truly feasible answers, their regret, and the realized probability of a run
+within the limit in its worst context. `--against` takes the result file of another installation
+with the same seeds; the table then has the paired differences.
 """
 
 import os
