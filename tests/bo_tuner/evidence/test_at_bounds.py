@@ -12,6 +12,7 @@ from bo_tuner.evidence.verdict import State, Verdict
 STUDY = {
     "kp": NODE | {"type": "double", "bounds": [0.1, 10.0], "default": 1.0, "unit": "V/rad"},
     "horizon": NODE | {"type": "integer", "bounds": [2, 15], "default": 9},
+    "kd": NODE | {"type": "double", "bounds": [0.0, 10.0], "default": 0.1, "scale": "symlog"},
     "weight": NODE | {"type": "double", "bounds": [0.01, 100.0], "default": 1.0, "scale": "log"},
     "offset": NODE | {"type": "double", "bounds": [-1.0, 1.0], "default": 0.0},
     "ki": NODE | {"type": "double", "bounds": [0.0, 8.0], "default": 1.0},
@@ -20,7 +21,7 @@ STUDY = {
     "fast": NODE | {"type": "boolean", "default": True},
     "follower": NODE | {"type": "double", "tied_to": "kp"},
 }
-INSIDE = {
+INSIDE = {"kd": 0.1,
     "kp": 1.0, "horizon": 9, "weight": 1.0, "offset": 0.0, "ki": 1.0, "taps": 5, "law": "b",
     "fast": False,
 }  # fmt: skip
@@ -48,6 +49,7 @@ def test_inside_there_is_nothing_to_tell(make_study):
         # On a log scale by a decade.
         ({"weight": 100.0}, "weight is at its upper bound 100", "weight=0.01:1000"),
         ({"weight": 0.01000009}, "weight is at its lower bound 0.01", "weight=0.001:100"),
+        ({"kd": 10.0}, "kd is at its upper bound 10", "kd=0:100"),
         ({"offset": -1.0}, "offset is at its lower bound -1", "offset=-3:1"),
         # 9 is the last one with the step of 4; 10 cannot be reached.
         ({"taps": 9}, "taps is at its upper bound 10", "taps=1:18"),

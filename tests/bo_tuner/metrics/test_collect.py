@@ -144,6 +144,24 @@ def test_an_objective_without_a_logarithm(make_study, value):
     assert found.details["axis.peak"] == "1.0"
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_a_limited_metric_without_a_logarithm(make_study, value):
+    node = {"node": "axis"}
+    study = make_study(metrics={"error": node, "peak": node | {"scale": "log"}})
+    found = Collector(study).outcome({"axis": OK | {"error": 1.0, "peak": value}})
+    assert found.state is EvaluationState.FAILED
+    assert found.reason == f"metric peak is {value}; its log scale needs a positive value"
+
+
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+def test_an_infinite_metric_with_a_log_scale(make_study, value):
+    node = {"node": "axis"}
+    study = make_study(metrics={"error": node, "peak": node | {"scale": "log"}})
+    found = Collector(study).outcome({"axis": OK | {"error": 1.0, "peak": value}})
+    assert found.state is EvaluationState.FAILED
+    assert found.reason == f"axis: metric peak is {value}"
+
+
 def test_a_metric_under_another_key(make_study):
     node = {"node": "axis"}
     study = make_study(metrics={"error": node | {"key": "error_p99"}, "peak": node})

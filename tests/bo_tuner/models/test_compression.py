@@ -103,7 +103,7 @@ class TestWithRunsThatExplodeNowAndThen:
         process = PooledProcess.fit(
             x, c, compression.apply(y), coding=Coding((0,)), rng=np.random.default_rng(0)
         )
-        return EveryContext(process, sign, np.empty((1, 0)), sign=sign, compression=compression)
+        return EveryContext(process, sign, np.empty((1, 0)), sign=sign, scale=compression)
 
     def test_the_mean_exceeds_the_limit(self, response):
         x = np.array([[0.0], [0.5], [1.0]])
@@ -128,7 +128,7 @@ class TestWithOneValueThatExplodes:
         process = PooledProcess.fit(
             x, c, compression.apply(y), coding=Coding((0,)), rng=np.random.default_rng(0)
         )
-        return EveryContext(process, 1.0, np.empty((1, 0)), compression=compression)
+        return EveryContext(process, 1.0, np.empty((1, 0)), scale=compression)
 
     def test_what_is_well_within_the_limit_is_known_to_be(self):
         inside = self.x[:5]

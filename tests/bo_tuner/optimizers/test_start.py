@@ -92,4 +92,4 @@ def test_a_log_scale_from_zero_on_gets_a_proposal(make_study, lower, default, pr
     item = NODE | {"type": kind, "bounds": [lower, 10], "default": default, "scale": "log"}
     with pytest.raises(StudyError) as caught:
         make_study(parameters={"gain": item})
-    assert f"write bounds: {proposal}, or leave out the scale" in str(caught.value)
+    assert f"write bounds: {proposal}, or scale: symlog" in str(caught.value)

@@ -261,6 +261,16 @@ class TestLimits:
         assert first.state is TrialState.COMPLETE
         assert second.reason == "metric error is 0.0; its log scale needs a positive value"
 
+    def test_a_scale_changes_what_models_make_of_it_and_not_what_is_measured(
+        self, tmp_path, make_study, make_trial
+    ):
+        trials = [make_trial(k, {"gain": 0.5 + 0.1 * k}, [1.0]) for k in range(2)]
+        earlier = record(tmp_path, make_study(), None, trials=trials)
+        node = {"node": "axis"}
+        study = make_study(metrics={"error": node, "peak": node | {"scale": "log"}})
+        carried = carry(earlier, study)
+        assert [t.state for t in carried.trials] == [TrialState.COMPLETE] * 2
+
 
 class TestContexts:
     def test_what_is_still_possible_is_data_but_no_draw(self, runs, make_study, function_backend):

@@ -129,6 +129,21 @@ class TestParameters:
         assert found["wide"].fields["scale"] == "log"
         assert "scale" not in found["narrow"].fields
 
+    @pytest.mark.parametrize(
+        ("kind", "value", "lower", "upper", "scale"),
+        [
+            ("double", 0.1, 0.0, 10.0, "symlog"),
+            ("integer", 5, 0.0, 5000.0, "symlog"),
+            ("double", 0.1, 0.0, 1.0, None),
+            ("double", 0.0, 0.0, 10.0, None),
+            ("double", 0.1, -10.0, 10.0, None),
+        ],
+    )
+    def test_a_range_from_0_on_far_beyond_the_value(self, kind, value, lower, upper, scale):
+        found, _ = offers(kd=Described(kind, value, lower, upper))
+        assert found["kd"].fields.get("scale") == scale
+        assert found["kd"].fields["bounds"] == [lower, upper]
+
     def test_suggested_are_real_numbers_and_integers_with_a_range(self):
         found, others = offers(
             kp=Described("double", 0.5),

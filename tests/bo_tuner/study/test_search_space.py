@@ -161,6 +161,24 @@ class TestMapping:
         assert key != space.key({"h_u": 3, "l_mpc": -2.0 + 1e-4})
         assert len({key, key}) == 1
 
+    def test_a_symlog_scale_keeps_0_and_spreads_three_decades(self):
+        """On it a thousandth of the upper bound is at log 2 / log 1001 of the edge."""
+        space = SearchSpace([double("kd", (0.0, 10.0), 0.1, scale="symlog")])
+        values = [0.0, 0.01, 0.1, 1.0, 10.0]
+        cube = [float(space.to_cube({"kd": v})[0]) for v in values]
+        assert cube == pytest.approx(np.log1p(np.array(values) / 0.01) / np.log(1001.0))
+        assert space.to_parameters(np.array([0.0])) == {"kd": 0.0}
+        back = [space.to_parameters(np.array([z]))["kd"] for z in cube]
+        assert back == pytest.approx(values)
+        # Half of the edge is below 0.31, which is 3 % of the range.
+        assert space.to_parameters(np.array([0.5]))["kd"] == pytest.approx(0.01 * (1001**0.5 - 1))
+
+    def test_integers_on_a_symlog_scale_keep_their_distance(self):
+        item = integer("n", (0, 1000), 10, scale="symlog", minimum_correlation=0.1)
+        (scale,) = SearchSpace([item]).minimum_length_scales()
+        step = np.log(2.0) / np.log(1001.0)
+        assert np.exp(-0.5 * (step / scale) ** 2) == pytest.approx(0.1)
+
     def test_key_tells_decades_of_a_log_scale_apart(self):
         space = SearchSpace([double("w", (1e-8, 1e2), 1e-7, scale="log")])
         values = [1e-8, 1.01e-8, 1e-7, 1.86e-7, 4e-6, 1.0, 99.0]

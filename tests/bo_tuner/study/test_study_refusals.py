@@ -358,3 +358,12 @@ class TestObjectives:
             further = [{"metric": names[i]} if isinstance(i, str) else i for i in further]
         message = refusal(put(further, "further_objectives"))
         assert message.startswith(expected.format(first, other))
+
+
+@pytest.mark.parametrize("bounds", [[-1.0, 10.0], [-10.0, 0.0]])
+def test_a_symlog_scale_needs_bounds_from_0_on(bounds):
+    kd = {"node": "drive", "type": "double", "bounds": bounds, "default": 0.0, "scale": "symlog"}
+    assert refusal(put(kd, "parameters", "kd")) == (
+        "parameters.kd.scale: the symlog scale needs bounds from 0 on, found lower bound "
+        f"{bounds[0]}; leave it out"
+    )

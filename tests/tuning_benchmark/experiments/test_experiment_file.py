@@ -107,7 +107,7 @@ def test_mistakes_are_one_line_with_their_place(experiment_file, old, new, messa
 def test_unknown_names_list_what_is_shipped():
     with pytest.raises(
         StudyError,
-        match="unknown experiment 'papr'; shipped are boundary, choices, closed_form, paper, peers",
+        match="unknown experiment 'papr'; shipped are boundary, choices, closed_form, exploration",
     ):
         load_experiment("papr")
 

@@ -12,7 +12,8 @@ from bo_tuner.tuning.driver import Driver
 from tuning_benchmark.campaign.runs import TimedBackend
 from tuning_benchmark.judging.evaluator import Evaluator
 from tuning_benchmark.judging.truth import Effort, Truth
-from tuning_benchmark.problems.closed_form import ClosedForm, warped
+from tuning_benchmark.problems.closed_form import ClosedForm
+from tuning_benchmark.problems.warp import warped
 
 JUDGE = "tuning_benchmark.judging.closed_form:Judge"
 SIZES = [(2, 1), (2, 3), (4, 2), (8, 4), (12, 6)]

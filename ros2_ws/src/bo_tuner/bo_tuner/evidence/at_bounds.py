@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter_scale import LOG, SYMLOG
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
@@ -85,7 +86,9 @@ def _at_bound(item: Parameter, side: str) -> AtBound:
 
 def _moved(item: Parameter, bound: int | float, other: int | float) -> int | float:
     """Return a bound that is farther from the `other` one; the same if that changes its sign."""
-    if item.scale == "log":
+    if item.scale == SYMLOG and bound > other:
+        new = bound * LARGEST_FACTOR
+    elif item.scale == LOG:
         ratio = bound / other
         new = bound * min(max(ratio, 1.0 / LARGEST_FACTOR), LARGEST_FACTOR)
     else:

@@ -7,7 +7,6 @@ from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, r
 from bo_tuner.study import maxima, named_code
 from bo_tuner.study.checks import holds
 from bo_tuner.study.metrics import CombinedMetric, RelativeMetric, ReportedMetric
-from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
@@ -113,9 +112,9 @@ class Collector:
 
 
 def judged(study: Study, outcome: Outcome) -> Outcome:
-    """Return an outcome, as failed if an objective with a logarithmic scale is not positive."""
+    """Return an outcome, as failed if a metric with a logarithmic scale is not positive."""
     if outcome.complete:
-        for metric in (item.metric for item in study.objectives if item.scale == LOG):
+        for metric in study.logarithmic_metrics:
             if (value := outcome.metrics[metric]) <= 0.0:
                 reason = f"metric {metric} is {value}; its log scale needs a positive value"
                 return Outcome(EvaluationState.FAILED, {}, reason, outcome.details)

@@ -66,6 +66,12 @@ class ContextProcess(Fitted, Protocol):
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
 
+    def noise_deviations(self, z: float, sign: float) -> float:
+        """Return the local standard deviations within which noise stays with probability Φ(z).
+
+        Upwards with the `sign` 1, downwards with -1; z itself for normal noise.
+        """
+
     def averaged(self, rows: Array) -> "ContextProcess":
         """Return the process of the mean over the last columns of the context.
 

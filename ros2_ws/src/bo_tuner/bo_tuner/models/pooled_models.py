@@ -19,6 +19,8 @@ from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.covariates import ROWS, Covariates, measured_in
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
+from bo_tuner.models.logarithm import Logarithm
+from bo_tuner.models.model_scale import ScaleRule
 from bo_tuner.models.observations import searched_contexts
 from bo_tuner.models.pooled_process import PooledProcesses
 from bo_tuner.models.pooled_responses import (
@@ -34,6 +36,7 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import FAILURES, OBJECTIVE
 from bo_tuner.study.limit_kinds.limited import Limited
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Trial, TrialState, pooled
 
@@ -42,9 +45,6 @@ EXPECTED_OVER = 256
 
 DRAWN_OVER = 64
 """Number of contexts, the same in every fit, that a limit over their distribution is over."""
-
-Scale = Callable[[Array, float, float], Compression]
-"""Chooses the scale on which a limited metric is modelled, by values (n,), limit and sign."""
 
 Looked = Callable[[Sequence[Trial]], Sequence[Context]]
 """Returns the contexts where trials have looked for the worst one, which are candidates for it."""
@@ -97,14 +97,19 @@ class PooledModels:
     processes
         The kind of process.
     scale
-        Chooses the scale on which a limited metric is modelled.
+        Chooses the scale on which a limited metric is modelled, unless the study asks for the
+        logarithm.
     looked
         Returns contexts that are candidates for the worst one, besides corners and a hypercube.
     """
 
     processes: ContextProcesses = field(default_factory=PooledProcesses)
-    scale: Scale = Compression.of
+    scale: ScaleRule = Compression.of
     looked: Looked = searched_contexts
+
+    def of_metric(self, study: Study, metric: str) -> Self:
+        """Return them with the logarithm for a metric for which the study asks for it."""
+        return replace(self, scale=Logarithm.of) if study.metrics[metric].scale == LOG else self
 
     def __call__(
         self,
@@ -222,11 +227,11 @@ class _Responses:
         over = self.covariates.beside(drawn)
         return OverContexts(process, limited.limit, over, level, limited.sign, scale)
 
-    def _process(self, limited: Limited) -> tuple[ContextProcess, Compression]:
+    def _process(self, limited: Limited) -> tuple[ContextProcess, ModelScale]:
         """Return the process of the limited metric, and the scale that it is on."""
         x, c, y = _observations(self.fitting, self.trials, self.covariates, limited.metric)
-        scale = self.models.scale(y, limited.limit, limited.sign)
-        processes = self.models.processes
+        rule = self.models.of_metric(self.fitting.study, limited.metric).scale
+        scale, processes = rule(y, limited.limit, limited.sign), self.models.processes
         return self.fitting.process(processes, limited.name, x, c, scale.apply(y)), scale
 
 

@@ -44,6 +44,7 @@ from bo_tuner.models.context_reduction import ContextReduction
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, correlation
+from bo_tuner.models.noise_shape import NoiseShape
 from bo_tuner.models.parameter_sets import ParameterSets
 from bo_tuner.models.replicates import Replicates, Standardization
 from bo_tuner.numerics.arrays import Array
@@ -118,6 +119,8 @@ class PooledProcess:
         Map between responses and standardized responses.
     data : Replicates
         Standardized observations at encoded joint points.
+    apart : ndarray, shape (N,)
+        Each standardized observation less the mean of those at its point.
     coding : Coding
         Of the parameters' columns.
     columns : int
@@ -139,6 +142,7 @@ class PooledProcess:
     hyperparameters: Hyperparameters
     standardization: Standardization
     data: Replicates
+    apart: Array
     coding: Coding
     columns: int
     squares: Array
@@ -251,9 +255,8 @@ class PooledProcess:
         basis = choose_basis(hyperparameters, data.x, error)
         prior = Prior(hyperparameters, data.x, basis)
         equal = prior.condition(data.mean, error)
-        within = np.bincount(
-            data.index, (standardized - data.mean[data.index]) ** 2, minlength=len(data.x)
-        )
+        apart = standardized - data.mean[data.index]
+        within = np.bincount(data.index, apart**2, minlength=len(data.x))
         # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
@@ -263,6 +266,7 @@ class PooledProcess:
             hyperparameters,
             standardization,
             data,
+            apart,
             coding,
             columns,
             squares,
@@ -370,6 +374,21 @@ class PooledProcess:
         if self.over is None:
             return variance, total
         return variance + self._spread(x, contexts), total
+
+    def noise_deviations(self, z: float, sign: float) -> float:
+        """Return as `NoiseShape.deviations`, by the residuals of all observations."""
+        return self._shape.deviations(z, sign)
+
+    @cached_property
+    def _shape(self) -> NoiseShape:
+        # Of r observations at a point, whose mean has the leverage h, each has the variance
+        # σ² (1 - h / r) about the posterior mean.
+        own, index = self.posterior, self.data.index
+        left = np.clip(1.0 - own.leverages / self.data.count, 0.0, 1.0)[index]
+        deviation = np.sqrt(own.variances * self.data.count)[index]
+        residuals = (self.apart + own.residuals[index]) / deviation
+        least = np.finfo(np.float64).eps
+        return NoiseShape.of(residuals / np.sqrt(np.maximum(left, least)), left)
 
     def _noise(self, squares: Array, degrees: Array) -> tuple[Array, Array]:
         total = degrees + PRIOR_DEGREES

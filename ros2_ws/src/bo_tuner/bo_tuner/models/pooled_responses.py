@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from bo_tuner.models.compression import NO_COMPRESSION, Compression
+from bo_tuner.models.compression import NO_COMPRESSION
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.context_process import ContextProcess
+from bo_tuner.models.model_scale import ModelScale
 from bo_tuner.models.protocol import Model
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
@@ -128,11 +129,11 @@ class ExpectedObjective:
 class PooledResponse(LimitedResponse):
     """Limit on a response by the process of all runs, to which a further run can be added.
 
-    The process is one of the metric on the scale of a `compression`, which keeps the limit. Means
+    The process is one of the metric on the scale of `scale`, which keeps the limit. Means
     and variances are on that scale; `predict_mean` and `band` are in the metric's unit.
     """
 
-    compression: Compression
+    scale: ModelScale
 
     @abstractmethod
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
@@ -151,11 +152,11 @@ class PooledResponse(LimitedResponse):
 
     def predict_mean(self, x: Array) -> Array:
         """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
-        return self.compression.restore(self.predict(x)[0])
+        return self.scale.restore(self.predict(x)[0])
 
     def band(self, x: Array, deviations: float) -> tuple[Array, Array, Array]:
         """Return mean, lower and upper end (m,) of a band at x (m, d) in the metric's unit."""
-        mean, low, high = map(self.compression.restore, super().band(x, deviations))
+        mean, low, high = map(self.scale.restore, super().band(x, deviations))
         return mean, low, high
 
     def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
@@ -182,10 +183,11 @@ class PooledResponse(LimitedResponse):
 class EveryContext(PooledResponse):
     """Limit on a metric in every context, by its process over parameter set and context.
 
-    A single run stays below mean + z σ, or above mean - z σ for a lower limit, with the
-    constraint's probability, where σ is the local noise; z = 0 if the limit is on the mean, which
-    is that of the metric, not of its compression. The uncertainty is that of both: with ν degrees
-    of freedom the variance of z σ is about z² σ² / (2 ν).
+    A single run stays below mean + k σ, or above mean - k σ for a lower limit, with the
+    constraint's probability Φ(z), where σ is the local noise and k its reach by the residuals of
+    all runs (`noise_shape`), at least z; 0 if the limit is on the mean, which is that of the
+    metric, not of its scale. The uncertainty is that of both: with ν degrees of freedom the
+    variance of k σ is about k² σ² / (2 ν).
 
     Attributes
     ----------
@@ -199,8 +201,8 @@ class EveryContext(PooledResponse):
         z.
     sign
         1 for an upper limit, -1 for a lower one.
-    compression
-        Scale of the process.
+    scale
+        That of the process.
     """
 
     process: ContextProcess
@@ -208,7 +210,14 @@ class EveryContext(PooledResponse):
     contexts: Array
     deviations: float = 0.0
     sign: float = 1.0
-    compression: Compression = NO_COMPRESSION
+    scale: ModelScale = NO_COMPRESSION
+
+    @cached_property
+    def _reach(self) -> float:
+        """k, in local standard deviations of the noise; 0 for a limit on the mean."""
+        if not self.deviations:
+            return 0.0
+        return self.process.noise_deviations(self.deviations, self.sign)
 
     def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
@@ -221,8 +230,8 @@ class EveryContext(PooledResponse):
         least, largest = self.process.range
         mean = np.maximum(mean, least) if self.sign > 0.0 else np.minimum(mean, largest)
         noise = np.sqrt(self.process.noise(x, self.contexts, rows)[0])
-        deviation = self.compression.restore_deviation(noise, mean)
-        return rows, self.compression.expectation(mean, noise), deviation
+        deviation = self.scale.restore_deviation(noise, mean)
+        return rows, self.scale.expectation(mean, noise), deviation
 
     def estimate(self, x: Array) -> tuple[Array, float, float]:
         """Return the worst context (e,) of x (1, d), and the metric's mean and noise there."""
@@ -249,7 +258,7 @@ class EveryContext(PooledResponse):
         """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
         rows, mean = self._worst(x)
         noise, _ = self.process.noise(x, self.contexts, rows)
-        return self.compression.restore(self._limited(mean, np.sqrt(noise)))
+        return self.scale.restore(self._limited(mean, np.sqrt(noise)))
 
     def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
@@ -282,18 +291,18 @@ class EveryContext(PooledResponse):
     ) -> tuple[Array, Array, Array]:
         """Return a `forecast` in a context each, where the metric's mean and noise are known."""
         variance = self.process.variances(x, self.contexts, which)
-        margin = self.deviations * np.sqrt(noise)
+        margin = self._reach * np.sqrt(noise)
         return (
             self._limited(mean, np.sqrt(noise)),
             variance + margin**2 / (2.0 * degrees),
-            _variance_of_quantile(noise, self.deviations),
+            _variance_of_quantile(noise, self._reach),
         )
 
     def _limited(self, mean: Array, noise: Array) -> Array:
         """Return what is limited, by mean and noise of runs; all of one shape."""
         if self.deviations:
-            return mean + self.sign * self.deviations * noise
-        return self.compression.apply(self.compression.expectation(mean, noise))
+            return mean + self.sign * self._reach * noise
+        return self.scale.apply(self.scale.expectation(mean, noise))
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""
@@ -333,8 +342,8 @@ class OverContexts(PooledResponse):
         Of a run within the limit.
     sign
         1 for an upper limit, -1 for a lower one.
-    compression
-        Scale of the process.
+    scale
+        That of the process.
     """
 
     process: ContextProcess
@@ -342,7 +351,7 @@ class OverContexts(PooledResponse):
     contexts: Array
     probability: float
     sign: float = 1.0
-    compression: Compression = NO_COMPRESSION
+    scale: ModelScale = NO_COMPRESSION
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""
@@ -361,7 +370,7 @@ class OverContexts(PooledResponse):
     def predict_mean(self, x: Array) -> Array:
         """Return the limited quantile (m,) at x (m, d) in the metric's unit."""
         mean, _, _, deviation = self._everywhere(x)
-        return self.compression.restore(self.sign * self._quantile(mean, deviation))
+        return self.scale.restore(self.sign * self._quantile(mean, deviation))
 
     def _everywhere(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Return mean, noise variance, its degrees of freedom and the deviation in all contexts.
@@ -370,8 +379,11 @@ class OverContexts(PooledResponse):
         """
         mean = self.sign * self.process.means(x, self.contexts)
         noise, degrees = self.process.noise_everywhere(x, self.contexts)
+        z = float(ndtri(self.probability))
+        # Noise with a longer tail than a normal one counts as a normal one that reaches as far.
+        longer = self.process.noise_deviations(z, self.sign) / z if z > 0.0 else 1.0
         # A few contexts stand for all: without noise, each also for those next to it.
-        deviation = np.sqrt(noise) + SMOOTHING * mean.std(axis=1, keepdims=True)
+        deviation = longer * np.sqrt(noise) + SMOOTHING * mean.std(axis=1, keepdims=True)
         return mean, noise, degrees, deviation + np.finfo(np.float64).tiny
 
     def _quantile(self, mean: Array, deviation: Array) -> Array:

@@ -254,10 +254,15 @@ def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ..
 def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
     """Return the point (d,), among random ones, with the largest distance to the `tried` (n, d)."""
     candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
-    farthest: Array = candidates[0]
-    if len(tried) > 0:
-        coding = Coding(space.levels)
-        apart = coding.encode(candidates)[:, None, :] - coding.encode(tried)[None, :, :]
-        squared = (apart**2).sum(axis=2)
-        farthest = candidates[int(squared.min(axis=1).argmax())]
+    farthest: Array = candidates[int(distances(space, tried, candidates).argmax())]
     return farthest
+
+
+def distances(space: SearchSpace, tried: Array, points: Array) -> Array:
+    """Return the distance (m,) of points (m, d) from the nearest of `tried` (n, d); or infinite."""
+    if not len(tried):
+        return np.full(len(points), np.inf)
+    coding = Coding(space.levels)
+    apart = coding.encode(points)[:, None, :] - coding.encode(tried)[None, :, :]
+    nearest: Array = np.sqrt((apart**2).sum(axis=2).min(axis=1))
+    return nearest

@@ -42,7 +42,7 @@ from bo_tuner.study.metrics import (
     StudyMetric,
     signals_of,
 )
-from bo_tuner.study.parts import LOG
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
@@ -383,10 +383,10 @@ def _searched(constraint: Constraint, then: Study, now: Study) -> str | None:
 
 
 def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, now: Study) -> bool:
-    """Whether two studies measure the same; the unit is for display only."""
+    """Whether two studies measure the same; unit and scale do not change what is measured."""
     if type(metric) is not type(other) or other is None:
         return False
-    if dataclasses.replace(metric, unit="") != dataclasses.replace(other, unit=""):
+    if _measures(metric) != _measures(other):
         return False
     if isinstance(metric, RelativeMetric) and not _same_default(then, now):
         return False
@@ -399,14 +399,20 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
     return all(then.signals.get(name) == now.signals.get(name) for name in used)
 
 
+def _measures(metric: StudyMetric) -> StudyMetric:
+    """Return a metric without what is for display and models only."""
+    if isinstance(metric, RelativeMetric):
+        return dataclasses.replace(metric, unit="")
+    return dataclasses.replace(metric, unit="", scale=LINEAR)
+
+
 def _same_default(then: Study, now: Study) -> bool:
     return then.search_space().defaults == now.search_space().defaults
 
 
 def _measured_otherwise(then: Study, now: Study, anew: set[str]) -> bool:
     """Whether a run that failed when it was measured may not fail now."""
-    logarithmic = ({o.metric for o in study.objectives if o.scale == LOG} for study in (then, now))
-    gone_log = set.difference(*logarithmic)
+    gone_log = set(then.logarithmic_metrics) - set(now.logarithmic_metrics)
     return bool(
         anew or then.metrics.keys() - now.metrics or then.signals != now.signals or gone_log
     )

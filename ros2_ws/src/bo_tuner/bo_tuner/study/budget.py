@@ -91,6 +91,13 @@ class Budget:
             return ""
         return f"the initial design takes all of the {self.trials} trials; none is proposed"
 
+    def part_spent(self, trials: int, evaluations: int) -> float:
+        """Return the part of the budget that so many trials and evaluations have used."""
+        parts = [trials / self.trials]
+        if self.evaluations is not None:
+            parts.append(evaluations / self.evaluations)
+        return max(parts)
+
     def is_spent(self, trials: int, evaluations: int) -> bool:
         """Return whether so many trials, with so many evaluations, use up the budget."""
         return self.remaining(trials, evaluations) == 0

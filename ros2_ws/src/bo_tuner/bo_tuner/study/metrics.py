@@ -15,6 +15,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
+from bo_tuner.study.metric_scale import check_scale
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
@@ -34,6 +36,10 @@ class Metric(Protocol):
     @property
     def range(self) -> tuple[float, float] | None:
         """Smallest and largest value that any run can have; None if not known."""
+
+    @property
+    def scale(self) -> str:
+        """On which it is modelled if it is limited."""
 
     @property
     def reproducible(self) -> bool:
@@ -61,6 +67,9 @@ class ReportedMetric:
     reproducible : bool
         Whether a repeated evaluation gives the same number. One that depends on measured time
         differs over ROS, and `replay` does not judge it.
+    scale : str
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
@@ -70,6 +79,7 @@ class ReportedMetric:
     node: str
     key: str = ""
     unit: str = ""
+    scale: str = LINEAR
     reproducible: bool = True
     range: tuple[float, float] | None = None
 
@@ -78,6 +88,7 @@ class ReportedMetric:
         check_range(self)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
+        check_scale(self)
         checks.boolean(self.reproducible, "reproducible")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
@@ -110,6 +121,9 @@ class SignalMetric:
     band : float, optional
         Distance from `target` within which `settling_time` takes the step as settled, as a share of
         the step; 0.02 unless given.
+    scale : str
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
@@ -119,6 +133,7 @@ class SignalMetric:
     of: str
     measure: str
     unit: str = ""
+    scale: str = LINEAR
     target: float | str | None = None
     percent: float | None = None
     band: float | None = None
@@ -134,6 +149,7 @@ class SignalMetric:
         check_range(self)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
+        check_scale(self)
         check_measure(self)
 
     def check_signals(self, signals: Iterable[str]) -> None:
@@ -178,6 +194,9 @@ class PythonMetric:
         Unit, for display only.
     timeout : float, optional
         Longest time [s] that the function may take; an evaluation in which it takes longer fails.
+    scale : str
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
@@ -186,6 +205,7 @@ class PythonMetric:
     name: str
     python: str
     unit: str = ""
+    scale: str = LINEAR
     timeout: float | None = None
     range: tuple[float, float] | None = None
 
@@ -201,6 +221,7 @@ class PythonMetric:
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
         )
         checks.text(self.unit, "unit")
+        check_scale(self)
         if self.timeout is not None:
             object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
@@ -219,6 +240,9 @@ class CombinedMetric:
     unit : str
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
+    scale : str
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
@@ -227,6 +251,7 @@ class CombinedMetric:
     name: str
     expression: str
     unit: str = ""
+    scale: str = LINEAR
     range: tuple[float, float] | None = None
 
     _of: ClassVar[Expression]
@@ -238,6 +263,7 @@ class CombinedMetric:
         check_range(self)
         checks.text(self.expression, "expression")
         checks.text(self.unit, "unit")
+        check_scale(self)
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
         """Return it with its parts among the metrics of a study.
@@ -298,6 +324,9 @@ class RelativeMetric:
     factor: float = 1.0
     unit: str = ""
     range: tuple[float, float] | None = None
+
+    scale = LINEAR
+    """A difference can be negative, and so has no logarithm."""
 
     parts: "ClassVar[tuple[StudyMetric, ...]]" = ()
     """The other metric; there as soon as it is `joined` to a study."""

@@ -13,6 +13,7 @@ from bo_tuner.study.distributions import Uniform
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.parameter import Parameter, study_name
 from bo_tuner.study.parameter_kinds import Kind, kinds
+from bo_tuner.study.parameter_scale import LOG, SYMLOG
 from bo_tuner.study.seen import SeenNode
 from bo_tuner.study.units import unit_in
 from bo_tuner.text import one_line
@@ -27,6 +28,8 @@ SEED = re.compile(r"(^|[_.])seed$", re.IGNORECASE)
 """Name of a parameter that seeds noise."""
 DECADES = 100.0
 """Ratio of positive bounds from which the logarithm is searched."""
+FAR_BELOW = 20.0
+"""Upper bound over the value from which on nearly all of a range from 0 on is far off the value."""
 VARIATION = 0.2
 """Share by which a property of a plant is guessed to vary in operation."""
 CHECK = "CHECK"
@@ -190,7 +193,9 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
         if described.has_steps:
             fields["step"] = number(described.step)
         if lower > 0 and upper >= DECADES * lower:
-            fields["scale"] = "log"
+            fields["scale"] = LOG
+        elif lower == 0 and _is_far_below(upper, described.value):
+            fields["scale"] = SYMLOG
         remark = "range of the node"
     elif described.type == "boolean":
         fields["default"] = described.value
@@ -220,6 +225,11 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
     if is_seed(name, described):
         remark, suggested = "by its name a seed of noise: seed_parameter takes it", False
     return ParameterOffer(node, name, fields, remark, kind, suggested)
+
+
+def _is_far_below(upper: float, value: object) -> bool:
+    """Whether a value above 0 is so small that nearly all of a range from 0 on is far off it."""
+    return isinstance(value, (int, float)) and 0.0 < value <= upper / FAR_BELOW
 
 
 def _by_name(kind: Kind, remark: str) -> str:
@@ -258,7 +268,7 @@ def _guessed(value: object) -> dict[str, Any]:
     if value == 0.0:
         return {"bounds": [0.0, 1.0], "default": 0.0}
     bounds = [float(f"{end:.3g}") for end in _signed(value, abs(value) / 10, abs(value) * 10)]
-    return {"bounds": bounds, "default": value} | ({"scale": "log"} if value > 0 else {})
+    return {"bounds": bounds, "default": value} | ({"scale": LOG} if value > 0 else {})
 
 
 def _signed(value: float, low: Any, high: Any) -> list[Any]:

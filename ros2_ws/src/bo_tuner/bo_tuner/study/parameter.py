@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
 from bo_tuner.trials import Value
 
 Number = int | float
@@ -48,6 +49,8 @@ class Parameter:
     scale : str
         `linear`, or `log` for a positive parameter whose ratios matter rather than its differences:
         the surrogates then see its logarithm, and the initial design of a double is even in it.
+        `symlog` is the same for bounds that begin at 0, or near it: the logarithm down to a
+        thousandth of the upper bound, and linear from there to 0.
     unit : str
         Unit, for display only.
     minimum_correlation : float, optional
@@ -67,7 +70,7 @@ class Parameter:
     tied_to: str | None = None
     fixed: Value | None = None
     default: Value | None = None
-    scale: str = "linear"
+    scale: str = LINEAR
     unit: str = ""
     minimum_correlation: float | None = None
     parameter: str = ""
@@ -77,7 +80,7 @@ class Parameter:
         checks.parameter_or_item(self.name)
         checks.text(self.node, "node")
         checks.choice(self.type, TYPES, "type")
-        checks.choice(self.scale, ("linear", "log"), "scale")
+        checks.choice(self.scale, SCALES, "scale")
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
@@ -202,7 +205,12 @@ class Parameter:
             if not 0 < step <= upper - lower:
                 raise StudyError(f"expected above 0 and within the bounds, found {step}", ("step",))
             object.__setattr__(self, "step", step)
-        if self.scale == "log" and lower <= 0:
+        if self.scale == SYMLOG and (lower < 0 or upper <= 0):
+            raise StudyError(
+                f"the symlog scale needs bounds from 0 on, found lower bound {lower}; leave it out",
+                ("scale",),
+            )
+        if self.scale == LOG and lower <= 0:
             raise StudyError(
                 f"the log scale needs bounds above 0, found lower bound {lower}; "
                 f"{_instead_of_log(lower, upper, self.default)}",
@@ -244,7 +252,7 @@ class Parameter:
         return min(lower + steps * self.step, upper)
 
     def _refuse(self, kind: str, *keys: str) -> None:
-        if self.scale != "linear":
+        if self.scale != LINEAR:
             raise StudyError(f"{kind} has no scale; leave it out", ("scale",))
         for key in keys:
             if getattr(self, key) is not None:
@@ -283,4 +291,4 @@ def _instead_of_log(lower: Number, upper: Number, default: object) -> str:
     # Three decades below the default, which is where the search is worth while.
     near = default if isinstance(default, (int, float)) and default > 0 else upper
     proposed = 1 if isinstance(lower, int) else float(f"{min(near, upper) / 1000.0:.1g}")
-    return f"write bounds: [{proposed}, {upper}], or leave out the scale if 0 itself counts"
+    return f"write bounds: [{proposed}, {upper}], or scale: symlog if 0 itself counts"

@@ -7,6 +7,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
+from bo_tuner.study.metric_scale import check_scale
+from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import Signal
 
@@ -36,6 +38,9 @@ class PathMetric:
         Unit, for display only.
     percent : float, optional
         Percentage of the time in which `percentile` is not exceeded, 0 to 100.
+    scale : str
+        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
+        varies in proportion.
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
@@ -46,6 +51,7 @@ class PathMetric:
     plan: str
     measure: str
     unit: str = "m"
+    scale: str = LINEAR
     percent: float | None = None
     range: tuple[float, float] | None = None
 
@@ -65,6 +71,7 @@ class PathMetric:
         object.__setattr__(self, "path", path)
         checks.text(self.plan, "plan")
         checks.text(self.unit, "unit")
+        check_scale(self)
         of_distance = [name for name in MEASURES if not options_of(name).get("target")]
         known = [*of_distance, *(s for s, name in SYNONYMS.items() if name in of_distance)]
         checks.choice(self.measure, known, "measure")

@@ -12,6 +12,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metric_scale import check_limits
 from bo_tuner.study.metrics import (
     COMPUTED,
     RelativeMetric,
@@ -76,6 +77,7 @@ def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric |
     metric = metrics[constraint.metric]
     if metric is not None:
         check_limit(constraint, metric.range)
+        check_limits(metric, constraint)
     # A distance is never negative, whatever is measured of it.
     never_negative = isinstance(metric, PathMetric) or (
         isinstance(metric, SignalMetric) and metric.measure in NEVER_NEGATIVE

@@ -1,10 +1,9 @@
 """The search space: maps the optimizer's unit cube to parameter sets, and back.
 
 Scaling. A tuned parameter v with bounds [lower, upper] has the cube coordinate
-z = (s(v) - s(lower)) / (s(upper) - s(lower)), where s is the logarithm for a parameter on the log
-scale and the identity otherwise. All positions that round to the same integer are repaired to the
-coordinate of that integer, so the surrogates see the value that the node gets (Garrido-Merchán and
-Hernández-Lobato 2020).
+z = (s(v) - s(lower)) / (s(upper) - s(lower)), where s is its scale (`parameter_scale`). All
+positions that round to the same integer are repaired to the coordinate of that integer, so the
+surrogates see the value that the node gets (Garrido-Merchán and Hernández-Lobato 2020).
 """
 
 import math
@@ -21,6 +20,7 @@ from bo_tuner.study.conditions import KEY, check_shares
 from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter_scale import LOG, SYMLOG, scaled, unscaled
 from bo_tuner.study.parameter_space import ParameterSpace
 from bo_tuner.trials import Value
 
@@ -100,7 +100,10 @@ class SearchSpace:
         self.integer = np.array([item.is_integer for item in self._tuned])
         self.discrete = np.array([not item.is_number or item.is_integer for item in self._tuned])
         self._stepped = [c for c, item in enumerate(self._tuned) if item.step is not None]
-        self._log = np.array([item.scale == "log" for item in self._tuned])
+        self._on_scale = {
+            scale: np.array([item.scale == scale for item in self._tuned])
+            for scale in (LOG, SYMLOG)
+        }
         self._scaled_lower = self._scaled(self.lower)
         self._scaled_width = self._scaled(self.upper) - self._scaled_lower
         self._width = self.upper - self.lower
@@ -291,7 +294,7 @@ class SearchSpace:
 
         A squared-exponential kernel correlates integers that are d apart in the cube by at least
         c = `minimum_correlation` if l >= d / sqrt(-2 ln c). Here d is the largest distance between
-        neighbours: 1 / (upper - lower) on the linear scale, that of the two lowest on a log scale.
+        neighbours: 1 / (upper - lower) on the linear scale, that of the two lowest on another one.
         The paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
         0 where the study sets no minimum.
         """
@@ -422,14 +425,16 @@ class SearchSpace:
 
     def _scaled(self, values: Array) -> Array:
         """Return s(v) for values of shape (..., d)."""
-        scaled = values.copy()
-        scaled[..., self._log] = np.log(values[..., self._log])
-        return scaled
+        found = values.copy()
+        for scale, there in self._on_scale.items():
+            found[..., there] = scaled(scale, values[..., there], self.upper[there])
+        return found
 
-    def _unscaled(self, scaled: Array) -> Array:
+    def _unscaled(self, positions: Array) -> Array:
         """Return v for s(v) of shape (n, d)."""
-        values = scaled.copy()
-        values[:, self._log] = np.exp(scaled[:, self._log])
+        values = positions.copy()
+        for scale, there in self._on_scale.items():
+            values[:, there] = unscaled(scale, positions[:, there], self.upper[there])
         return values
 
     def _distinct(self, points: Array, seen: set[tuple[Value, ...]]) -> Array:

@@ -23,7 +23,7 @@ from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric,
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import INTEGER, ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import INTEGER, LOG, ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.ranges import check_free
 from bo_tuner.study.references import (
     check_constraint,
@@ -294,6 +294,12 @@ class Study:
     def responses(self) -> list[str]:
         """Names of the metrics that may depend on the parameters: all but the measured contexts."""
         return [name for name in self.metrics if name not in self.measured]
+
+    @property
+    def logarithmic_metrics(self) -> list[str]:
+        """Names of the metrics of which the study takes the logarithm, which must be positive."""
+        objectives = {item.metric for item in self.objectives if item.scale == LOG}
+        return [k for k, m in self.metrics.items() if m.scale == LOG or k in objectives]
 
     @property
     def needs_folder(self) -> bool:

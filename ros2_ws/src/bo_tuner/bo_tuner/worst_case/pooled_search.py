@@ -88,8 +88,8 @@ class PooledSearch:
         self._evaluations = evaluations
         self._point = point
         self._processes = models.processes
-        self._compression = models.scale(known.y, limit, 1.0)
-        self._x, self._c, self._y = known.x, known.c, self._compression.apply(known.y)
+        self._scale = models.scale(known.y, limit, 1.0)
+        self._x, self._c, self._y = known.x, known.c, self._scale.apply(known.y)
         self._coding = known.coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
@@ -104,8 +104,8 @@ class PooledSearch:
         self._c = np.vstack([self._c, self._space.cube_of([context])])
         for name, values in self._measured.items():
             self._measured[name] = np.append(values, float(context[name]))
-        self._compression = self._compression.including(value)
-        self._y = np.append(self._y, self._compression.apply(value))
+        self._scale = self._scale.including(value)
+        self._y = np.append(self._y, self._scale.apply(value))
         self._observed.append(value)
         self._process = None
 
@@ -160,9 +160,7 @@ class PooledSearch:
         return self._everywhere(process, c).predict_in(points, np.arange(len(c)))
 
     def _everywhere(self, process: ContextProcess, c: Array) -> EveryContext:
-        return EveryContext(
-            process, self._limit, c, self._deviations, compression=self._compression
-        )
+        return EveryContext(process, self._limit, c, self._deviations, scale=self._scale)
 
     def _upper(self, process: ContextProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:

@@ -30,8 +30,12 @@ from tuning_benchmark.experiments.experiment import (
 )
 from tuning_benchmark.experiments.optima import read_optima
 from tuning_benchmark.problems.closed_form import ClosedForm
+from tuning_benchmark.problems.two_basins import TwoBasins
 
 T = TypeVar("T")
+
+PROBLEMS = {"closed_form": ClosedForm, "two_basins": TwoBasins}
+"""Problems in closed form, by the key `problem` of their settings."""
 
 
 def shipped_experiments() -> list[str]:
@@ -137,7 +141,10 @@ def _study(value: object, folder: Path) -> Study:
     """Read a study, shipped or beside the experiment file, or make that of a closed form."""
     if isinstance(value, dict):
         with _under("study"):
-            return build(ClosedForm, value).study()
+            settings = dict(value)
+            problem = settings.pop("problem", "closed_form")
+            checks.choice(problem, tuple(PROBLEMS), "problem")
+            return build(PROBLEMS[problem], settings).study()
     name = checks.text(value, "study")
     study = load_study(name if name in shipped_studies() else folder / name)
     # The records of a campaign are the same on all machines.

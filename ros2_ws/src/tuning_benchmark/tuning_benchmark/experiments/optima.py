@@ -12,7 +12,7 @@ import numpy as np
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
-from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study
+from tuning_benchmark.problems import closed_form, two_basins
 
 JUDGED = ("nodes", "parameters", "contexts", "metrics", "objective", "constraints", "order")
 """Sections of a study that change the truth of a parameter set."""
@@ -60,9 +60,12 @@ def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
         None if nothing is known.
     """
     objects = [node.object for node in study.nodes.values()]
-    if objects == [f"{Node.__module__}:{Node.__name__}"]:
-        problem = problem_of_study(study)
-        worst = np.linspace(0.0, 1.5 * LIMIT, SAMPLES)
+    if objects == [_path(two_basins.Node)]:
+        (node,) = study.nodes.values()
+        return Optimum(two_basins.problem_of(node.parameters).best)
+    if objects == [_path(closed_form.Node)]:
+        problem = closed_form.problem_of_study(study)
+        worst = np.linspace(0.0, 1.5 * closed_form.LIMIT, SAMPLES)
         return Optimum(problem.best, tuple(worst), tuple(problem.frontier(worst)))
     digest = study_digest(study)
     entry = next((entry for entry in entries.values() if entry["digest"] == digest), None)
@@ -76,14 +79,23 @@ def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
     )
 
 
+def _path(node: type) -> str:
+    return f"{node.__module__}:{node.__name__}"
+
+
 def study_digest(study: Study) -> str:
     """Digest of what decides over the truth of a study's parameter sets.
 
-    Seed, budget and what is tried first are no part of it, nor is the probability of the worst-case
-    constraint, since a search says itself what it asked for.
+    Seed, budget and what is tried first are no part of it, nor is the scale on which a metric is
+    modelled, nor the probability of the worst-case constraint, since a search says itself what it
+    asked for.
     """
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
+    judged["metrics"] = {
+        name: {key: value for key, value in item.items() if key != "scale"}
+        for name, item in content["metrics"].items()
+    }
     judged["constraints"] = {
         name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != "worst_case"}
         for name, item in content.get("constraints", {}).items()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.numerics.arrays import Array
 from tuning_benchmark.judging.truth import Judgement
-from tuning_benchmark.problems.closed_form import problem_of
+from tuning_benchmark.problems import closed_form, two_basins
 
 NODE = "problem"
 
@@ -27,11 +27,18 @@ class Judge:
         corners: NDArray[np.intp],
         seed: int,
     ) -> None:
-        self._problem = problem_of(constants[NODE])
+        self._problem = self.problem_of(constants[NODE])
         names = [f"w{j + 1}" for j in range(self._problem.contexts)]
         self._drawn = np.column_stack([drawn[name] for name in names])
         self._grid = np.column_stack([grid[name] for name in names])
         self._noise = np.random.default_rng(seed).standard_normal(len(self._drawn))
+
+    @staticmethod
+    def problem_of(
+        settings: Mapping[str, Any],
+    ) -> closed_form.ClosedForm | two_basins.TwoBasins:
+        """Return the problem that a node's parameters describe."""
+        return closed_form.problem_of(settings)
 
     def judge(self, values: Mapping[str, Mapping[str, Any]]) -> Judgement:
         """Compute the truth; the worst context is the nearest one of the grid."""
@@ -45,7 +52,7 @@ class Judge:
             standard_error=0.0,
             worst=worst,
             worst_index=int(np.argmin(((self._grid - context) ** 2).sum(axis=1))),
-            single=problem.metric(u, self._drawn) + problem.deviation(u, self._drawn) * self._noise,
+            single=problem.observed(u, self._drawn, self._noise),
         )
 
     def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
@@ -54,3 +61,12 @@ class Judge:
         if self._problem.crashes(u):
             return np.full((1, 1), np.nan)
         return self._problem.runs(u)[None]
+
+
+class BasinsJudge(Judge):
+    """Judges parameter sets of `TwoBasins`."""
+
+    @staticmethod
+    def problem_of(settings: Mapping[str, Any]) -> two_basins.TwoBasins:
+        """Return the problem that a node's parameters describe."""
+        return two_basins.problem_of(settings)

@@ -34,6 +34,13 @@ Steep
     Beyond the limit the mean is L + τ (exp(d / τ) - 1) instead of L + d, as of a loop that becomes
     unstable, and the noise is larger by the slope exp(d / τ). This is increasing in d and the same
     within the limit, hence the optimum is the same, too.
+Law
+    n has mean 0 and standard deviation 1 under each law of `noise_laws`, so the worst case is the
+    same under all of them. One on single runs binds at ε = σ̂ q, with q the quantile of the law for
+    P. Under the lognormal law the metric is L exp(g / L - 1 - s² / 2) with g as above and the
+    constant noise σ = L s, here `LOGARITHMIC`: as E exp(s n - s² / 2) = 1, its mean is L exp of
+    that of g / L - 1, which is increasing and L at L, hence the optimum is the same. One on single
+    runs binds at ε = σ q - L s² / 2.
 Narrow
     All contexts are of a fourth kind, *narrow*, p' (exp(-(w - ω - ρ·Δ)² / (2 b²)) - 1), as of a
     resonance: worst where the interior ones are, and far better elsewhere, so that no corner of the
@@ -50,13 +57,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
+from tuning_benchmark.problems.noise_laws import LAWS, LOGNORMAL, NORMAL, NoiseLaw
+from tuning_benchmark.problems.warp import unwarped, warped
 
 NONE, CONSTANT, HETEROSCEDASTIC = "none", "constant", "heteroscedastic"
 
@@ -76,6 +85,9 @@ STEEPNESS = 0.15
 
 COST_NOISE = 0.1
 """σ_C."""
+
+LOGARITHMIC = 0.3
+"""Standard deviation s of the metric's logarithm under the lognormal law."""
 
 QUIET, LOUD = 0.02, 0.08
 """Least and largest standard deviation of the constrained metric; if constant, their mean."""
@@ -122,12 +134,15 @@ class ClosedForm:
         Whether the worst value of every context is a narrow peak inside its interval.
     probability
         With which a single run must keep the limit in every context; on the mean if None.
+    law
+        Of the noise of the constrained metric, a key of `LAWS`.
 
     Raises
     ------
     StudyError
-        If a value is out of range, `steep` together with a `probability`, or `narrow` with
-        heteroscedastic noise, which grows with the leaning contexts.
+        If a value is out of range, `steep` together with a `probability`, `narrow` with
+        heteroscedastic noise, which grows with the leaning contexts, or the lognormal law with
+        another noise than the constant one, or with `steep`.
     """
 
     parameters: int
@@ -137,6 +152,7 @@ class ClosedForm:
     steep: bool = False
     narrow: bool = False
     probability: float | None = None
+    law: str = NORMAL
 
     def __post_init__(self) -> None:
         checks.integer(self.parameters, "parameters", at_least=2)
@@ -149,12 +165,18 @@ class ClosedForm:
             raise StudyError("expected false with a limit on single runs", ("steep",))
         if self.narrow and self.noise == HETEROSCEDASTIC:
             raise StudyError("expected false with heteroscedastic noise", ("narrow",))
+        checks.choice(self.law, tuple(LAWS), "law")
+        if self.law != NORMAL and self.noise == NONE:
+            raise StudyError("expected noise with a law", ("noise",))
+        if self.law == LOGNORMAL and (self.noise != CONSTANT or self.steep):
+            raise StudyError("expected constant noise and no steep with lognormal", ("law",))
 
     @property
     def name(self) -> str:
         """Name of the study."""
         parts = [f"closed_form_{self.parameters}_{self.contexts}", self.noise]
         parts += [name for name in ("crash", "steep", "narrow") if getattr(self, name)]
+        parts += [self.law] if self.law != NORMAL else []
         return "_".join(parts + (["single"] if self.probability is not None else []))
 
     @cached_property
@@ -172,9 +194,11 @@ class ClosedForm:
     @cached_property
     def optimum(self) -> Array:
         """Unit-cube coordinates (d,) of the optimum."""
-        c = self.constants
-        margin = 0.0 if self.probability is None else self._largest_noise * ndtri(self.probability)
-        return _unwarped(c.x + -margin / VIOLATION * STEP * c.D)
+        c, margin = self.constants, 0.0
+        if self.probability is not None:
+            margin = self._largest_noise * float(self._law.of_normal(ndtri(self.probability)))
+            margin -= self._lowering
+        return unwarped(c.x + -margin / VIOLATION * STEP * c.D)
 
     @property
     def best(self) -> float:
@@ -187,6 +211,8 @@ class ClosedForm:
         Exact as long as the line x° + r D stays in the cube, a lower bound beyond.
         """
         beyond = np.asarray(worst, dtype=np.float64) - LIMIT
+        if self.law == LOGNORMAL:
+            beyond = LIMIT * np.log(np.maximum(beyond / LIMIT + 1.0, np.finfo(np.float64).tiny))
         if self.steep:
             beyond = np.minimum(beyond, STEEPNESS * np.log1p(np.maximum(beyond, 0.0) / STEEPNESS))
         result: Array = 1.0 + RISE * np.maximum(1.0 - beyond / VIOLATION, 0.0) ** 2
@@ -202,6 +228,8 @@ class ClosedForm:
     def metric(self, u: Array, w: Array) -> Array:
         """Mean over noise of the constrained metric of points (..., d) in contexts (..., m)."""
         mean = self._gentle(u, w)
+        if self.law == LOGNORMAL:
+            return LIMIT * np.exp(mean / LIMIT - 1.0)
         if self.steep:
             growth = STEEPNESS * np.expm1((mean - LIMIT) / STEEPNESS)
             mean = np.where(mean > LIMIT, LIMIT + growth, mean)
@@ -210,10 +238,19 @@ class ClosedForm:
     def deviation(self, u: Array, w: Array) -> Array:
         """Return the standard deviation of the metric of points (..., d) in contexts (..., m)."""
         result = self._noise(w)
+        if self.law == LOGNORMAL:
+            return self.metric(u, w) * np.sqrt(np.expm1((result / LIMIT) ** 2))
         if self.steep:
             beyond = np.maximum(self._gentle(u, w) - LIMIT, 0.0)
             result = result * np.exp(beyond / STEEPNESS)
         return result
+
+    def observed(self, u: Array, w: Array, z: Array) -> Array:
+        """Return the metric of runs, points (..., d) in contexts (..., m), with normal draws z."""
+        if self.law == LOGNORMAL:
+            location = self._gentle(u, w) - self._lowering + self._noise(w) * z
+            return LIMIT * np.exp(location / LIMIT - 1.0)
+        return self.metric(u, w) + self.deviation(u, w) * self._law.of_normal(z)
 
     def _gentle(self, u: Array, w: Array) -> Array:
         """Return `metric` if it is not steep."""
@@ -240,7 +277,7 @@ class ClosedForm:
         if self.noise == NONE:
             return np.zeros(np.shape(w)[:-1])
         if self.noise == CONSTANT:
-            return np.full(np.shape(w)[:-1], (QUIET + LOUD) / 2.0)
+            return np.full(np.shape(w)[:-1], self._largest_noise)
         leaning = self.kinds == LEANING
         towards = (1.0 + (w * self.constants.z)[..., leaning].mean(axis=-1)) / 2.0
         result: Array = QUIET + (LOUD - QUIET) * towards
@@ -269,7 +306,7 @@ class ClosedForm:
 
     def kept(self, u: Array) -> float:
         """Least probability over all contexts that a run at a point (d,) keeps the limit."""
-        return float(ndtr(self._ratio(u)[0]))
+        return float(self._law.kept(self._ratio(u)[0]))
 
     def crashes(self, u: Array) -> bool:
         """Whether an evaluation at a point (d,) fails."""
@@ -282,9 +319,7 @@ class ClosedForm:
         """
         context = self._ratio(u)[1]
         levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        spread = self.deviation(u, context) * ndtri(levels)
-        result: Array = self.metric(u, context) + spread
-        return result
+        return self.observed(u, np.tile(context, (QUANTILES, 1)), ndtri(levels))
 
     def bounds(self, index: int) -> tuple[float, float, str]:
         """Return bounds and scale of a parameter; every other one is logarithmic."""
@@ -310,6 +345,7 @@ class ClosedForm:
             "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
             "crash": self.crash,
             **{name: True for name in ("steep", "narrow") if getattr(self, name)},
+            **({"law": self.law} if self.law != NORMAL else {}),
         }  # fmt: skip
         return problem_study(
             f"{__name__}:Node",
@@ -334,14 +370,30 @@ class ClosedForm:
         return u
 
     @property
+    def _law(self) -> NoiseLaw:
+        return LAWS[self.law]
+
+    @property
     def _largest_noise(self) -> float:
+        """Largest σ: of g, under the lognormal law, too."""
+        if self.law == LOGNORMAL:
+            return LIMIT * LOGARITHMIC
         return {NONE: 0.0, CONSTANT: (QUIET + LOUD) / 2.0, HETEROSCEDASTIC: LOUD}[self.noise]
+
+    @property
+    def _lowering(self) -> float:
+        """By how much g is lowered lest noise raises the mean of the metric, L s² / 2."""
+        return self._largest_noise**2 / (2.0 * LIMIT) if self.law == LOGNORMAL else 0.0
 
     def _ratio(self, u: Array) -> tuple[float, Array]:
         """Least distance to the limit in standard deviations, and its context."""
         contexts = self.worst_contexts(u)
-        left = LIMIT - self.metric(u, contexts)
-        deviation = self.deviation(u, contexts)
+        if self.law == LOGNORMAL:
+            left = LIMIT - self._gentle(u, contexts) + self._lowering
+            deviation = self._noise(contexts)
+        else:
+            left = LIMIT - self.metric(u, contexts)
+            deviation = self.deviation(u, contexts)
         certain = np.where(left >= 0.0, np.inf, -np.inf)
         ratio = np.divide(left, deviation, out=certain, where=deviation > 0.0)
         # Without noise all that exceed the limit are alike; of these the worst counts.
@@ -381,7 +433,7 @@ class Node(ParameterizedNode):
         sigma = 0.0 if problem.noise == NONE else COST_NOISE
         cost = problem.cost(u) * (1.0 + problem.constants.kappa @ w)
         cost *= np.exp(sigma * noise[0] - sigma**2 / 2.0)
-        stress = problem.metric(u, w) + problem.deviation(u, w) * noise[1]
+        stress = problem.observed(u, w, noise[1])
         return {"status": "ok", "reason": "", "cost": float(cost), "stress": float(stress)}
 
 
@@ -394,6 +446,7 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
         crash=bool(settings["crash"]),
         steep=bool(settings.get("steep", False)),
         narrow=bool(settings.get("narrow", False)),
+        law=str(settings.get("law", NORMAL)),
     )
 
 
@@ -402,23 +455,6 @@ def problem_of_study(study: Study) -> ClosedForm:
     (node,) = study.nodes.values()
     (limit,) = study.worst_case_constraints
     return replace(problem_of(node.parameters), probability=limit.probability)
-
-
-def warped(u: Array) -> Array:
-    """Return x of points u of the cube, any shape."""
-    result: Array = u + np.sin(2.0 * np.pi * u) / (4.0 * np.pi)
-    return result
-
-
-def _unwarped(x: Array) -> Array:
-    """Return u of x, by bisection."""
-    low, high = np.zeros_like(x), np.ones_like(x)
-    for _ in range(60):
-        middle = (low + high) / 2.0
-        below = warped(middle) < x
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    result: Array = (low + high) / 2.0
-    return result
 
 
 def _draw(parameters: int, kind: NDArray[np.intp]) -> Constants:

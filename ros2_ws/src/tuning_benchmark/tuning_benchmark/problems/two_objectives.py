@@ -26,8 +26,8 @@ import numpy as np
 
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
-from tuning_benchmark.problems.closed_form import warped
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
+from tuning_benchmark.problems.warp import warped
 
 LIMIT = 0.8
 LEAN = 0.25

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.methods.boundary.exploration import Exploration
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.repetition import OwnRuns
 from bo_tuner.methods.boundary.searches import Pooled
@@ -70,6 +71,8 @@ class Boundary(Method):
         Further runs of a new point after which it should be shown to keep its limits.
     avoidance
         Largest probability of a failure of a proposal.
+    exploration
+        Which trials may look elsewhere than where improvement is expected.
     contexts
         Of a trial before the search.
     search
@@ -88,6 +91,7 @@ class Boundary(Method):
     schedule: Schedule = field(default_factory=Schedule)
     ahead: int = 8
     avoidance: Avoidance = field(default_factory=AdaptedAvoidance)
+    exploration: Exploration = field(default_factory=Exploration)
     contexts: DrawnContexts = field(default=DrawnContexts(2))
     search: SearchRule | None = None
     searched: int = 3
@@ -106,7 +110,13 @@ class Boundary(Method):
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
         return BoundaryOptimization(
-            study, self.ranking, self.acquisition, self.schedule, self.ahead, self.avoidance
+            study,
+            self.ranking,
+            self.acquisition,
+            self.schedule,
+            self.ahead,
+            self.avoidance,
+            self.exploration,
         )
 
     def first_contexts(

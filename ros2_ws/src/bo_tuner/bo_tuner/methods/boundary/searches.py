@@ -55,7 +55,7 @@ class Pooled(ModelSearch):
             limit=constraint.sign * constraint.limit,
             deviations=constraint.deviations,
             evaluations=0 if idle else evaluations,
-            models=self.models,
+            models=self.models.of_metric(study, constraint.metric),
             hyperparameters=proposal.hyperparameters.get(constraint.name) or None,
             until_clear=proposal.protocol is None,
         )

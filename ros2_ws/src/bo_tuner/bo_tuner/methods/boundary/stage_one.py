@@ -24,14 +24,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule
+from bo_tuner.methods.boundary.exploration import Exploration, elsewhere, ends_in_a_basin
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.models.pooled_responses import FutureBound
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.base import ACQUISITION, Proposal
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization
+from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization, PointRule
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
 
@@ -96,10 +97,7 @@ class Schedule:
 
     def searches(self, study: Study, trials: int, evaluations: int) -> bool:
         """Return whether a trial is one of the search, after so many with so many evaluations."""
-        parts = [trials / study.budget.trials]
-        if study.budget.evaluations is not None:
-            parts.append(evaluations / study.budget.evaluations)
-        return max(parts) < self.searching
+        return study.budget.part_spent(trials, evaluations) < self.searching
 
     def evaluations_ahead(
         self, study: Study, trials: int, evaluations: float, searched: float
@@ -129,6 +127,8 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         Further runs of a new point after which it should be shown to keep its limits.
     avoidance
         Largest probability of a failure.
+    exploration
+        Which trials may look elsewhere than where improvement is expected.
     """
 
     def __init__(
@@ -139,27 +139,49 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         schedule: Schedule,
         ahead: int,
         avoidance: Avoidance,
+        exploration: Exploration,
     ) -> None:
         super().__init__(study, ranking.fit, acquisition)
         self._ranking = ranking
         self._schedule = schedule
         self._ahead = ahead
         self._avoidance = avoidance
+        self._exploration = exploration
 
     def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
         """Propose the next trial and its evaluations."""
         planned = sum(len(trial.evaluations) for trial in pending)
-        trials = count_trials(self.trials) + len(pending)
-        evaluations = count_evaluations(self.trials) + planned
-        if self._schedule.searches(self.study, trials, evaluations):
-            return super().ask(pending)
+        done = count_trials(self.trials) + len(pending), count_evaluations(self.trials) + planned
         self.pending = tuple(pending)
-        return self.initial() or self.propose(self._at_boundary, new_point(self.study))
+        points: PointRule[PooledSurrogates] = self._most_promising
+        protocol = None
+        if not self._schedule.searches(self.study, *done):
+            points, protocol = self._at_boundary, new_point(self.study)
+        if self._exploration.is_due(self.study, *done):
+            points = self._elsewhere_before(points)
+        return self.initial() or self.propose(points, protocol)
 
     @property
     def avoid(self) -> float:
         """Largest probability of a failure of a proposal, as long as others exist."""
         return self._avoidance(self.study, self.trials)
+
+    def _elsewhere_before(self, points: PointRule[PooledSurrogates]) -> PointRule[PooledSurrogates]:
+        """Return a rule that looks elsewhere where `points` have nothing to tell."""
+
+        def rule(
+            surrogates: PooledSurrogates, rng: np.random.Generator
+        ) -> Iterator[tuple[Array, str]]:
+            # Of its own, so that the search goes on as without this question.
+            (own,) = rng.spawn(1)
+            if ends_in_a_basin(surrogates, self.space, self._acquisition, self.avoid, own):
+                tried = [*self.trials, *self.pending]
+                point = elsewhere(surrogates, self.space, tried, self.avoid, own)
+                if point is not None:
+                    yield point, SPACE_FILLING
+            yield from points(surrogates, rng)
+
+        return rule
 
     def _at_boundary(
         self, surrogates: PooledSurrogates, rng: np.random.Generator

@@ -1,0 +1,32 @@
+"""The scale on which a limited metric is modelled: a key of each metric."""
+
+from typing import Protocol
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.parts import LINEAR, LOG
+
+SCALES = (LINEAR, LOG)
+
+
+class HasScale(Protocol):
+    """A metric with the key."""
+
+    @property
+    def scale(self) -> str:
+        """One of `SCALES`."""
+
+
+def check_scale(metric: HasScale) -> None:
+    """Refuse another scale than those that there are."""
+    checks.choice(metric.scale, SCALES, "scale")
+
+
+def check_limits(metric: HasScale, constraint: Constraint) -> None:
+    """Refuse a limit that has no logarithm, on a metric that asks for one."""
+    for key, limit in (("upper", constraint.upper), ("lower", constraint.lower)):
+        if metric.scale == LOG and limit is not None and limit <= 0.0:
+            raise StudyError(
+                f"expected a limit above 0 on a metric with the scale log, found {limit:g}", (key,)
+            )

@@ -1,0 +1,38 @@
+"""The scales of tuned numbers: how the optimizer sees a value v between its bounds.
+
+linear
+    v itself.
+log
+    log v, for a positive parameter whose ratios matter.
+symlog
+    log(1 + v / v₀), for a parameter from 0 on: as the logarithm well above v₀, which is a
+    thousandth of the upper bound, and linear below, with 0 itself among the values.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bo_tuner.numerics.arrays import Array
+
+LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
+
+SCALES = (LINEAR, LOG, SYMLOG)
+
+DECADES = 1000.0
+"""Upper bound over v₀: the symlog scale spans so many decades, and the rest of the way to 0."""
+
+
+def scaled(scale: str, values: ArrayLike, upper: Array) -> Array:
+    """Return s(v) of values (..., k) of parameters with the upper bounds `upper` (k,)."""
+    v = np.asarray(values, dtype=np.float64)
+    if scale == LOG:
+        return np.log(v)
+    return np.log1p(v * (DECADES / upper)) if scale == SYMLOG else v
+
+
+def unscaled(scale: str, positions: ArrayLike, upper: Array) -> Array:
+    """Return v for s(v) of shape (..., k)."""
+    s = np.asarray(positions, dtype=np.float64)
+    if scale == LOG:
+        return np.exp(s)
+    return np.expm1(s) * (upper / DECADES) if scale == SYMLOG else s
