@@ -20,7 +20,7 @@ from bo_tuner.models.covariates import ROWS, Covariates, measured_in
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
 from bo_tuner.models.logarithm import Logarithm
-from bo_tuner.models.model_scale import Logarithm, ModelScale, ScaleRule
+from bo_tuner.models.model_scale import ModelScale, ScaleRule
 from bo_tuner.models.observations import searched_contexts
 from bo_tuner.models.pooled_process import PooledProcesses
 from bo_tuner.models.pooled_responses import (
