@@ -25,7 +25,7 @@ class TestBadInput:
             (["--until-pass", "20000"], "--until-pass: expected at most 10000, found 20000"),
             (["--draws", "-1"], f"--draws: expected at least {NEEDED}"),
             # The second attempt has a smaller share of the error probability.
-            (["--draws", "112", "--until-pass", "2"], "--draws: expected at least 142 to show"),
+            (["--draws", "99", "--until-pass", "2"], "--draws: expected at least 156 to show"),
             (["--draws", "many"], "argument --draws: many: expected a whole number"),
             (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 3"),
             (["--confidence", "95"], "argument --confidence: 95: expected a number between 0 and"),

@@ -37,7 +37,7 @@ class TestVerdict:
         assert parts[0] == 120
         assert certificate(folder)["tuned"]["evaluations"] <= total
         assert [line.split(":")[0] for line in phases] == [
-            "draws", "worst case of tuned", "warning", "report", "bundle",
+            "draws", "worst case of tuned", "more draws", "warning", "report", "bundle",
         ]  # fmt: skip
         assert phases[0] == "draws: at most 120"
         assert phases[1].endswith(" evaluations")
@@ -124,7 +124,7 @@ class TestVerdict:
         assert tried[0] == json.loads((folder / "summary.json").read_text())["trial"]
         assert [certificate(folder, n)["attempt"] for n in (1, 2)] == [1, 2]
         # Each takes what its own share of the error probability needs.
-        assert [certificate(folder, n)["draws"] for n in (1, 2)] == [112, 142]
+        assert [certificate(folder, n)["draws"] for n in (1, 2)] == [99, 156]
         monkeypatch.delenv("PEAK")
         code, out, _ = here(folder, "--until-pass", "3")
         assert (code, out.count("PASS: the tuned parameter set")) == (0, 1)
