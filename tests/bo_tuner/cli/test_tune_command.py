@@ -61,6 +61,24 @@ def recorded(folder):
     return list(read_journal(folder / "journal.sqlite").trials)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (["--init"], "init"),
+        (["--init", "a b.yaml", "--nodes", "pid"], "init 'a b.yaml' --nodes pid"),
+        (["--trials", "3", "--check", "my.yaml"], "check my.yaml --trials 3"),
+        (["--check=my.yaml", "--sensitivity"], "check my.yaml --sensitivity"),
+        (
+            ["--check", "my.yaml", "--ros-args", "-r", "__ns:=/x"],
+            "check my.yaml --ros-args -r __ns:=/x",
+        ),
+    ],
+)
+def test_what_is_a_command_of_its_own_is_named(capsys, arguments, command):
+    line = complaint(tune_command, capsys, *arguments)
+    assert line.endswith(f" in place of tune: {command}")
+
+
 class TestRun:
     def test_feasible(self, fresh_tune, tmp_path):
         code, out, err = finish(fresh_tune())

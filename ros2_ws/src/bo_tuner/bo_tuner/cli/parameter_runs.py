@@ -1,4 +1,4 @@
-"""``tune --check``: try each tuned parameter, and say which metrics it moves."""
+"""``check``: try each tuned parameter, and say which metrics it moves."""
 
 from collections.abc import Sequence
 
@@ -95,7 +95,7 @@ def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
         plain_console().print(_table(study, planned, moves))
     _tell_failures(planned, runs)
     if untried := [name for name in study.search_space().names if name not in found]:
-        how = "" if whole_range else ", in small steps; --sensitivity tries their whole range"
+        how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
         say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
     unseen = [item.effects for item in found.values() if item.effects.unseen]
     open_ = [n for n, item in found.items() if not (item.effects.seen or item.effects.told)]
@@ -114,7 +114,11 @@ def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
             f"{'error' if none else 'warning'}: {not_seen(item)}; tried: {tried}, beside the "
             f"default {shown(default)}"
         )
-    steps = [] if whole_range else ["These were small steps; --sensitivity tries the whole range."]
+    steps = (
+        []
+        if whole_range
+        else ["These were small steps; check --sensitivity tries the whole range."]
+    )
     for text in [*proposals(study, [item.parameter for item in unseen]), *steps]:
         say(text)
     return not none

@@ -97,7 +97,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
     )
-    parser.add_trust_argument()
     return parser
 
 

@@ -1,4 +1,4 @@
-"""What ``tune --check`` shows of its test runs."""
+"""What ``check`` shows of its test runs."""
 
 import math
 from collections.abc import Sequence

@@ -108,26 +108,14 @@ def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
     parser.add_run_argument()
-    parser.add_argument(
-        "--draws",
-        type=whole_number,
-        metavar="N",
-        help="fresh draws of context and noise, at most (default: as the study requires)",
-    )
-    parser.add_argument(
-        "--confidence",
-        type=_fraction,
-        metavar="P",
-        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
-        "requires)",
-    )
-    parser.add_argument(
+    sets = parser.add_argument_group("what to certify")
+    sets.add_argument(
         "--trial",
         type=whole_number,
         metavar="N",
         help=f"the parameter set of this trial (default: that of the run's {BEST})",
     )
-    parser.add_argument(
+    sets.add_argument(
         "--until-pass",
         type=whole_number,
         default=1,
@@ -135,11 +123,24 @@ def make_parser() -> Parser:
         help="after a FAIL, continue with the next-ranked parameter sets that are believed "
         "feasible and have no certificate yet, up to K in all",
     )
-    parser.add_argument(
+    sets.add_argument(
         "--with-default", action="store_true", help="certify the default as well, to compare"
     )
+    evidence = parser.add_argument_group("evidence")
+    evidence.add_argument(
+        "--draws",
+        type=whole_number,
+        metavar="N",
+        help="fresh draws of context and noise, at most (default: as the study requires)",
+    )
+    evidence.add_argument(
+        "--confidence",
+        type=_fraction,
+        metavar="P",
+        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
+        "requires)",
+    )
     parser.add_backend_arguments("as in the run")
-    parser.add_trust_argument()
     return parser
 
 
