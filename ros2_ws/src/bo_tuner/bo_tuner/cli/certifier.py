@@ -21,6 +21,7 @@ from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
@@ -178,13 +179,14 @@ class Certifier:
 
 
 class _Bar(RunObserver):
-    """A bar for one phase after the other, or a line for each where there is no terminal."""
+    """A bar for one phase after the other; without a terminal a line for each, and now and then."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._lines = NowAndThen()
         self.progress = Progress(
             TextColumn("[bold]{task.description}"),
-            BarColumn(),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=console,
@@ -197,8 +199,14 @@ class _Bar(RunObserver):
         self.progress.add_task(phase, total=total)
         if self.progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._console.print(f"{phase}: {most}", soft_wrap=True)
+            self._tell(f"{phase}: {most}")
 
     def advance(self) -> None:
-        for task in self.progress.task_ids:
-            self.progress.advance(task)
+        for task in self.progress.tasks:
+            self.progress.advance(task.id)
+            if self.progress.disable and self._lines.due:
+                self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+
+    def _tell(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True)
+        self._lines.told()

@@ -12,6 +12,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.study import checks
+from bo_tuner.terminal import print_table
 from bo_tuner.text import one_line
 
 SPAN = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
@@ -77,12 +78,11 @@ class Chooser:
     ) -> list[Offer]:
         table = Table(title=what, title_justify="left", show_header=False)
         for column in ("number", "suggested", "name", "now", "remark"):
-            # Folded, since a name that is cut off tells nothing.
-            table.add_column(column, overflow="fold")
+            table.add_column(column)
         for index, offer in enumerate(offers, start=1):
             mark = "*" if offer in suggested else ""
             table.add_row(f"{index}", mark, *(one_line(cell) for cell in row(offer)))
-        plain_console().print(table)
+        print_table(plain_console(), table, heading=3, remarks=True)
         while True:
             answer = ask(
                 f"{what}: numbers such as 1 3-5, or Enter for those with *: ", self._interruption

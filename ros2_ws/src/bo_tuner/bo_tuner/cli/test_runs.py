@@ -10,6 +10,7 @@ from rich.table import Table
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
 from bo_tuner.trials import Evaluation
 
 WIDTH, LEAST_WIDTH = 60, 10
@@ -31,7 +32,7 @@ def show_signals(recording: Recording, number: int) -> None:
     width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
     table = Table(title=f"signals of run {number}, {recording.end:.3g} s", title_justify="left")
     for column in ("signal", "messages", "least", "over the run", "largest"):
-        table.add_column(column, no_wrap=True)
+        table.add_column(column)
     for name, seen in recording.signals.items():
         if not len(seen.time):
             table.add_row(name, "0", "", "", "")
@@ -48,7 +49,7 @@ def show_signals(recording: Recording, number: int) -> None:
     for name, heard in recording.messages.items():
         table.add_row(name, f"{heard.messages}", "", f"whole messages, {heard.type}", "")
     if all_names:
-        console.print(table)
+        print_table(console, table)
 
 
 def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
@@ -93,7 +94,7 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
             continue
         if text := spread(name, values, [abs(item.limit) for item in limits]):
             notes.append(text)
-    plain_console().print(table)
+    print_table(plain_console(), table)
     for note in notes:
         say(f"note: {note}")
 

@@ -2,10 +2,12 @@
 
 import argparse
 import contextlib
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bo_tuner.backends.ros.isolation import named_namespace, namespace_of
+from bo_tuner.backends.ros.processes import has_executable
 from bo_tuner.cli.common import (
     RUNS,
     Parser,
@@ -20,7 +22,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
-from bo_tuner.errors import OutputError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -38,6 +40,7 @@ from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted, trust
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study, shipped_studies
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
@@ -221,11 +224,36 @@ def _new(
     named = STUDY if arguments.study is None else arguments.study
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
+    if named in shipped_studies() and not attach:
+        _check_installed(load_study(named), backend)
     study = _given(named, attach, arguments, ros_arguments, interruption)
     algorithm = arguments.algorithm or DEFAULT_METHOD
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
+
+
+def _check_installed(study: Study, backend: str) -> None:
+    """Refuse a shipped study whose nodes are not installed, and say what to do instead.
+
+    Raises
+    ------
+    StudyError
+        If they are not.
+    """
+    for spec in study.nodes.values():
+        if backend == ROS:
+            package = spec.package or ""
+            installed = has_executable(package, spec.executable or "")
+        else:
+            package = (spec.object or "").partition(".")[0]
+            installed = importlib.util.find_spec(package) is not None
+        if not installed:
+            raise StudyError(
+                f"the shipped study {study.name} needs the package {package}, which is not "
+                "installed; for nodes of your own write a study with init my_study.yaml, and run "
+                "tune --study my_study.yaml --attach"
+            )
 
 
 def _given(

@@ -36,7 +36,7 @@ from bo_tuner.evidence.certificate.store import (
     required_draws,
     shortfall,
 )
-from bo_tuner.evidence.certificate.table import certificate_lines, certificate_table
+from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import certified, run_verdict
@@ -341,8 +341,6 @@ def _not_the_result(verdict: Verdict) -> str:
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
     out, certificate = plain_console(), read_certificate(path, study)
     print_verdict(out, study, verdict, certificate.parameters)
-    out.print()
-    out.print(certificate_table(study, certificate))
     for line in certificate_lines(study, certificate):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
 from bo_tuner.text import with_unit
 from bo_tuner.tuning.front import CONFIDENCE
 
@@ -63,7 +64,7 @@ def print_front(
         f"validate {shlex.quote(str(run))} --trial N",
         soft_wrap=True,
     )
-    console.print(table)
+    print_table(console, table)
 
 
 def _in_words(mean: Mapping[str, Any]) -> str:
