@@ -36,6 +36,15 @@ def test_help_fits_80_columns_and_tells_the_exit_codes(name):
     )
 
 
+@pytest.mark.parametrize("name", ["check", "tune", "validate"])
+def test_no_option_stands_outside_the_groups_of_the_help(name):
+    parser = importlib.import_module(f"bo_tuner.cli.{name}").make_parser()
+    text = parser.format_help()
+    general = text.partition("\noptions:\n")[2].partition("\n\n")[0]
+    assert re.findall(r"^  .*?(--\w+)", general, re.MULTILINE) == ["--help", "--version"]
+    assert len(re.findall(r"^[a-z ]+:\n  --", text, re.MULTILINE)) >= 2
+
+
 class TestLatest:
     @pytest.fixture(autouse=True)
     def here(self, tmp_path, monkeypatch):

@@ -25,6 +25,7 @@ from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.terminal import print_line
 from bo_tuner.text import counted
 from bo_tuner.trials import DEFAULT, TUNED, Trial
 from bo_tuner.tuning.driver import Driver
@@ -158,10 +159,8 @@ class Certifier:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} evaluated again, and " if count else ""
-                self.console.print(
-                    f"{subject.name}: {refutation.told}; {again}its runs count against a PASS",
-                    soft_wrap=True,
-                )
+                told = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
+                print_line(self.console, told, "  ")
 
     def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""
@@ -171,10 +170,11 @@ class Certifier:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:
             parts.append(f"{most.repeated} in the worst contexts found")
-        self.console.print(
+        print_line(
+            self.console,
             f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
             "clear",
-            soft_wrap=True,
+            "  ",
         )
 
 

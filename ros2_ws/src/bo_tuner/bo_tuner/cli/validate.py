@@ -52,6 +52,7 @@ from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_line
 from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
@@ -160,7 +161,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
-        console.print(text, soft_wrap=True)
+        print_line(console, text, "  ")
 
     trial = _trial(record, arguments.trial)
     begun = _unfinished(record, trial, backend) if most > 1 else None
@@ -342,7 +343,7 @@ def _report(verdict: Verdict, study: Study, path: Path) -> None:
     out, certificate = plain_console(), read_certificate(path, study)
     print_verdict(out, study, verdict, certificate.parameters)
     for line in certificate_lines(study, certificate):
-        out.print(line, soft_wrap=True)
+        print_line(out, line, "  ")
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")
     print_next_steps(out, verdict, path.parent.parent)
