@@ -1,7 +1,7 @@
 """How often a parameter that does nothing is said to move a metric, and one that does is not seen.
 
 On closed forms, in many runs each: the trials of `tune`, where the points come nearer to the best
-one in all parameters, those that do nothing included; and the runs of `tune --check`, one parameter
+one in all parameters, those that do nothing included; and the runs of `check`, one parameter
 at a time and in a screening design. Three of four parameters, or the last of ten, do nothing. What
 would have been seen is then given to the last one as its effect, in runs of their own.
 """

@@ -415,12 +415,12 @@ def test_the_first_study_of_the_unchanged_system_passes_the_check(tmp_path, monk
     """By the tutorial's own command, and by what the nodes suggest: both are the same study."""
     scripts = [UNCHANGED / "motor_node.py", UNCHANGED / "pid_node.py"]
     text = (ROOT / "docs" / "tutorial_unchanged_system.md").read_text(encoding="utf-8")
-    command = shlex.split(re.search("^tune --init first.yaml.*", text, re.MULTILINE)[0])
+    command = shlex.split(re.search("^init first.yaml.*", text, re.MULTILINE)[0])
     with nodes_of_example(tmp_path, monkeypatch, *scripts) as environment:
-        for arguments in (command, ["tune", "--init", "suggested.yaml"]):
+        for arguments in (command, ["init", "suggested.yaml"]):
             code, said, err = finish(Fork(*arguments, folder=tmp_path, env=environment))
             assert (code, err) == (0, ""), said
-        check = ["tune", "--check", "first.yaml", "--no-sensitivity"]
+        check = ["check", "first.yaml", "--no-sensitivity"]
         code, said, err = finish(Fork(*check, folder=tmp_path, env=environment))
     assert (code, err) == (0, ""), said
     studies = [load_study(tmp_path / f"{name}.yaml") for name in ("first", "suggested")]

@@ -20,7 +20,17 @@ EXECUTABLES = {
     "feed_axis_common": [],
     "mpc_controller": ["mpc_controller"],
     "milling_plant": ["milling_plant"],
-    "bo_tuner": ["tune", "report", "validate", "replay", "recompute", "apply", "guard"],
+    "bo_tuner": [
+        "tune",
+        "init",
+        "check",
+        "report",
+        "validate",
+        "replay",
+        "recompute",
+        "apply",
+        "guard",
+    ],
     "tuning_benchmark": ["benchmark"],
 }
 # Import name -> rosdep key and name for pip; None where there is no key.

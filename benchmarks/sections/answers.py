@@ -156,6 +156,6 @@ def effects(result: Result) -> list[str]:
         f"seen* is seen, {result['power']:.0%} being meant. From the trials of a run, of an "
         "imitation of an optimizer:",
         markdown(["problem", "trials", "noise", "false alarms", "smallest effect seen"], trials),
-        "In the runs of `tune --check`, and that effect in standard deviations of a run:",
+        "In the runs of `check`, and that effect in standard deviations of a run:",
         markdown(["design", "runs", "false alarms", "seen", "effect"], check),
     ]

@@ -17,10 +17,11 @@ from waiting import DEADLINE
 
 # The imports of a command or a node take longer than most runs of a small object. The server has
 # them done when it forks; it serves this test process alone, and ends with it.
+PRELOADED = ("tune", "init", "check", "report", "validate", "replay", "apply")
 _SERVER = multiprocessing.get_context("forkserver")
 _SERVER.set_forkserver_preload(
     [
-        *(f"bo_tuner.cli.{name}" for name in ("tune", "report", "validate", "replay", "apply")),
+        *(f"bo_tuner.cli.{name}" for name in PRELOADED),
         "milling_plant.node",
         "mpc_controller.node",
         "tuning_benchmark.command",

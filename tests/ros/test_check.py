@@ -1,4 +1,4 @@
-"""`tune --check` on running nodes: every mistake at once, then two runs of the default."""
+"""`check` on running nodes: every mistake at once, then two runs of the default."""
 
 import contextlib
 import itertools
@@ -21,7 +21,7 @@ from waiting import DEADLINE
 from bo_tuner.backends.ros import others, preparation, publication, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.cli import tune
+from bo_tuner.cli import check as check_command
 from bo_tuner.cli.test_runs import spread
 from bo_tuner.errors import BackendError
 from bo_tuner.study.study_file import load_study, study_to_mapping
@@ -93,7 +93,7 @@ def write_study(tmp_path, **changes):
 def study(tmp_path, *options, **changes):
     """Check a study without what `test_parameter_runs` is about."""
     write_study(tmp_path, **changes)
-    arguments = ("tune", "--check", "servo.yaml", "--no-sensitivity", *options)
+    arguments = ("check", "servo.yaml", "--no-sensitivity", *options)
     return finish(Fork(*arguments, folder=tmp_path))
 
 
@@ -194,7 +194,7 @@ def test_a_run_that_sends_nothing(servo, tmp_path):
 def test_nodes_that_were_not_started(empty_domain, tmp_path):
     """In a domain without others, one line for each node says what to do."""
     write_study(tmp_path)
-    code, _, err = finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
+    code, _, err = finish(Fork("check", "servo.yaml", folder=tmp_path))
     assert code == 2
     assert err.splitlines() == [
         f"error: servo: no such node in ROS domain {empty_domain}; no other node runs there: "
@@ -287,7 +287,7 @@ def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypa
             "clock": "sim",
         },
     )
-    code, _, err = call(tune, capsys, "--check", tmp_path / "servo.yaml")
+    code, _, err = call(check_command, capsys, tmp_path / "servo.yaml")
     assert code == 2
     *lines, count = err.splitlines()
     assert count == "8 problems found; nothing was set"
@@ -313,7 +313,7 @@ def test_a_node_that_is_not_set_back_is_told(servo, tmp_path, monkeypatch, capsy
 
     monkeypatch.setattr(RosBackend, "close", refuse)
     write_study(tmp_path)
-    code, out, err = call(tune, capsys, "--check", tmp_path / "servo.yaml", "--no-sensitivity")
+    code, out, err = call(check_command, capsys, tmp_path / "servo.yaml", "--no-sensitivity")
     assert code == 1
     assert err.splitlines()[-1] == "error: servo could not be restored: servo does not answer"
     assert "metrics of the default" in out
@@ -367,7 +367,7 @@ def started(tmp_path):
 
 
 def check(folder, *options):
-    arguments = ("tune", "--check", "study.yaml", "--no-sensitivity", *options)
+    arguments = ("check", "study.yaml", "--no-sensitivity", *options)
     found = finish(Fork(*arguments, folder=folder))
     running = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
     assert not [line for line in running if str(folder).encode() in line], "a node was left"

@@ -1,4 +1,4 @@
-"""`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
+"""The command `init` on running nodes: what it sees, what it asks, and what it writes."""
 
 import errno
 import math
@@ -36,8 +36,8 @@ from bo_tuner.backends.ros.messages import (
     number_fields,
 )
 from bo_tuner.backends.ros.survey import _ends, _look
-from bo_tuner.cli import tune
-from bo_tuner.cli.init import numbers
+from bo_tuner.cli import init
+from bo_tuner.cli.chooser import numbers
 from bo_tuner.errors import StudyError
 from bo_tuner.study.fields import parsed_field
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
@@ -58,7 +58,7 @@ def quick(monkeypatch):
 
 
 def test_no_node_is_told_in_a_line(empty_domain, tmp_path):
-    code, out, err = run("tune", "--init", folder=tmp_path)
+    code, out, err = run("init", folder=tmp_path)
     assert (code, out) == (2, "")
     assert err.startswith("error: no node with parameters found in 5 s in domain ")
     assert err.count("\n") == 1
@@ -75,7 +75,7 @@ def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
         return node
 
     with at_work(idle):
-        code, out, err = run("tune", "--init", folder=tmp_path)
+        code, out, err = run("init", folder=tmp_path)
     assert code == 2
     assert out == (
         "note: left out: /joint_states: silent for 1 s, so the items of its arrays are unknown\n"
@@ -86,9 +86,9 @@ def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
 
 
 def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
-    code, out, err = run("tune", "--init", folder=tmp_path)
+    code, out, err = run("init", folder=tmp_path)
     assert (code, err) == (0, "")
-    assert "tune --check study.yaml" in out
+    assert "check study.yaml" in out
     study = load_study(tmp_path / "study.yaml")
     assert list(study.parameters) == ["gain"]
     assert study.parameters["gain"].default == servo.get_parameter("gain").value
@@ -110,7 +110,7 @@ def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
 
 def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
     code, _, err = run(
-        *("tune", "--init", "servo.yaml", "--nodes", "/servo", "--parameters", "servo:gain"),
+        *("init", "servo.yaml", "--nodes", "/servo", "--parameters", "servo:gain"),
         *("--signals", "/setpoint", "/joint_states:position[motor]"),
         folder=tmp_path,
     )
@@ -120,7 +120,7 @@ def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
         ["gain"],
         ["setpoint", "position_motor"],
     )
-    code, out, err = run("tune", "--check", "servo.yaml", "--no-sensitivity", folder=tmp_path)
+    code, out, err = run("check", "servo.yaml", "--no-sensitivity", folder=tmp_path)
     assert (code, err) == (0, "")
     assert "the nodes match the study: 1 parameter and 2 signals" in out
 
@@ -140,9 +140,7 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
 
     monkeypatch.setattr("bo_tuner.backends.ros.survey._look", look)
     try:
-        code, out, err = call(
-            tune, capsys, "--init", tmp_path / "study.yaml", "--parameters", "servo:late"
-        )
+        code, out, err = call(init, capsys, tmp_path / "study.yaml", "--parameters", "servo:late")
     finally:
         servo.undeclare_parameter("late")
     assert (code, err) == (0, "")
@@ -177,14 +175,14 @@ def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tm
         "/currents:data[2]",
     )
     with at_work(Lidar):
-        code, _, err = run("tune", "--init", "--signals", *names, folder=tmp_path)
+        code, _, err = run("init", "--signals", *names, folder=tmp_path)
         assert (code, err) == (0, "")
         for name, problem in (
             ("/scan:ranges[360]", "a message has 360 items in ranges, none for [360]"),
             ("/scan:rangs[0]", "sensor_msgs/msg/LaserScan has no field 'rangs'; did you mean"),
             ("/scan:ranges[", "expected a field such as data, "),
         ):
-            code, _, err = run("tune", "--init", "no.yaml", "--signals", name, folder=tmp_path)
+            code, _, err = run("init", "no.yaml", "--signals", name, folder=tmp_path)
             assert code == 2
             assert err.splitlines()[-1].startswith(f"error: --signals: {name}: {problem}")
     study = load_study(tmp_path / "study.yaml")
@@ -194,9 +192,9 @@ def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tm
 
 def test_a_trajectory_starts_a_run(empty_domain, tmp_path):
     with at_work(Lidar):
-        code, out, err = run("tune", "--init", folder=tmp_path)
+        code, out, err = run("init", folder=tmp_path)
         assert (code, err) == (0, "")
-        code, out, err = run("tune", "--check", "study.yaml", folder=tmp_path)
+        code, out, err = run("check", "study.yaml", folder=tmp_path)
     study = load_study(tmp_path / "study.yaml")
     (start,) = study.run.start
     assert start.publish.topic == "/joint_trajectory"
@@ -221,13 +219,13 @@ def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, tmp_path)
         return node
 
     with at_work(moved):
-        code, out, err = run("tune", "--init", *arguments, folder=tmp_path)
+        code, out, err = run("init", *arguments, folder=tmp_path)
         assert (code, err) == (0, "")
         text = (tmp_path / "study.yaml").read_text()
-        command = re.search("Then: (tune --check .*)\n", text)[1]
+        command = re.search("Then: (check .*)\n", text)[1]
         assert command in out
-        tune, *options = shlex.split(command)
-        code, out, err = run(tune, "--no-sensitivity", *options, folder=tmp_path)
+        check, *options = shlex.split(command)
+        code, out, err = run(check, "--no-sensitivity", *options, folder=tmp_path)
         assert (code, err) == (0, "")
     assert "\n#       tune --study study.yaml --attach --ros-args -r __ns:=/left\n" in text
     mass = "mass: {node: pid, distribution: uniform, bounds: [1.6, 2.4], nominal: 2.0, unit: kg}"
@@ -244,7 +242,7 @@ def test_a_file_that_cannot_be_written(servo, quick, tmp_path, capsys, monkeypat
         return open_it(file, *arguments, **options)
 
     monkeypatch.setattr(Path, "open", refuse)
-    code, _, err = call(tune, capsys, "--init", path)
+    code, _, err = call(init, capsys, path)
     assert code == 2
     assert err.splitlines()[-1] == f"error: {path}: cannot be written: Permission denied"
 
@@ -252,7 +250,7 @@ def test_a_file_that_cannot_be_written(servo, quick, tmp_path, capsys, monkeypat
 def test_an_action_is_offered(servo, quick, tmp_path, capsys):
     server = ActionServer(servo, Fibonacci, "count", lambda goal: Fibonacci.Result())
     try:
-        code, _, err = call(tune, capsys, "--init", tmp_path / "study.yaml")
+        code, _, err = call(init, capsys, tmp_path / "study.yaml")
     finally:
         server.destroy()
     assert (code, err) == (0, "")
@@ -270,7 +268,7 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
 
     with at_work(other):
         code, out, err = run(
-            *("tune", "--init", "--parameters", "servo:gain", "--signals", "/setpoint"),
+            *("init", "--parameters", "servo:gain", "--signals", "/setpoint"),
             folder=tmp_path,
         )
     assert (code, err) == (0, "")
@@ -282,14 +280,14 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
 
 
 def test_a_text_that_is_named_is_not_offered(servo, tmp_path):
-    code, _, err = run("tune", "--init", "--parameters", "serial", folder=tmp_path)
+    code, _, err = run("init", "--parameters", "serial", folder=tmp_path)
     assert code == 2
     assert err == "error: --parameters: serial of servo is not offered: read-only\n"
 
 
 def test_a_node_that_runs_twice_is_named(servo, tmp_path):
     with at_work(lambda context: Node("servo", context=context)):
-        code, _, err = run("tune", "--check", "servo.yaml", folder=write_servo(tmp_path))
+        code, _, err = run("check", "servo.yaml", folder=write_servo(tmp_path))
     assert code == 2
     assert "servo runs more than once in ROS domain " in err
 
@@ -303,7 +301,7 @@ def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):
     domain = int(os.environ["ROS_DOMAIN_ID"])
     claim = DomainClaim("/", domain)
     try:
-        code, out, err = run("tune", "--init", folder=tmp_path)
+        code, out, err = run("init", folder=tmp_path)
     finally:
         claim.release()
     assert (code, out) == (2, "")
@@ -313,7 +311,7 @@ def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):
 
 def test_the_end_of_the_input_is_no_answer(servo, tmp_path):
     converse(
-        [sys.executable, "-m", "bo_tuner", "tune", "--init", "asked.yaml"],
+        [sys.executable, "-m", "bo_tuner", "init", "asked.yaml"],
         [("nodes: numbers", b"\x04")],
         code=2,
         cwd=tmp_path,
@@ -332,7 +330,7 @@ def test_what_is_not_there_is_refused_with_the_nearest_name(
         ("--parameters", "gian", "gain"),
         ("--signals", "/joint_staets", "/joint_states"),
     ):
-        code, _, err = call(tune, capsys, "--init", tmp_path / "study.yaml", option, name)
+        code, _, err = call(init, capsys, tmp_path / "study.yaml", option, name)
         assert code == 2
         assert err == f"error: {option}: there is no '{name}'; did you mean '{near}'?\n"
     assert not list(tmp_path.iterdir())
@@ -342,7 +340,7 @@ def test_on_a_terminal_it_asks(servo, tmp_path):
     converse(
         [
             *(sys.executable, "-m", "bo_tuner"),
-            *("tune", "--init", "asked.yaml"),
+            *("init", "asked.yaml"),
             *("--signals", "/plain"),
         ],
         [
@@ -359,7 +357,7 @@ def test_on_a_terminal_it_asks(servo, tmp_path):
 def test_a_file_that_is_there_is_not_overwritten(tmp_path):
     mine = tmp_path / "mine.yaml"
     mine.write_text("mine")
-    code, out, err = run("tune", "--init", "mine.yaml", folder=tmp_path)
+    code, out, err = run("init", "mine.yaml", folder=tmp_path)
     assert (code, out) == (2, "")
     assert err == ("error: mine.yaml: already exists and is not overwritten; give another name\n")
     assert mine.read_text() == "mine"
@@ -368,20 +366,18 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--init", "mine"), "expected a file name that ends in .yaml, found mine"),
-        (("--init", "none/mine.yaml"), "none/mine.yaml: there is no folder none"),
-        (("--init", "mine.yaml", "--check", "benchmark"), "--check does not go with --init; leave"),
-        (("--init", "mine.yaml", "--no-attach"), "--attach does not go with --init; leave it out"),
-        (("--init", "mine.yaml", "--json-lines"), "--json-lines does not go with --init; leave"),
-        (("--check", "benchmark", "--study", "full"), "--study does not go with --check; leave it"),
-        (("--check", "benchmark", "--web"), "--web does not go with --check; leave it out"),
-        (("--check", "benchmark", "--stop-early"), "--stop-early does not go with --check; leave"),
-        (("--check", "benchmark", "--trials", "0"), "--trials: expected an integer of at least 1"),
-        (("--nodes", "pid"), "--nodes needs --init"),
+        (("init", "mine"), "expected a file name that ends in .yaml, found mine"),
+        (("init", "none/mine.yaml"), "none/mine.yaml: there is no folder none"),
+        (("init", "mine.yaml", "--no-attach"), "unrecognized arguments: --no-attach"),
+        (("check", "benchmark", "--study", "full"), "unrecognized arguments: --study full"),
+        (("check",), "the following arguments are required: STUDY"),
+        (("check", "benchmark", "--trials", "0"), "--trials: expected an integer of at least 1"),
+        (("check", "benchmark", "--bounds", "gain=2:1"), "--bounds: "),
+        (("tune", "--nodes", "pid"), "unrecognized arguments: --nodes pid"),
     ],
 )
 def test_options_that_do_not_fit(tmp_path, arguments, expected):
-    code, _, err = run("tune", *arguments, folder=tmp_path)
+    code, _, err = run(*arguments, folder=tmp_path)
     assert code == 2
     assert expected in err
     assert err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""`tune --check` tries each parameter: what moves a metric, and what a node never looks at."""
+"""`check` tries each parameter: what moves a metric, and what a node never looks at."""
 
 import json
 import os
@@ -105,7 +105,7 @@ def write_study(folder, *names, **changes):
 
 
 def check(folder, *options):
-    return finish(Fork("tune", "--check", "odd.yaml", *options, folder=folder))
+    return finish(Fork("check", "odd.yaml", *options, folder=folder))
 
 
 def one_line(text):
@@ -158,12 +158,6 @@ def test_not_at_all(odd, tmp_path):
     assert odd.answers == 2 * 3
 
 
-def test_the_option_alone(tmp_path):
-    code, _, err = finish(Fork("tune", "--sensitivity", folder=tmp_path))
-    assert code == 2
-    assert err.startswith("error: --sensitivity needs --check (see tune --help)")
-
-
 def test_nodes_that_the_check_starts_have_the_whole_range(empty_domain, tmp_path):
     (tmp_path / "odd.py").write_text(ODD_JOBS)
     nodes = {"odd": {"node": "odd", "command": f"'{sys.executable}' odd.py"}}
@@ -181,7 +175,7 @@ def test_a_check_that_is_interrupted_leaves_the_node_as_it_was(odd, tmp_path):
     park = {"parameters": {"offset": 0.5}}
     # A value of its own that is neither the default nor the safe one.
     write_study(tmp_path, "offset", park=park)
-    command = Fork("tune", "--check", "odd.yaml", "--sensitivity", folder=tmp_path)
+    command = Fork("check", "odd.yaml", "--sensitivity", folder=tmp_path)
     wait_until(lambda: odd.get_parameter("offset").value == 4.0, "a run at the end of the range")
     os.kill(command.pid, signal.SIGINT)
     code, _, err = finish(command)

@@ -6,7 +6,9 @@ from xml.etree import ElementTree
 from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
-COMMANDS = ["tune", "report", "validate", "replay", "recompute", "apply", "guard"]
+COMMANDS = [
+    "tune", "init", "check", "report", "validate", "replay", "recompute", "apply", "guard",
+]  # fmt: skip
 
 
 def shared(folder):

@@ -11,7 +11,9 @@ import pytest
 from bo_tuner.cli.common import attached, in_namespace_of, run_folder
 from bo_tuner.errors import RunRecordError
 
-COMMANDS = ("apply", "guard", "recompute", "replay", "report", "tune", "validate")
+COMMANDS = (
+    "apply", "check", "guard", "init", "recompute", "replay", "report", "tune", "validate",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -28,8 +30,19 @@ def test_help_fits_80_columns_and_tells_the_exit_codes(name):
     text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
     assert max(map(len, text.splitlines())) <= 80
     told = set(re.findall(r"^  (\d+)\s+\w", text, re.MULTILINE))
-    # A report judges nothing, nor does a guard.
-    assert told >= {"0", "1", "2", "130"} | (set() if name in ("report", "guard") else {"3"})
+    # These judge nothing.
+    assert told >= {"0", "1", "2", "130"} | (
+        set() if name in ("report", "guard", "init") else {"3"}
+    )
+
+
+@pytest.mark.parametrize("name", ["check", "tune", "validate"])
+def test_no_option_stands_outside_the_groups_of_the_help(name):
+    parser = importlib.import_module(f"bo_tuner.cli.{name}").make_parser()
+    text = parser.format_help()
+    general = text.partition("\noptions:\n")[2].partition("\n\n")[0]
+    assert re.findall(r"^  .*?(--\w+)", general, re.MULTILINE) == ["--help", "--version"]
+    assert len(re.findall(r"^[a-z ]+:\n  --", text, re.MULTILINE)) >= 2
 
 
 class TestLatest:
@@ -73,7 +86,7 @@ def test_nodes_are_attached_as_in_the_run(options, backend, expected):
     assert attached(arguments, parser, backend, None) is ("--attach" in options)
 
 
-@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune", "guard"}))
+@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune", "init", "check", "guard"}))
 def test_a_run_may_be_called_latest(name):
     text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
     assert "or 'latest' for runs/latest" in " ".join(text.split())

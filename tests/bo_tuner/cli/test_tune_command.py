@@ -61,6 +61,42 @@ def recorded(folder):
     return list(read_journal(folder / "journal.sqlite").trials)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (["--init"], "init"),
+        (["--init", "a b.yaml", "--nodes", "pid"], "init 'a b.yaml' --nodes pid"),
+        (["--trials", "3", "--check", "my.yaml"], "check my.yaml --trials 3"),
+        (["--check=my.yaml", "--sensitivity"], "check my.yaml --sensitivity"),
+        (
+            ["--check", "my.yaml", "--ros-args", "-r", "__ns:=/x"],
+            "check my.yaml --ros-args -r __ns:=/x",
+        ),
+    ],
+)
+def test_what_is_a_command_of_its_own_is_named(capsys, arguments, command):
+    line = complaint(tune_command, capsys, *arguments)
+    assert line.endswith(f" in place of tune: {command}")
+
+
+@pytest.mark.parametrize("options", [[], ["--study", "full"]])
+@pytest.mark.parametrize("backend", ["ros", "inprocess"])
+def test_without_the_machine_that_comes_along_it_says_what_to_do(
+    capsys, monkeypatch, tmp_path, backend, options
+):
+    """As from a package index: the tuner alone is installed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "milling_plant", None)
+    line = complaint(tune_command, capsys, "--backend", backend, *options)
+    assert "needs the package milling_plant, which is not installed" in line
+    assert "init my_study.yaml" in line
+    assert "tune --study my_study.yaml" in line
+    assert not list(tmp_path.iterdir())
+
+
 class TestRun:
     def test_feasible(self, fresh_tune, tmp_path):
         code, out, err = finish(fresh_tune())

@@ -10,7 +10,6 @@ from bo_tuner.evidence.limit_verdict import by_certificate
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.table import (
-    print_line,
     print_next_steps,
     print_verdict,
     verdict_notes,
@@ -18,6 +17,8 @@ from bo_tuner.evidence.table import (
 )
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.study.study_file import load_study
+from bo_tuner.terminal import print_line, print_table
+from bo_tuner.text import with_unit
 
 
 def text(of):
@@ -73,12 +74,26 @@ class TestTable:
         rows = [line for line in lines[2:] if line.strip() and set(line) != {"─"}]
         assert len(rows) == len(study.parameters) + len(verdict(study).quantities) + 1
 
-    def test_narrow_terminals_still_get_all_numbers(self):
-        study = load_study("benchmark")
-        out = console(width=40)
-        out.print(verdict_table(study, verdict(study), study.search_space().defaults))
-        assert max(map(len, text(out).splitlines())) <= 40
-        assert "prediction_horizon" in text(out)
+    @pytest.mark.parametrize("terminal", [False, True])
+    @pytest.mark.parametrize("name", ["benchmark", "full"])
+    @pytest.mark.parametrize("width", [40, 60])
+    def test_a_narrow_terminal_gets_every_name_and_number_whole(self, width, name, terminal):
+        study = load_study(name)
+        out = console(width, terminal=terminal)
+        found = verdict(study)
+        print_table(out, verdict_table(study, found, study.search_space().defaults))
+        shown = text(out)
+        assert max(map(len, shown.splitlines())) <= width
+        assert "…" not in shown
+        lines = [line.strip() for line in shown.splitlines()]
+        for quantity in found.quantities:
+            assert with_unit(quantity.label, quantity.unit) in lines
+            default, tuned = quantity.values_in_words
+            assert f"default {default}" in shown
+            assert f"tuned {tuned}" in shown
+        for parameter, item in study.parameters.items():
+            assert with_unit(parameter, item.unit) in lines
+            assert f"default {study.search_space().defaults[parameter]:g}" in shown
 
     @pytest.mark.parametrize("width", [60, 80, 120])
     def test_no_word_is_broken_on_a_terminal(self, width):

@@ -456,7 +456,7 @@ class TestStudy:
             "first.yaml", seen, seen.nodes, parameters, signal_offers(STATES), arguments
         )
         assert (
-            "# Then: tune --check first.yaml --ros-args -r '__ns:=/arm one'\n"
+            "# Then: check first.yaml --ros-args -r '__ns:=/arm one'\n"
             "#       tune --study first.yaml --attach --ros-args -r '__ns:=/arm one'\n"
         ) in text
 

@@ -217,7 +217,7 @@ def test_in_small_steps_that_is_no_error(function_backend, capsys):
     assert tell_effects(study, planned, runs, whole_range=False)
     out, err = capsys.readouterr()
     assert "warning: kp was not seen to move any metric" in err
-    assert "These were small steps; --sensitivity tries the whole range." in out
+    assert "These were small steps; check --sensitivity tries the whole range." in out
     assert "note: not tried: fast" in out
 
 

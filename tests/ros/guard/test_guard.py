@@ -496,7 +496,7 @@ def test_an_apply_that_is_killed_gives_back_what_the_node_had(system, tmp_path):
 def test_a_check_that_is_killed_leaves_the_machine_safe(system, tmp_path):
     changes = guarded_tuner.GUARDED
     (tmp_path / "servo.yaml").write_text(study_to_yaml(study(**changes)))
-    check = Fork("tune", "--check", "servo.yaml", folder=tmp_path)
+    check = Fork("check", "servo.yaml", folder=tmp_path)
     wait_until(lambda: system.setpoint == 1.0, "a run", check)
     check.kill()
     check.communicate()

@@ -378,7 +378,7 @@ def test_a_tuner_that_is_killed_leaves_an_attached_node_with_safe_values_in_forc
         park={"parameters": {"gain": 0.25}},
     )
     (tmp_path / "servo.yaml").write_text(study_to_yaml(guarded))
-    check = Fork("tune", "--check", "servo.yaml", folder=tmp_path)
+    check = Fork("check", "servo.yaml", folder=tmp_path)
     wait_until(lambda: heard("angle") > 0.1, "a run", check)
     assert heard() == SAFE
     check.kill()
@@ -407,7 +407,7 @@ def test_a_tuner_that_is_killed_while_a_node_starts_leaves_none(empty_domain, tm
 
 def test_a_check_tries_a_start_and_tells_what_it_costs(empty_domain, tmp_path):
     (tmp_path / "servo.yaml").write_text(study_to_yaml(study()))
-    code, out, err = finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
+    code, out, err = finish(Fork("check", "servo.yaml", folder=tmp_path))
     assert (code, err) == (0, "")
     said = r"^to start servo with other values took [\d.e-]+ s: once for each parameter set$"
     assert re.search(said, out, re.MULTILINE), out

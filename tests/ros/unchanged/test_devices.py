@@ -257,7 +257,7 @@ def test_the_error_offers_it_where_nobody_sets_the_parameter(device, attached, c
 def test_init_sees_it(device, counting, tmp_path):
     system = device()
     counting(system)
-    code, out, err = command("tune", "--init", folder=tmp_path)
+    code, out, err = command("init", folder=tmp_path)
     assert (code, err) == (0, ""), out
     made = load_study(tmp_path / "study.yaml")
     assert made.nodes["servo"].unwatched == ("count",)

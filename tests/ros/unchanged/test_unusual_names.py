@@ -114,10 +114,10 @@ def test_a_node_that_is_not_there_is_named_in_full(arm, tmp_path, monkeypatch):
 
 def test_init_gives_them_names_for_a_study(arm, tmp_path):
     code, out, err = command(
-        *("tune", "--init", "--nodes", "arm/servo", "--parameters"),
+        *("init", "--nodes", "arm/servo", "--parameters"),
         *(f"arm/servo:{name}" for name in NAMES.values()),
         folder=tmp_path,
     )
     assert (code, err) == (0, ""), out
-    code, out, err = command("tune", "--check", "study.yaml", folder=tmp_path)
+    code, out, err = command("check", "study.yaml", folder=tmp_path)
     assert "the nodes match the study: 4 parameters" in out, (out, err)

@@ -1,7 +1,7 @@
 """What a phase of a run is: a plan, which hands out tasks and is told their results.
 
 The trials, the search for the answer, the validation, the parts of a certificate and the runs of
-``--check`` are plans. One driver carries all of them out (`bo_tuner.tuning.driver`).
+the command ``check`` are plans. One driver carries all of them out (`bo_tuner.tuning.driver`).
 """
 
 from abc import ABC, abstractmethod

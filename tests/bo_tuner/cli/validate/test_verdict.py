@@ -11,6 +11,7 @@ from validated_run import NEEDED, certificate
 
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.evidence.certificate.store import certificate_problem, parameters_sha256
+from bo_tuner.monitoring import now_and_then
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import with_summary
@@ -128,6 +129,29 @@ class TestVerdict:
         monkeypatch.delenv("PEAK")
         code, out, _ = here(folder, "--until-pass", "3")
         assert (code, out.count("PASS: the tuned parameter set")) == (0, 1)
+
+    @pytest.mark.parametrize("options", [(), ("--with-default",)])
+    @pytest.mark.parametrize("columns", ["60", "80"])
+    def test_one_table_has_everything(self, here, folder, monkeypatch, options, columns):
+        """What a parameter was and is stands once on the screen, and nothing is cut off."""
+        monkeypatch.setenv("COLUMNS", columns)
+        code, out, err = here(folder, "--draws", "150", *options)
+        assert code == 0, err
+        assert sum(line.split()[:1] == ["gain"] for line in out.splitlines()) == 1
+        assert out.count("keeps all limits") == 1
+        assert "…" not in out
+        assert "peak: shown to hold: " in out
+
+    def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
+        monkeypatch.setattr(now_and_then, "PERIOD", 0.0)
+        code, _, err = here(folder, "--draws", "150")
+        assert code == 0, err
+        found = certificate(folder)["drawn"]
+        lines = [line for line in err.splitlines() if line.startswith("draws: ")]
+        assert lines == [
+            "draws: at most 150",
+            *(f"draws: {k} of 150" for k in range(1, found + 1)),
+        ]
 
     def test_fail(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "2")

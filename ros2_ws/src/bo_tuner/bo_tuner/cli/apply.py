@@ -54,6 +54,7 @@ from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
 from bo_tuner.study.safe_values import named_safe
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
 from bo_tuner.text import brief, shown
 from bo_tuner.trials import Trial
 
@@ -327,14 +328,14 @@ def _parked(study: Study, before: NodeValues) -> NodeValues:
 def _show(rows: list[Difference], title: str) -> None:
     table = Table(title=title, title_justify="left")
     for name in ("node", "parameter", "unit"):
-        table.add_column(name, overflow="fold")
+        table.add_column(name)
     for name in ("now", "new"):
-        table.add_column(name, justify="right", overflow="fold")
-    table.add_column("", no_wrap=True)
+        table.add_column(name, justify="right")
+    table.add_column("")
     for row in rows:
         cells = (row.node, row.parameter, row.unit, *_shown(row))
         table.add_row(*cells, "" if row.equal else "changes")
-    plain_console().print(table)
+    print_table(plain_console(), table, heading=2)
 
 
 def _shown(row: Difference) -> tuple[str, str]:

@@ -22,9 +22,11 @@ from bo_tuner.evidence.certificate.making import make_certificate, write_certifi
 from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.terminal import print_line
 from bo_tuner.text import counted
 from bo_tuner.trials import DEFAULT, TUNED, Trial
 from bo_tuner.tuning.driver import Driver
@@ -159,10 +161,8 @@ class Certifier:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} evaluated again, and " if count else ""
-                self.console.print(
-                    f"{subject.name}: {refutation.told}; {again}its runs count against a PASS",
-                    soft_wrap=True,
-                )
+                told = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
+                print_line(self.console, told, "  ")
 
     def _tell_most(
         self, subjects: Sequence[Subject], draws: int, trial: Trial, confidence: float
@@ -174,10 +174,11 @@ class Certifier:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:
             parts.append(f"{most.repeated} in the worst contexts found")
-        self.console.print(
+        print_line(
+            self.console,
             f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
             "clear",
-            soft_wrap=True,
+            "  ",
         )
         drawn = subjects[-1].earlier.drawn
         probable = outlook(self.record.study, trial, drawn, draws, confidence)
@@ -190,13 +191,14 @@ class Certifier:
 
 
 class _Bar(RunObserver):
-    """A bar for one phase after the other, or a line for each where there is no terminal."""
+    """A bar for one phase after the other; without a terminal a line for each, and now and then."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._lines = NowAndThen()
         self.progress = Progress(
             TextColumn("[bold]{task.description}"),
-            BarColumn(),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=console,
@@ -209,8 +211,14 @@ class _Bar(RunObserver):
         self.progress.add_task(phase, total=total)
         if self.progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._console.print(f"{phase}: {most}", soft_wrap=True)
+            self._tell(f"{phase}: {most}")
 
     def advance(self) -> None:
-        for task in self.progress.task_ids:
-            self.progress.advance(task)
+        for task in self.progress.tasks:
+            self.progress.advance(task.id)
+            if self.progress.disable and self._lines.due:
+                self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+
+    def _tell(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True)
+        self._lines.told()

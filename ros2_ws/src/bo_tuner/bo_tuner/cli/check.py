@@ -1,29 +1,29 @@
-"""``tune --check``: hold a study against its nodes, try two runs, and what each parameter does."""
+"""``check``: hold a study against its nodes, try two runs, and what each parameter does."""
 
+import argparse
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.graph import (
-    any_runs,
-    describe,
-    describe_now,
-    opened_node,
-    signal_problems,
-)
-from bo_tuner.backends.ros.parameters.previous import undo_killed
-from bo_tuner.backends.ros.plant import plant_notes
-from bo_tuner.backends.ros.preparation import run_problems
+from bo_tuner.backends.ros.graph import any_runs, opened_node
+from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.cli.common import ended, opened
+from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.parameter_runs import duration, tell_effects, try_parameters
 from bo_tuner.cli.streams import say_error
+from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against
+from bo_tuner.cli.study_options import (
+    add_bounds_argument,
+    add_budget_arguments,
+    changed_study,
+    read_study,
+)
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
@@ -35,21 +35,80 @@ from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
-from bo_tuner.study.checks import holds
-from bo_tuner.study.descriptors import Described, node_problems
-from bo_tuner.study.nodes import USE_SIM_TIME
-from bo_tuner.study.run import SIM
-from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown
+from bo_tuner.text import shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
+
+DESCRIPTION = """\
+Hold a study against its nodes, name every mistake in parameters, contexts,
+signals and steps of the run, make two test runs of the default, try what each
+tuned parameter moves, and estimate how long the study would take.
+"""
+
+EPILOG = """\
+Nothing is recorded, and all values of the nodes are restored. Nodes that are
+not running are started and ended, if the study says how.
+
+exit codes:
+  0    both test runs were completed
+  1    the check had to stop (nodes lost or disturbed three times in a row), or
+       an attached node was not restored
+  2    bad input: study, option or nodes
+  3    a run of the default failed, nothing moved in it, or over their whole
+       range no tuned parameter was seen to move a metric
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: the output pipe was closed); all values of the nodes are restored
+
+examples:
+  check my_study.yaml
+  check my_study.yaml --sensitivity        try the whole range of each parameter
+  check my_study.yaml --trials 80          how long would 80 trials take?
+  check my_study.yaml --no-attach          on nodes that the study starts
+  check my_study.yaml --ros-args -r __ns:=/x_axis     nodes in a namespace
+"""
 
 RUNS = 2
 
 
-class _MistakesError(Exception):
-    """The nodes do not match the study, and all that is wrong has been said."""
+def make_parser() -> Parser:
+    """Return the parser of the command line."""
+    parser = Parser("check", DESCRIPTION, EPILOG)
+    parser.add_argument("study", metavar="STUDY", help="study file, or name of a shipped study")
+    changes = parser.add_argument_group("the study")
+    add_budget_arguments(changes)
+    add_bounds_argument(changes)
+    nodes = parser.add_argument_group("nodes and test runs")
+    nodes.add_argument(
+        "--attach",
+        action=argparse.BooleanOptionalAction,
+        help="use running nodes, or with --no-attach start them (default: start them where the "
+        "study says how, and none of them is running)",
+    )
+    nodes.add_argument(
+        "--sensitivity",
+        action=argparse.BooleanOptionalAction,
+        help="try the whole range of each tuned parameter, or with --no-sensitivity none (default: "
+        "the whole range on nodes that the check starts, small steps from the default on nodes "
+        "that run already)",
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command: a `common.Run`."""
+    own, ros_arguments = split_ros_arguments(argv)
+    arguments = make_parser().parse_args(own)
+    attach: bool | None = arguments.attach
+    study = read_study(arguments.study, attach is not False, ros_arguments, interruption)
+    return check_study(
+        changed_study(study, arguments, named_namespace(ros_arguments)),
+        ros_arguments,
+        interruption,
+        attach=attach,
+        sensitivity=arguments.sensitivity,
+    )
 
 
 def check_study(
@@ -93,108 +152,10 @@ def check_study(
     try:
         if attach:
             with opened_node(ros_arguments, interruption.check) as tuner:
-                _hold_against(study, tuner, attached=True)
+                hold_against(study, tuner, attached=True)
         return _try(study, attach, sensitivity, ros_arguments, interruption)
-    except _MistakesError:
+    except MistakesError:
         return EXIT_USAGE
-
-
-def _hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:
-    """Hold a study against its nodes, and tell what is wrong.
-
-    Raises
-    ------
-    _MistakesError
-        If something is. Nodes have what they had before a tuner that was killed.
-    """
-    problems, notes = _look(study, tuner, attached=attached)
-    for note in notes:
-        say(f"note: {note}")
-    for text in problems:
-        say_error(f"error: {text}")
-    if problems:
-        if attached:
-            undo_killed(study, tuner)
-        say_error(f"{counted(len(problems), 'problem')} found; nothing was set")
-        raise _MistakesError
-    say(
-        f"the nodes match the study: {counted(len(study.parameters), 'parameter')} and "
-        f"{counted(len(study.signals), 'signal')}"
-    )
-
-
-def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str], list[str]]:
-    """Hold parameters, signals and steps against the graph; problems and notes, a line each.
-
-    What a run itself publishes has no publisher yet, so only signals of others are looked for.
-    """
-    # What was left on a node that ran before says nothing of one that is started.
-    describe_node = describe if attached else describe_now
-    problems: list[str] = []
-    notes = [study.budget.warning] if study.budget.warning else []
-    defaults = study.search_space().defaults
-    absent = 0
-    for key, spec in study.nodes.items():
-        try:
-            known = describe_node(tuner, spec.node, study.own_parameters[key])
-        except BackendError as error:
-            problems.append(f"nodes.{key}: {error}")
-            absent += 1
-            continue
-        if note := _other_clock(study, key, known):
-            notes.append(note)
-        errors = node_problems(study, key, known)
-        problems += [str(error) for error in errors]
-        refused = {error.path for error in errors}
-        for name, item in study.parameters.items():
-            if item.node != key or item.array or name not in defaults:
-                continue
-            if ("parameters", name) in refused:
-                continue
-            described = known.get(item.parameter)
-            if described is None or holds(described.value, defaults[name]):
-                continue
-            notes.append(
-                f"parameters.{name}: the node has {described.value} now, the study's "
-                f"default is {shown(defaults[name])}"
-            )
-    if absent == len(study.nodes):
-        # Of nodes that were not started, their topics and services are not worth a line each.
-        return problems, notes
-    if study.run is not None and not study.run.start:
-        notes.append("run.start: missing, so nothing sends a reference when a run starts")
-    notes += plant_notes(study, tuner)
-    problems += [str(error) for error in signal_problems(tuner, _heard(study, tuner))]
-    problems += [str(error) for error in run_problems(study, tuner, attached=attached)]
-    return problems, notes
-
-
-def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
-    """Tell in a line that a node has another clock than the run; empty if it has the same."""
-    described = known.get(USE_SIM_TIME)
-    if study.run is None or described is None:
-        return ""
-    simulated = study.nodes[key].parameters.get(USE_SIM_TIME, described.value) is True
-    if simulated == (study.run.clock == SIM):
-        return ""
-    time = "simulated time" if simulated else "the time of the machine"
-    return (
-        f"nodes.{key}: uses {time}, but the clock of the run is {study.run.clock}: times and "
-        "integrals would be by another clock than the node's (run.clock, docs/procedure.md)"
-    )
-
-
-def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
-    """Return the signals that others publish than the run itself."""
-    steps = () if study.run is None else study.run.steps
-    name = tuner.node.resolve_topic_name
-    published = [step.publish for _, step in steps if step.publish is not None]
-    own = {name(item.topic) for publish in published for item in publish.published}
-    return {
-        key: spec
-        for key, spec in study.signals.items()
-        if spec.publisher or name(spec.topic) not in own
-    }
 
 
 def _try(
@@ -221,10 +182,10 @@ def _try(
         heard: list[str] = []
 
         def look(tuner: TunerNode) -> None:
-            found = _heard(study, tuner)
+            found = heard_of_others(study, tuner)
             heard.extend(name for name, spec in found.items() if spec.is_number)
             if not attach:
-                _hold_against(study, tuner, attached=False)
+                hold_against(study, tuner, attached=False)
 
         backend.at_nodes = look
         sound, acts, complete = False, True, []

@@ -6,7 +6,7 @@ import errno
 import signal
 import sqlite3
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -32,6 +32,10 @@ RUNS = Path("runs")
 Run = Callable[[Sequence[str], Interruption], int]
 """A command: takes its command line, which may hold ``--ros-args`` where nodes are used, and the
 interruption, which ends it on a signal. Returns its exit code, or exits after a wrong option."""
+
+
+Group = argparse._ArgumentGroup
+"""Options that stand together in the help."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -70,44 +74,38 @@ class Parser(argparse.ArgumentParser):
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )
 
-    def add_backend_arguments(self, default: str) -> None:
-        """Add the options that say where evaluations run; `default` is told in the help."""
-        self.add_argument(
+    def add_backend_arguments(self, default: str, trust: str = "") -> None:
+        """Add a group of options that say where evaluations run.
+
+        Parameters
+        ----------
+        default
+            Of the backend, for the help.
+        trust
+            As in `add_trust_argument`.
+        """
+        group = self.add_argument_group("nodes")
+        group.add_argument(
             "--backend",
             choices=BACKENDS,
             help=f"run on ROS nodes, or on the same objects in this process (default: {default})",
         )
-        self.add_argument(
+        group.add_argument(
             "--attach",
             action=argparse.BooleanOptionalAction,
             help="use running nodes instead of starting them (default: as in the run, if there "
             "is one)",
         )
+        self.add_trust_argument(trust, group)
 
-    def add_trust_argument(self, condition: str = "") -> None:
+    def add_trust_argument(self, condition: str = "", group: Group | None = None) -> None:
         """Add the option to start what a study names; `condition` is put ahead of its help."""
-        self.add_argument(
+        (group or self).add_argument(
             "--trust",
             action="store_true",
             help=f"{condition}start the programs and import the objects that the run's study "
             "names, now and later; read the study first if the run is not yours",
         )
-
-    def refuse_others(
-        self, arguments: argparse.Namespace, option: str, allowed: Collection[str]
-    ) -> None:
-        """Refuse what is given besides an `option` and those that are `allowed` with it.
-
-        ``--attach`` is, where it says what the option does anyway.
-        """
-        for action in self._actions:
-            value = getattr(arguments, action.dest, action.default)
-            is_other = action.nargs == 0 and action.const not in (None, value)
-            if action.dest in (option, *allowed) or value == action.default or is_other:
-                continue
-            if action.dest == "attach" and value:
-                continue
-            self.error(f"{action.option_strings[0]} does not go with --{option}; leave it out")
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""

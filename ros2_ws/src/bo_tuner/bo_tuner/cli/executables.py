@@ -16,7 +16,9 @@ ROS = (
 )  # fmt: skip
 """What ROS installs; no requirement of the package, which is of use as a library without it."""
 
-COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply", "guard")
+COMMANDS = (
+    "tune", "init", "check", "report", "validate", "replay", "recompute", "apply", "guard",
+)  # fmt: skip
 
 
 def run(module: str, argv: list[str]) -> NoReturn:
@@ -48,6 +50,6 @@ def _run_named(command: str) -> NoReturn:
 
 
 # One for each of the console scripts.
-tune, report, validate, replay, recompute, apply, guard = (
+tune, init, check, report, validate, replay, recompute, apply, guard = (
     partial(_run_named, command) for command in COMMANDS
 )

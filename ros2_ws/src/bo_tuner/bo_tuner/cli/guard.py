@@ -20,7 +20,7 @@ Watch over the nodes of a study, best on the machine's own computer: when a
 tuner that is at work on them dies, hangs, loses the network or misses the
 condition abort_when, publish the stop messages at the head of run.after, set
 the safe parameters (park) and read them back. tune, validate, replay and
-tune --check with --attach find the guard by themselves; without one they start
+check with --attach find the guard by themselves; without one they start
 their own, on their own computer.
 """
 

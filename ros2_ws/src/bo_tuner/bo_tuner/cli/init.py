@@ -1,23 +1,18 @@
-"""``tune --init``: write a first study for the nodes that are running."""
+"""``init``: write a first study for the nodes that are running."""
 
-import re
 import shlex
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
-
-from rich.table import Table
 
 from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.survey import survey
+from bo_tuner.cli.chooser import Chooser
+from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_OK
-from bo_tuner.cli.streams import ask, say_error
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.monitoring.display import say
 from bo_tuner.storage.atomic import writing
-from bo_tuner.study import checks
 from bo_tuner.study.first_study import first_study
 from bo_tuner.study.offers import (
     ParameterOffer,
@@ -28,127 +23,71 @@ from bo_tuner.study.offers import (
 from bo_tuner.study.seen import Seen, SeenNode
 from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
 from bo_tuner.study.study_file import parse_study
-from bo_tuner.text import counted, one_line, shown
+from bo_tuner.text import counted, shown
 
-SPAN = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
+DESCRIPTION = """\
+Look at the nodes that are running, and write a first study for them, with
+comments, to a new file. On a terminal it asks what to include; else it takes
+what it suggests, or what the options name.
+"""
+
+EPILOG = """\
+Nothing is set on the nodes. Lines with a CHECK in the study are guesses: settle
+them, then try the study with `check`.
+
+exit codes:
+  0    the study is written
+  1    the disk is full
+  2    bad input: the file is there already, or something that is named is not
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: the output pipe was closed); nothing is written
+
+examples:
+  init my_study.yaml
+  init my_study.yaml --parameters kp ki --signals /setpoint /joint_states
+  init my_study.yaml --ros-args -r __ns:=/x_axis     nodes in a namespace
+"""
+
 FIRST_STUDY = Path("study.yaml")
-Offer = TypeVar("Offer")
-Row = Callable[[Offer], Sequence[str]]
+OPTIONS = {
+    "--nodes": "nodes to tune",
+    "--parameters": "parameters to tune, such as gain or node:gain",
+    "--signals": "signals to record, such as /topic, /topic:field, /scan:ranges[0] or "
+    "'/scan:min(ranges)'",
+}
 
 
-class Chooser:
-    """Lets the user choose of what was found: by an option, on a terminal, or else as suggested.
-
-    Parameters
-    ----------
-    interruption
-        Ends a question on a signal.
-    """
-
-    def __init__(self, interruption: Interruption) -> None:
-        self._interruption = interruption
-
-    def choose(
-        self,
-        what: str,
-        given: Sequence[str] | None,
-        offers: Sequence[Offer],
-        suggested: Sequence[Offer],
-        names: Callable[[Offer], Sequence[str]],
-        row: Row[Offer],
-    ) -> list[Offer]:
-        """Return the offers that are chosen, at least one.
-
-        Parameters
-        ----------
-        what
-            Their name in the plural, which is that of the option too.
-        given
-            The option.
-        offers, suggested
-            All of them, and those to take unless the user says otherwise.
-        names
-            Names of an offer, one of which the option holds.
-        row
-            What to show of an offer.
-
-        Raises
-        ------
-        StudyError
-            If the option names what is not there, nothing is chosen, or the input ends.
-        """
-        if given is not None:
-            return _named(what, given, offers, names)
-        chosen = list(suggested)
-        if offers and sys.stdin.isatty():
-            chosen = self._asked(what, offers, suggested, row)
-        if not chosen:
-            known = [names(offer)[0] for offer in offers]
-            hint = f"name some of {', '.join(known[:10])}" if known else "there are none"
-            why = "nothing is chosen" if suggested or not known else "no name tells which to take"
-            raise StudyError(f"--{what}: {why}; {hint}")
-        return chosen
-
-    def _asked(
-        self, what: str, offers: Sequence[Offer], suggested: Sequence[Offer], row: Row[Offer]
-    ) -> list[Offer]:
-        table = Table(title=what, title_justify="left", show_header=False)
-        for column in ("number", "suggested", "name", "now", "remark"):
-            # Folded, since a name that is cut off tells nothing.
-            table.add_column(column, overflow="fold")
-        for index, offer in enumerate(offers, start=1):
-            mark = "*" if offer in suggested else ""
-            table.add_row(f"{index}", mark, *(one_line(cell) for cell in row(offer)))
-        plain_console().print(table)
-        while True:
-            answer = ask(
-                f"{what}: numbers such as 1 3-5, or Enter for those with *: ", self._interruption
-            )
-            if answer is None:
-                raise StudyError(f"--{what}: the input has ended without an answer")
-            if not answer:
-                return list(suggested)
-            try:
-                return [offers[i - 1] for i in numbers(answer, len(offers))]
-            except StudyError as error:
-                say_error(str(error))
+def make_parser() -> Parser:
+    """Return the parser of the command line."""
+    parser = Parser("init", DESCRIPTION, EPILOG)
+    parser.add_argument(
+        "file",
+        type=Path,
+        nargs="?",
+        default=FIRST_STUDY,
+        metavar="FILE",
+        help=f"the study file to write (default: {FIRST_STUDY})",
+    )
+    for option, what in OPTIONS.items():
+        parser.add_argument(
+            option, nargs="+", metavar="NAME", help=f"{what}, instead of being asked"
+        )
+    return parser
 
 
-def numbers(text: str, most: int) -> list[int]:
-    """Return the numbers from 1 to `most` that a text such as ``1 3-5`` lists, in order.
-
-    Raises
-    ------
-    StudyError
-        If it lists anything else.
-    """
-    found: set[int] = set()
-    for word in text.replace(",", " ").split():
-        match = SPAN.fullmatch(word)
-        low, high = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
-        if not 1 <= low <= high <= most:
-            raise StudyError(f"expected numbers from 1 to {most}, found {checks.quoted(word)}")
-        found |= set(range(low, high + 1))
-    return sorted(found)
-
-
-def _named(
-    what: str,
-    given: Sequence[str],
-    offers: Sequence[Offer],
-    names: Callable[[Offer], Sequence[str]],
-) -> list[Offer]:
-    chosen: list[Offer] = []
-    for name in given:
-        found = [offer for offer in offers if name in names(offer)]
-        if not found:
-            known = dict.fromkeys(n for o in offers for n in names(o))
-            # Each offer once: with its node or topic if the name has one.
-            alike = [other for other in known if (":" in other) == (":" in name)]
-            hint = checks.suggestion(name, alike or known)
-            raise StudyError(f"--{what}: there is no {checks.quoted(name)}; {hint}")
-        chosen += [offer for offer in found if offer not in chosen]
-    return chosen
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command: a `common.Run`."""
+    own, ros_arguments = split_ros_arguments(argv)
+    arguments = make_parser().parse_args(own)
+    return write_first_study(
+        arguments.file,
+        arguments.nodes,
+        arguments.parameters,
+        arguments.signals,
+        ros_arguments,
+        interruption,
+    )
 
 
 def write_first_study(
@@ -204,7 +143,7 @@ def write_first_study(
     found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
     say(f"{path}: {found}; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
-    say(f"  {shlex.join(['tune', '--check', str(path), *ros_arguments])}")
+    say(f"  {shlex.join(['check', str(path), *ros_arguments])}")
     return EXIT_OK
 
 
@@ -289,7 +228,7 @@ def _signal_names(offer: SignalOffer) -> list[str]:
 
 def _check_path(path: Path) -> None:
     if path.suffix not in (".yaml", ".yml"):
-        raise StudyError(f"--init: expected a file name that ends in .yaml, found {path}")
+        raise StudyError(f"expected a file name that ends in .yaml, found {path}")
     if path.exists() or path.is_symlink():
         raise StudyError(f"{path}: already exists and is not overwritten; give another name")
     if not path.absolute().parent.is_dir():

@@ -1,4 +1,4 @@
-"""``tune --check``: try each tuned parameter, and say which metrics it moves."""
+"""``check``: try each tuned parameter, and say which metrics it moves."""
 
 from collections.abc import Sequence
 
@@ -7,9 +7,11 @@ from rich.table import Table
 from bo_tuner.cli.streams import say_error
 from bo_tuner.evidence.effects import amount, listed, not_seen, proposals
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
 from bo_tuner.text import brief, counted, shown
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
@@ -65,7 +67,11 @@ def try_parameters(
         seed = noise_seed(study.seed, Stream.NOISE, 0, index)
         evaluations.append(Evaluation(0, index, Stage.NOMINAL, parameters, nominal, seed))
         places[index] = place
-    for task in driver.run(Runs(evaluations, "runs")):
+    lines = NowAndThen()
+    for done_so_far, task in enumerate(driver.run(Runs(evaluations, "runs")), start=1):
+        if lines.due:
+            say(f"{done_so_far} of {counted(len(order), 'run')}")
+            lines.told()
         evaluation = task.evaluation
         if not evaluation.outcome.spoilt:
             place = places[evaluation.index]
@@ -92,10 +98,10 @@ def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
     found = judge(study, planned, runs)
     moves = [(name, move) for name, item in found.items() for move in item.moves]
     if moves:
-        plain_console().print(_table(study, planned, moves))
+        print_table(plain_console(), _table(study, planned, moves))
     _tell_failures(planned, runs)
     if untried := [name for name in study.search_space().names if name not in found]:
-        how = "" if whole_range else ", in small steps; --sensitivity tries their whole range"
+        how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
         say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
     unseen = [item.effects for item in found.values() if item.effects.unseen]
     open_ = [n for n, item in found.items() if not (item.effects.seen or item.effects.told)]
@@ -114,7 +120,11 @@ def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
             f"{'error' if none else 'warning'}: {not_seen(item)}; tried: {tried}, beside the "
             f"default {shown(default)}"
         )
-    steps = [] if whole_range else ["These were small steps; --sensitivity tries the whole range."]
+    steps = (
+        []
+        if whole_range
+        else ["These were small steps; check --sensitivity tries the whole range."]
+    )
     for text in [*proposals(study, [item.parameter for item in unseen]), *steps]:
         say(text)
     return not none

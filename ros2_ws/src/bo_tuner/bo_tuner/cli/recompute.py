@@ -14,6 +14,7 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study
+from bo_tuner.terminal import print_table
 from bo_tuner.text import counted
 
 DESCRIPTION = """\
@@ -73,7 +74,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     names = [name for name in study.metrics if name not in study.relative_metrics]
     header = ("bag", "trial", "evaluation", "stage", *names, "")
     for column in header:
-        table.add_column(column, overflow="fold")
+        table.add_column(column)
     rows: list[tuple[object, ...]] = []
     wrong = 0
     for found in recompute(record, study, interruption.check):
@@ -82,7 +83,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         wrong += bool(differs)
         rows.append(_row(names, found, differs))
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in rows[-1]])
-    plain_console().print(table)
+    print_table(plain_console(), table, heading=4, remarks=True)
     if arguments.csv is not None:
         text = csv_text([(*header[:-1], "note"), *rows])
         say(f"table: {write_atomically(arguments.csv, text)}")

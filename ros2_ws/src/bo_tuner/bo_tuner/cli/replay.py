@@ -42,6 +42,7 @@ from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
+from bo_tuner.terminal import print_table
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation
 from bo_tuner.tuning.driver import Driver
@@ -97,7 +98,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
     )
-    parser.add_trust_argument()
     return parser
 
 
@@ -212,10 +212,10 @@ def _notes(
 def _show(record: RunRecord, result: Replay, backend: str) -> None:
     table = Table(title=f"{record.study.name}: recorded against replayed", title_justify="left")
     for name in ("metric", "unit"):
-        table.add_column(name, overflow="fold")
+        table.add_column(name)
     for name in ("recorded", "replayed", "difference"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+        table.add_column(name, justify="right")
+    table.add_column("")
     for row in result.metrics:
         values = (row.recorded, row.replayed)
         table.add_row(
@@ -225,7 +225,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
             "-" if row.difference is None else f"{row.difference:.3g}",
             _word(row),
         )
-    plain_console().print(table)
+    print_table(plain_console(), table)
     measured = [row.metric.name for row in result.metrics if not row.judged]
     if measured:
         say(f"measured, so different in each run, and not judged: {', '.join(measured)}")

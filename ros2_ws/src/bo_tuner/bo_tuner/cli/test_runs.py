@@ -1,4 +1,4 @@
-"""What ``tune --check`` shows of its test runs."""
+"""What ``check`` shows of its test runs."""
 
 import math
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
 from bo_tuner.trials import Evaluation
 
 WIDTH, LEAST_WIDTH = 60, 10
@@ -32,7 +33,7 @@ def show_signals(recording: Recording, number: int) -> None:
     width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
     table = Table(title=f"signals of run {number}, {recording.end:.3g} s", title_justify="left")
     for column in ("signal", "messages", "least", "over the run", "largest"):
-        table.add_column(column, no_wrap=True)
+        table.add_column(column)
     for name, seen in recording.signals.items():
         if not len(seen.time):
             table.add_row(name, "0", "", "", "")
@@ -49,7 +50,7 @@ def show_signals(recording: Recording, number: int) -> None:
     for name, heard in recording.messages.items():
         table.add_row(name, f"{heard.messages}", "", f"whole messages, {heard.type}", "")
     if all_names:
-        console.print(table)
+        print_table(console, table)
 
 
 def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
@@ -101,7 +102,7 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
             continue
         if text := spread(name, values, [abs(item.limit) for item in limits]):
             notes.append(text)
-    plain_console().print(table)
+    print_table(plain_console(), table)
     if beyond_range := outside(study.metrics, done):
         notes.append(beyond_range)
     for note in notes:

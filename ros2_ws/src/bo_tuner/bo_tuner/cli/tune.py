@@ -2,13 +2,12 @@
 
 import argparse
 import contextlib
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
-from bo_tuner.backends.ros.graph import describe_nodes
 from bo_tuner.backends.ros.isolation import named_namespace, namespace_of
-from bo_tuner.cli.check import check_study
+from bo_tuner.backends.ros.processes import has_executable
 from bo_tuner.cli.common import (
     RUNS,
     Parser,
@@ -20,9 +19,9 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
-from bo_tuner.cli.init import write_first_study
 from bo_tuner.cli.session import RunOptions, Session
-from bo_tuner.cli.tune_options import STUDY, make_parser
+from bo_tuner.cli.study_options import changed_study, read_study
+from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
@@ -35,24 +34,18 @@ from bo_tuner.storage.carrying import (
     is_carried,
     remeasured,
 )
-from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted, trust
-from bo_tuner.study.parameter import Number
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import Describe, load_study
+from bo_tuner.study.study_file import load_study, shipped_studies
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
-OF_INIT = ("nodes", "parameters", "signals")
-"""Options that go with ``--init``, and with nothing else."""
-OF_CHECK = ("trials", "evaluations", "seed", "bounds", "attach", "sensitivity")
-"""Options that go with ``--check``."""
 
 
 @dataclass(frozen=True)
@@ -82,41 +75,14 @@ class Plan:
 def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
+    refuse_other_commands(own, ros_arguments)
     parser = make_parser()
     arguments, unknown = parser.parse_known_args(own)
     if unknown:
         only_a_study = len(unknown) == 1 and not unknown[0].startswith("-")
         hint = f"; did you mean --study {unknown[0]}?" if only_a_study else ""
         parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
-    if arguments.init is not None:
-        parser.refuse_others(arguments, "init", OF_INIT)
-        return write_first_study(
-            arguments.init,
-            arguments.nodes,
-            arguments.parameters,
-            arguments.signals,
-            ros_arguments,
-            interruption,
-        )
-    for name in OF_INIT:
-        if getattr(arguments, name) is not None:
-            parser.error(f"--{name} needs --init")
-    if arguments.sensitivity is not None and arguments.check is None:
-        parser.error("--sensitivity needs --check")
-    if arguments.check is not None:
-        parser.refuse_others(arguments, "check", OF_CHECK)
-        attach = arguments.attach
-        look = _look(ros_arguments, interruption)
-        loaded = _load(arguments.check, attach is not False, look)
-        study = _changed(loaded, arguments, named_namespace(ros_arguments))
-        return check_study(
-            study, ros_arguments, interruption, attach=attach, sensitivity=arguments.sensitivity
-        )
     return _run(arguments, parser, ros_arguments, interruption)
-
-
-def _look(ros_arguments: Sequence[str], interruption: Interruption) -> Describe:
-    return partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
 
 
 def _run(
@@ -198,7 +164,7 @@ def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -
     if arguments.trials is not None or arguments.evaluations is not None:
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
-        study, stop_early = _changed(study, arguments, record.namespace), arguments.stop_early
+        study, stop_early = changed_study(study, arguments, record.namespace), arguments.stop_early
     return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
 
 
@@ -218,7 +184,7 @@ def _after_earlier(
     if arguments.study is not None:
         study = _given(arguments.study, attach, arguments, ros_arguments, interruption)
     else:
-        study = _changed(record.study, arguments, named_namespace(ros_arguments))
+        study = changed_study(record.study, arguments, named_namespace(ros_arguments))
         allow_programs(record, trusted=arguments.trust, attach=attach)
         if is_trusted(record.study):
             # With other bounds it names the same programs.
@@ -258,11 +224,36 @@ def _new(
     named = STUDY if arguments.study is None else arguments.study
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
+    if named in shipped_studies() and not attach:
+        _check_installed(load_study(named), backend)
     study = _given(named, attach, arguments, ros_arguments, interruption)
     algorithm = arguments.algorithm or DEFAULT_METHOD
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
+
+
+def _check_installed(study: Study, backend: str) -> None:
+    """Refuse a shipped study whose nodes are not installed, and say what to do instead.
+
+    Raises
+    ------
+    StudyError
+        If they are not.
+    """
+    for spec in study.nodes.values():
+        if backend == ROS:
+            package = spec.package or ""
+            installed = has_executable(package, spec.executable or "")
+        else:
+            package = (spec.object or "").partition(".")[0]
+            installed = importlib.util.find_spec(package) is not None
+        if not installed:
+            raise StudyError(
+                f"the shipped study {study.name} needs the package {package}, which is not "
+                "installed; for nodes of your own write a study with init my_study.yaml, and run "
+                "tune --study my_study.yaml --attach"
+            )
 
 
 def _given(
@@ -273,8 +264,8 @@ def _given(
     interruption: Interruption,
 ) -> Study:
     """Read the study that the user has given to be run, and trust it."""
-    loaded = _load(named, attach, _look(ros_arguments, interruption))
-    study = _changed(loaded, arguments, named_namespace(ros_arguments))
+    loaded = read_study(named, attach, ros_arguments, interruption)
+    study = changed_study(loaded, arguments, named_namespace(ros_arguments))
     _trust(study)
     return study
 
@@ -283,11 +274,6 @@ def _trust(study: Study) -> None:
     """Trust a study; where that cannot be noted down, commands on its run ask for --trust."""
     with contextlib.suppress(OutputError):
         trust(study)
-
-
-def _load(named: str, attach: bool, look: Describe) -> Study:
-    """Read a study; nodes that run can say what it leaves open."""
-    return load_study(named, look if attach else None)
 
 
 def _resumed_in(
@@ -341,31 +327,3 @@ def _check_budget(study: Study, carried: Carried, parser: Parser) -> None:
     if budget.evaluations is not None and evaluations >= budget.evaluations:
         name, most, taken = "evaluations", budget.evaluations, evaluations
     parser.error(f"--{name}: expected more than the {taken} of --from, found {most}")
-
-
-def _changed(study: Study, arguments: argparse.Namespace, namespace: str) -> Study:
-    """Return the study, whose nodes are in a namespace, with the options of the command line."""
-    if arguments.bounds:
-        study = _with_bounds(study, arguments.bounds)
-    sets = [read_parameter_set(path, study, namespace) for path in arguments.start or ()]
-    try:
-        return study.replace(
-            trials=arguments.trials,
-            evaluations=arguments.evaluations,
-            seed=arguments.seed,
-            start=sets,
-        )
-    except StudyError as error:
-        option = error.path[-1] if error.path else ""
-        raise StudyError(f"--{option}: {error.problem}") from error
-
-
-def _with_bounds(study: Study, given: Sequence[tuple[str, tuple[Number, Number]]]) -> Study:
-    bounds = dict(given)
-    if len(bounds) < len(given):
-        twice = next(name for name, _ in given if [n for n, _ in given].count(name) > 1)
-        raise StudyError(f"--bounds: {twice} has more than one; leave all but one out")
-    try:
-        return study.with_bounds(bounds)
-    except StudyError as error:
-        raise StudyError(f"--bounds: {error}") from error

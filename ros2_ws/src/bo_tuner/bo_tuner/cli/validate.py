@@ -36,7 +36,7 @@ from bo_tuner.evidence.certificate.store import (
     required_draws,
     shortfall,
 )
-from bo_tuner.evidence.certificate.table import certificate_lines, certificate_table
+from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import certified, run_verdict
@@ -52,6 +52,7 @@ from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_line
 from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
@@ -108,26 +109,14 @@ def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
     parser.add_run_argument()
-    parser.add_argument(
-        "--draws",
-        type=whole_number,
-        metavar="N",
-        help="fresh draws of context and noise, at most (default: as the study requires)",
-    )
-    parser.add_argument(
-        "--confidence",
-        type=_fraction,
-        metavar="P",
-        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
-        "requires)",
-    )
-    parser.add_argument(
+    sets = parser.add_argument_group("what to certify")
+    sets.add_argument(
         "--trial",
         type=whole_number,
         metavar="N",
         help=f"the parameter set of this trial (default: that of the run's {BEST})",
     )
-    parser.add_argument(
+    sets.add_argument(
         "--until-pass",
         type=whole_number,
         default=1,
@@ -135,11 +124,24 @@ def make_parser() -> Parser:
         help="after a FAIL, continue with the next-ranked parameter sets that are believed "
         "feasible and have no certificate yet, up to K in all",
     )
-    parser.add_argument(
+    sets.add_argument(
         "--with-default", action="store_true", help="certify the default as well, to compare"
     )
+    evidence = parser.add_argument_group("evidence")
+    evidence.add_argument(
+        "--draws",
+        type=whole_number,
+        metavar="N",
+        help="fresh draws of context and noise, at most (default: as the study requires)",
+    )
+    evidence.add_argument(
+        "--confidence",
+        type=_fraction,
+        metavar="P",
+        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
+        "requires)",
+    )
     parser.add_backend_arguments("as in the run")
-    parser.add_trust_argument()
     return parser
 
 
@@ -159,7 +161,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
-        console.print(text, soft_wrap=True)
+        print_line(console, text, "  ")
 
     trial = _trial(record, arguments.trial)
     begun = _unfinished(record, trial, backend) if most > 1 else None
@@ -340,10 +342,8 @@ def _not_the_result(verdict: Verdict) -> str:
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
     out, certificate = plain_console(), read_certificate(path, study)
     print_verdict(out, study, verdict, certificate.parameters)
-    out.print()
-    out.print(certificate_table(study, certificate))
     for line in certificate_lines(study, certificate):
-        out.print(line, soft_wrap=True)
+        print_line(out, line, "  ")
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")
     print_next_steps(out, verdict, path.parent.parent)

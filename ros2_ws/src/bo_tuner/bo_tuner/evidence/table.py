@@ -13,7 +13,7 @@ from bo_tuner.evidence.differences import CONFIDENCE
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.verdict import Quantity, Verdict
 from bo_tuner.study.study import Study
-from bo_tuner.text import JOIN, wrapped
+from bo_tuner.terminal import print_line, print_table
 from bo_tuner.trials import Value
 
 
@@ -34,7 +34,7 @@ def print_verdict(
     console.print(verdict.headline)
     for sentence in verdict.sentences:
         print_line(console, f"  {sentence}", "  ")
-    console.print(verdict_table(study, verdict, tuned))
+    print_table(console, verdict_table(study, verdict, tuned))
     for line in verdict_notes(verdict):
         print_line(console, line, "  ")
 
@@ -50,19 +50,10 @@ def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
         console.print(line, soft_wrap=True)
 
 
-def print_line(console: Console, text: str, indent: str) -> None:
-    """Print a sentence, on a terminal broken between words that no `JOIN` joins."""
-    if console.is_terminal:
-        text = wrapped(text, console.width, indent)
-    console.print(text.replace(JOIN, " "), soft_wrap=True)
-
-
 def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:
     """Make a table of the parameters and of the numbers of a verdict."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
-    names = [*study.parameters, *(quantity.label for quantity in verdict.quantities)]
-    # A name is never cut, however narrow the terminal is.
-    table.add_column("", min_width=max(len(word) for name in names for word in name.split()))
+    table.add_column("")
     for name in ("default", "tuned", "difference", "limit"):
         table.add_column(name, justify="right")
     defaults = study.search_space().defaults

@@ -1,7 +1,7 @@
 """Interface of a method: how parameters are searched for, and what the answer is.
 
 Whatever depends on the method is asked of it here, by the loop, the driver of the answer, the
-verdict, the report, the time left and ``--check``. None of them knows which method it is.
+verdict, the report, the time left and the command ``check``. None of them knows which method it is.
 """
 
 from abc import abstractmethod

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_line, print_table
 from bo_tuner.text import with_unit
 from bo_tuner.tuning.front import CONFIDENCE
 
@@ -37,10 +38,11 @@ def print_front(
         The run folder.
     """
     if not front:
-        console.print(
+        print_line(
+            console,
             "each parameter set that is believed feasible broke a limit in its own evaluations, so "
             "there is no Pareto front",
-            soft_wrap=True,
+            "",
         )
         return
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
@@ -57,13 +59,14 @@ def print_front(
             f"{point['feasibility']:.2f}",
             "result" if point["trial"] == result else "",
         )
-    console.print(
+    print_line(
+        console,
         "Pareto front of the trials, ± half the width of a "
         f"{100 * CONFIDENCE:g} % interval; for another point: "
         f"validate {shlex.quote(str(run))} --trial N",
-        soft_wrap=True,
+        "",
     )
-    console.print(table)
+    print_table(console, table)
 
 
 def _in_words(mean: Mapping[str, Any]) -> str:

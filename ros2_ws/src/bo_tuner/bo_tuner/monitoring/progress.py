@@ -1,21 +1,23 @@
 """Live progress of a run in the terminal."""
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Self
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn
 from rich.table import Column
 from rich.text import Text
 
-from bo_tuner.evidence.table import print_line
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display
+from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_line
 from bo_tuner.text import JOIN, percent, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 
@@ -28,6 +30,8 @@ INDENT = " " * 16
 
 class RunProgress(Display):
     """A line for each trial and, on a terminal, a bar with a second line for the incumbent.
+
+    Without a terminal a line tells now and then how far the phase is.
 
     All of it is on standard error.
 
@@ -42,6 +46,8 @@ class RunProgress(Display):
         shown.
     going_on
         How a run that is paused goes on.
+    clock
+        Returns the time [s] from a fixed point on.
     """
 
     def __init__(
@@ -50,6 +56,7 @@ class RunProgress(Display):
         study: Study,
         status: RunStatus | None = None,
         going_on: str = "",
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self._study = study
@@ -57,6 +64,7 @@ class RunProgress(Display):
         self._going_on = going_on
         self._console = console
         self._progress = _TwoLines(console)
+        self._lines = NowAndThen(clock)
 
     def __enter__(self) -> Self:
         """Start the live display, which is empty before the first phase."""
@@ -104,10 +112,9 @@ class RunProgress(Display):
         mark = ""
         if incumbent is not None and incumbent.trial.number == trial.number:
             mark = "best" if incumbent.believed_feasible else ""
-        line = f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}"
-        print_line(self._console, line, INDENT)
+        self._print(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}", INDENT)
         for warning in trial.warnings:
-            print_line(self._console, f"           warning: {warning}", INDENT)
+            self._print(f"           warning: {warning}", INDENT)
 
     def advise(self, advice: StopAdvice) -> None:
         """Show the advice to stop."""
@@ -120,7 +127,11 @@ class RunProgress(Display):
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""
-        print_line(self._console, text, "  ")
+        self._print(text, "  ")
+
+    def _print(self, text: str, indent: str) -> None:
+        print_line(self._console, text, indent)
+        self._lines.told()
 
     def _show(self, steps: int = 0) -> None:
         parts = []
@@ -134,7 +145,16 @@ class RunProgress(Display):
                 parts.append(f"optimizer {now.overhead:.0%}")
             if now.paused:
                 parts.append("PAUSED")
-        self._progress.update(self._task, total=total, advance=steps, note="  ".join(parts))
+        note = "  ".join(parts)
+        self._progress.update(self._task, total=total, advance=steps, note=note)
+        if self._lines.due and not self._console.is_terminal:
+            task = self._progress.tasks[-1]
+            self.tell("  ".join(filter(None, [f"{task.description}: {_count(task)}", note])))
+
+
+def _count(task: Task) -> str:
+    """Return how many steps of a phase are done."""
+    return f"{task.completed:.0f} of {task.total or 0:.0f}"
 
 
 class _TwoLines(Progress):
@@ -146,11 +166,11 @@ class _TwoLines(Progress):
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=12),
             MofNCompleteColumn(),
-            # Takes the rest of the line, and is truncated to it.
+            # Takes the rest of the line, and goes on below where that is too short.
             TextColumn(
                 "{task.fields[note]}",
                 markup=False,
-                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+                table_column=Column(ratio=1, overflow="fold"),
             ),
             console=console,
             expand=True,
@@ -164,7 +184,7 @@ class _TwoLines(Progress):
         """Yield the bar and the line."""
         yield from super().get_renderables()
         if self.second_line:
-            yield Text(printable(self.second_line), no_wrap=True, overflow="ellipsis")
+            yield Text(printable(self.second_line), overflow="fold")
 
 
 def incumbent_in_words(best: Candidate | None, study: Study) -> str:

@@ -59,10 +59,10 @@ def first_study(
     wanted = reference(signals, own)
     measured = _measured(signals, wanted, own)
     lines = [
-        "# A first study, written by `tune --init` from the nodes that were running.",
+        "# A first study, written by `init` from the nodes that were running.",
         f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
-        f"# Then: {_command('--check', source, ros_arguments)}",
-        f"#       {_command('--study', source, ['--attach', *ros_arguments])}",
+        f"# Then: {_command('check', source, *ros_arguments)}",
+        f"#       {_command('tune', '--study', source, '--attach', *ros_arguments)}",
         f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
         "",
         "nodes:",
@@ -73,7 +73,7 @@ def first_study(
             if node.name not in own and (node in nodes or context_offers(node))
         ),
         "",
-        "# tune --check tries which move a metric: a node may read some only while it starts.",
+        "# `check` tries which move a metric: a node may read some only while it starts.",
         "parameters:",
         *_parameter_lines(nodes, parameters, keys),
         *_context_lines(seen.nodes, parameters, keys),
@@ -93,8 +93,8 @@ def first_study(
     return "\n".join(lines) + "\n"
 
 
-def _command(option: str, source: str, others: Sequence[str]) -> str:
-    return one_line(shlex.join(["tune", option, source, *others]))
+def _command(*words: str) -> str:
+    return one_line(shlex.join(words))
 
 
 def _measured(
@@ -285,7 +285,7 @@ def _metric_lines(
     yield ""
     yield "objective: {metric: error}"
     if constraints:
-        yield f"# {CHECK}: limits; `tune --check` shows what the present parameters reach."
+        yield f"# {CHECK}: limits; `check` shows what the present parameters reach."
         yield "# constraints:"
     for metric, upper in constraints:
         fields = {"kind": "chance", "metric": metric, "upper": upper, "probability": 0.9}

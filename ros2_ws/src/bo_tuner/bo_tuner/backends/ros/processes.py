@@ -54,6 +54,15 @@ def find_executable(package: str, executable: str) -> Path:
     return Path(found)
 
 
+def has_executable(package: str, executable: str) -> bool:
+    """Return whether `find_executable` finds one."""
+    try:
+        find_executable(package, executable)
+    except BackendError:
+        return False
+    return True
+
+
 def search_path() -> str:
     """Return where programs are looked for: the virtual environment first."""
     return f"{sys.prefix}/bin{os.pathsep}{os.environ.get('PATH', os.defpath)}"

@@ -1,11 +1,9 @@
-"""The numbers of a certificate, row by row, and its table and lines in the terminal."""
+"""The numbers of a certificate, row by row, and what the terminal says of it beside the verdict."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite, isnan, nan
-
-from rich.table import Table
 
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance, VariableTolerance
@@ -37,14 +35,11 @@ class Row:
         What it is; indented if it tells more of the row above.
     values
         Its value for each parameter set.
-    begins
-        Whether it is the first one of a constraint, or of what all constraints have in common.
     """
 
     label: str
     unit: str
     values: tuple[str, ...]
-    begins: bool = False
 
 
 def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
@@ -56,7 +51,6 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
             f"mean {objective.metric}",
             objective.unit,
             tuple(_mean(side.objective) for side in sides),
-            begins=True,
         ),
         Row(CVAR, objective.unit, tuple(shown(side.tail) for side in sides)),
     ]
@@ -65,32 +59,11 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
         rows += _of_constraint(study, constraints, level)
     failed = tuple(f"{side.failures} of {side.evaluations}" for side in sides)
     verdicts = tuple(PASS if side.passed else FAIL for side in sides)
-    return [*rows, Row("failed evaluations", "", failed, begins=True), Row("verdict", "", verdicts)]
-
-
-def certificate_table(study: Study, certificate: Certificate) -> Table:
-    """Return a table of the tuned parameter set, beside the default if that was evaluated."""
-    same = "the same " if certificate.default is not None else ""
-    table = Table(
-        title=f"{study.name}, trial {certificate.trial}: {same}{certificate.drawn} fresh draws",
-        title_justify="left",
-    )
-    table.add_column("")
-    table.add_column("unit")
-    for name in certificate.sides:
-        table.add_column(name, justify="right")
-    for name, item in study.parameters.items():
-        values = [shown(side.parameters[name]) for side in certificate.sides.values()]
-        table.add_row(name, item.unit, *values)
-    for row in certificate_rows(study, certificate):
-        if row.begins:
-            table.add_section()
-        table.add_row(row.label, row.unit, *row.values)
-    return table
+    return [*rows, Row("failed evaluations", "", failed), Row("verdict", "", verdicts)]
 
 
 def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
-    """Yield lines on what the table leaves out: reasons, training and robustness."""
+    """Yield lines on what the verdict leaves out: reasons, training and robustness."""
     for constraint in certificate.tuned.constraints:
         kept = "shown to hold" if constraint.passed else "NOT shown to hold"
         yield f"{constraint.name}: {kept}: {constraint.reason}"
@@ -117,11 +90,11 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     unit, limit, allowed = tuned.unit, tuned.limit, tuned.allowed
     beyond = f"{constraint.beyond} {limit:g}"
 
-    def row(label: str, unit: str, values: Iterator[str], *, begins: bool = False) -> Row:
-        return Row(label, unit, tuple(values), begins)
+    def row(label: str, unit: str, values: Iterator[str]) -> Row:
+        return Row(label, unit, tuple(values))
 
     extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
-    yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both), begins=True)
+    yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both))
     yield row(CVAR, unit, (shown(c.tail) for c in both))
     yield row(f"  draws {beyond}", "", (str(c.violations) for c in both))
     violation = f"  P(violation), {level}"

@@ -1,0 +1,144 @@
+"""The study that a command is given, and the options that change it."""
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+
+from bo_tuner.backends.ros.graph import describe_nodes
+from bo_tuner.cli.common import Group, whole_number
+from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interruption
+from bo_tuner.storage.parameter_set_file import read_parameter_set
+from bo_tuner.study.parameter import Number
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study
+
+
+def add_budget_arguments(group: Group) -> None:
+    """Add the options that change budget and seed."""
+    group.add_argument(
+        "--trials",
+        type=whole_number,
+        metavar="N",
+        help="number of trials, in place of the study's budget of trials and evaluations; the "
+        "initial design has at most as many",
+    )
+    group.add_argument(
+        "--evaluations",
+        type=whole_number,
+        metavar="N",
+        help="number of evaluations of all trials, in place of the study's budget",
+    )
+    group.add_argument(
+        "--seed",
+        type=whole_number,
+        metavar="N",
+        help="random seed of the run (default: the study's)",
+    )
+
+
+def add_bounds_argument(group: Group) -> None:
+    """Add the option that changes the bounds of parameters."""
+    group.add_argument(
+        "--bounds",
+        type=_bounds,
+        action="append",
+        metavar="NAME=LOWER:UPPER",
+        help="other bounds of a tuned number than the study has, such as kp=0.1:20; once for each",
+    )
+
+
+def read_study(
+    named: str, attach: bool, ros_arguments: Sequence[str], interruption: Interruption
+) -> Study:
+    """Read a study by its name or path.
+
+    Parameters
+    ----------
+    named
+        Name of a shipped study, or path.
+    attach
+        Whether nodes that run can say what the study leaves open.
+    ros_arguments
+        ``--ros-args`` of the node that asks them.
+    interruption
+        Ends that on a signal.
+
+    Raises
+    ------
+    StudyError
+        If it is no valid study.
+    BackendError
+        If the nodes cannot be asked.
+    """
+    describe = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
+    return load_study(named, describe if attach else None)
+
+
+def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -> Study:
+    """Return a study with the options of the command line.
+
+    Parameters
+    ----------
+    study
+        As in its file.
+    arguments
+        With those of `add_budget_arguments` and `add_bounds_argument`, and ``start`` if the command
+        takes parameter sets.
+    namespace
+        Of the nodes.
+
+    Raises
+    ------
+    StudyError
+        If an option does not fit the study.
+    """
+    if arguments.bounds:
+        study = _with_bounds(study, arguments.bounds)
+    sets = [
+        read_parameter_set(path, study, namespace)
+        for path in getattr(arguments, "start", None) or ()
+    ]
+    try:
+        return study.replace(
+            trials=arguments.trials,
+            evaluations=arguments.evaluations,
+            seed=arguments.seed,
+            start=sets,
+        )
+    except StudyError as error:
+        option = error.path[-1] if error.path else ""
+        raise StudyError(f"--{option}: {error.problem}") from error
+
+
+def _with_bounds(study: Study, given: Sequence[tuple[str, tuple[Number, Number]]]) -> Study:
+    bounds = dict(given)
+    if len(bounds) < len(given):
+        twice = next(name for name, _ in given if [n for n, _ in given].count(name) > 1)
+        raise StudyError(f"--bounds: {twice} has more than one; leave all but one out")
+    try:
+        return study.with_bounds(bounds)
+    except StudyError as error:
+        raise StudyError(f"--bounds: {error}") from error
+
+
+def _bounds(text: str) -> tuple[str, tuple[Number, Number]]:
+    """Read the name of a parameter, and its bounds."""
+    name, _, pair = text.rpartition("=")
+    lower, _, upper = pair.partition(":")
+    try:
+        if not name:
+            raise ValueError
+        return name, (_number(lower), _number(upper))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected NAME=LOWER:UPPER, such as kp=0.1:20"
+        ) from None
+
+
+def _number(text: str) -> Number:
+    """Read a number; an integer parameter takes no 3.0."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)

@@ -1,0 +1,30 @@
+"""Progress in lines, for where there is no terminal: one now and then."""
+
+import time
+from collections.abc import Callable
+
+PERIOD = 30.0
+"""Least time [s] from any line to one that only says how far a phase is."""
+
+
+class NowAndThen:
+    """Says when the next line on the progress is due.
+
+    Parameters
+    ----------
+    clock
+        Returns the time [s] from a fixed point on.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._told = clock()
+
+    def told(self) -> None:
+        """Note that there was a line, whatever it said."""
+        self._told = self._clock()
+
+    @property
+    def due(self) -> bool:
+        """Whether there was no line for so long that one is due."""
+        return self._clock() - self._told >= PERIOD
