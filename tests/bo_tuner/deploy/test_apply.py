@@ -13,7 +13,7 @@ from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.cli import apply as command
-from bo_tuner.cli.deliverables import withdraw_result
+from bo_tuner.report.deliverables import withdraw_result
 from bo_tuner.cli.streams import confirmed
 from bo_tuner.deploy.apply import (
     ApplyError,

@@ -17,7 +17,7 @@ from judged_runs import certify, default_trial, made
 from rich.console import Console
 
 from bo_tuner.cli import apply
-from bo_tuner.cli.deliverables import write_deliverables
+from bo_tuner.report.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.evidence.next_steps import next_steps
