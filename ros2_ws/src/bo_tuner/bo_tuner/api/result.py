@@ -110,11 +110,14 @@ class Result:
             If the run has no result.
         """
         from bo_tuner.api.certifying import certify_trial
+        from bo_tuner.report.deliverables import with_verdict
 
         trial = self._record.result
         if trial is None:
             raise RunRecordError(f"{self.folder}: has no result to certify")
-        return certify_trial(self._record, trial, function, draws=draws, confidence=confidence)
+        found = certify_trial(self._record, trial, function, draws=draws, confidence=confidence)
+        self._record = with_verdict(self._record)
+        return found
 
     def report(self) -> Path:
         """Write the report of the run, ``report.html`` in its folder, and return its path.

@@ -1,6 +1,9 @@
 """A run that is open: its folder, its journal, and what it has on record."""
 
 import contextlib
+import shutil
+import tempfile
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +30,14 @@ from bo_tuner.tuning.loop import trials_are_over
 from bo_tuner.tuning.summary import Conclusion, continued, summarize
 
 NOTHING = JournalContent((), (), (), "")
+
+
+class TemporaryFolder:
+    """A folder that is there for as long as this object is; `path` is its path."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="bo_tuner-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 class OpenRun:

@@ -1,12 +1,12 @@
 """A study as a Python object, and what can be done with it."""
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
 from bo_tuner.api.entries import plain
 from bo_tuner.api.result import Result
+from bo_tuner.api.run import TemporaryFolder
 from bo_tuner.api.tuner import Tuner, opened
 from bo_tuner.backends.function import Function, FunctionBackend
 from bo_tuner.study import study as checked
@@ -181,8 +181,6 @@ class Study:
             If the record cannot be read or written.
         """
         if folder is None:
-            temporary = tempfile.TemporaryDirectory(prefix="bo_tuner-")
-            return opened(
-                self._study, Path(temporary.name) / self.name, algorithm, window, temporary
-            )
+            temporary = TemporaryFolder()
+            return opened(self._study, temporary.path / self.name, algorithm, window, temporary)
         return opened(self._study, Path(folder), algorithm, window)

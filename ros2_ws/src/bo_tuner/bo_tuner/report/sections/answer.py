@@ -12,6 +12,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
+from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.limits import Standing
 
 FILES = (
@@ -86,8 +87,8 @@ def answer(analysis: Analysis) -> Answer:
         verdict=verdict,
         sentences=sentences,
         tiles=tiles,
-        # The page may be opened from any folder.
-        steps=next_steps(verdict, str(record.path.resolve())),
+        # The page may be opened from any folder. Commands do not reach a function.
+        steps=() if record.backend == FUNCTION else next_steps(verdict, str(record.path.resolve())),
         files=[(name, what) for name, what in FILES if (record.path / name).exists()],
         table=table,
         notes=[f"{line}." for line in verdict.draws_in_words],
