@@ -2,8 +2,10 @@
 
 import math
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -334,6 +336,14 @@ class TestFolder:
     def test_commands_do_not_go_on_with_it(self, whole, capsys):
         said = complaint(tune, capsys, "--resume", whole)
         assert "is a run of a Python function" in said
+
+    def test_a_damaged_record_is_told_of(self, make_function_study, function, whole):
+        expected = bt.load(whole).best
+        with closing(sqlite3.connect(whole / "journal.sqlite")) as db, db:
+            db.execute("UPDATE evaluation SET seconds = seconds + 1.0 WHERE rowid = 9")
+        with pytest.warns(RuntimeWarning, match="the record was damaged: journal.sqlite"):
+            result = make_function_study().optimize(function, whole)
+        assert result.best == expected
 
     def test_a_window_that_cannot_be(self, make_function_study, tmp_path):
         for window in (0, 1.5, "3"):

@@ -1,5 +1,6 @@
 """Studies of functions, from Python and from files."""
 
+import numpy as np
 import pytest
 from example_nodes import UNCHANGED
 
@@ -77,6 +78,34 @@ def test_an_error_in_python_names_the_key(make_function_study):
         make_function_study(parameters={"gain": bt.Double(0.0, 1.0, default=5.0)})
     with pytest.raises(bt.StudyError, match=r"^budgets: unknown key; did you mean 'budget'"):
         make_function_study(budgets=3)
+
+
+@pytest.mark.parametrize("metrics", ["error", 3, [{"error": {}}], []])
+def test_metrics_that_are_none(make_function_study, metrics):
+    with pytest.raises(bt.StudyError, match=r"^metrics: expected"):
+        make_function_study(metrics=metrics)
+
+
+def test_numbers_of_numpy_are_numbers(make_function_study):
+    bounds = np.array([0.0, 1.0])
+    parameters = {
+        "gain": bt.Double(*bounds, default=np.float32(0.5)),
+        "n": bt.Integer(1, np.int64(4), default=2),
+    }
+    study = make_function_study(parameters=parameters)
+    assert study.defaults == {"gain": 0.5, "n": 2}
+
+
+def test_all_that_is_wrong_is_told(make_function_study):
+    with pytest.raises(bt.StudyError) as error:
+        make_function_study(
+            parameters={"gain": bt.Double(1.0, 0.0, default=0.5)},
+            budget={"trials": 0, "initial_trials": 1},
+        )
+    assert {"parameters.gain", "budget.trials"} <= {
+        ".".join(map(str, each.path[:2])) for each in (error.value, *error.value.others)
+    }
+    assert error.value.__notes__ == [str(other) for other in error.value.others]
 
 
 def test_commands_do_not_take_a_file_without_nodes_for_whole():

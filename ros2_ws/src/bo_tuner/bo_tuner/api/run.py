@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 import tempfile
+import warnings
 import weakref
 from collections.abc import Sequence
 from dataclasses import replace
@@ -91,7 +92,11 @@ class OpenRun:
             )
             provenance = session_provenance(study, FUNCTION, algorithm) | {WINDOW: str(window)}
             if damage:
+                warnings.warn(f"the record was damaged: {damage}", RuntimeWarning, stacklevel=5)
                 provenance["salvaged"] = damage
+            if not folder.journal.exists():
+                # A journal without its study is no run.
+                folder.write_study(study)
             self._journal = stack.enter_context(Journal(folder.journal, provenance))
             # A file of fewer trials is that of an earlier session.
             folder.write_study(study)

@@ -1,6 +1,7 @@
 """A study as a Python object, and what can be done with it."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -9,6 +10,8 @@ from bo_tuner.api.result import Result
 from bo_tuner.api.run import TemporaryFolder
 from bo_tuner.api.tuner import Tuner, opened
 from bo_tuner.backends.function import Function, FunctionBackend
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
 from bo_tuner.study import study as checked
 from bo_tuner.study.function_study import returned_metrics, with_function
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_yaml
@@ -62,18 +65,18 @@ class Study:
         constraints: Mapping[str, object] | None = None,
         **sections: object,
     ) -> None:
-        named = metrics if isinstance(metrics, Mapping) else {item: {} for item in metrics}
         given = {
             "name": name,
             "parameters": parameters,
-            "metrics": named,
+            "metrics": _by_name(metrics),
             "objective": objective,
             "budget": budget,
-            "contexts": contexts or {},
-            "constraints": constraints or {},
+            "contexts": {} if contexts is None else contexts,
+            "constraints": {} if constraints is None else constraints,
             **sections,
         }
-        self._study = study_from_mapping(with_function(plain(given)))
+        with _all_told():
+            self._study = study_from_mapping(with_function(plain(given)))
         returned_metrics(self._study)
 
     @classmethod
@@ -86,7 +89,8 @@ class Study:
             If it cannot be read, something is wrong with it, or its metrics are not reported but
             computed from signals, which a function does not have.
         """
-        study = load_study(path, of_function=True)
+        with _all_told():
+            study = load_study(path, of_function=True)
         returned_metrics(study)
         made = cls.__new__(cls)
         made._study = study
@@ -184,3 +188,27 @@ class Study:
             temporary = TemporaryFolder()
             return opened(self._study, temporary.path / self.name, algorithm, window, temporary)
         return opened(self._study, Path(folder), algorithm, window)
+
+
+def _by_name(metrics: object) -> Mapping[str, object]:
+    """Return metrics by name, those of a list of names without more."""
+    if isinstance(metrics, Mapping):
+        return metrics
+    names = metrics if isinstance(metrics, list | tuple) else ()
+    if not names or not all(isinstance(name, str) for name in names):
+        raise StudyError(
+            f"expected a list of names, or a mapping of names, found {checks.show(metrics)}",
+            ("metrics",),
+        )
+    return {name: {} for name in names}
+
+
+@contextlib.contextmanager
+def _all_told() -> Iterator[None]:
+    """Let a traceback show also what else is wrong with a study."""
+    try:
+        yield
+    except StudyError as error:
+        for other in error.others:
+            error.add_note(str(other))
+        raise

@@ -44,7 +44,8 @@ class Run:
     Attributes
     ----------
     trial, index
-        Number of the trial, and of the run within it, from 0.
+        Number of the trial, and of the run within it, from 0. In the validation the default has
+        the number 0 and the result 1.
     stage
         Its purpose, such as ``drawn`` or ``validation``.
     parameters
@@ -64,6 +65,9 @@ class Run:
     context: dict[str, Value]
     seed: int
     evaluation: Evaluation = field(repr=False, compare=False)
+
+    def __hash__(self) -> int:
+        return hash((self.stage, self.trial, self.index, self.seed))
 
     @classmethod
     def of(cls, evaluation: Evaluation) -> Self:
