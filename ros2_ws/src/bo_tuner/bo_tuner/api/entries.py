@@ -45,8 +45,10 @@ class Double(_Number):
 
     Attributes
     ----------
-    lower, upper
-        Smallest and largest value.
+    lower
+        Smallest value.
+    upper
+        Largest value.
     default
         Hand-tuned value, with which all is compared.
     scale
@@ -95,9 +97,11 @@ class Chance(Entry):
     ----------
     metric
         What is limited.
-    upper, lower
-        Largest and smallest permitted value; at least one. Text such as ``1.1 * default`` is
-        relative to what the default has in the same context.
+    upper
+        Largest permitted value. Text such as ``1.1 * default`` is relative to what the default has
+        in the same context.
+    lower
+        Smallest permitted value, likewise; at least one of both.
     probability
         Between 0 and 1.
     """
@@ -117,8 +121,12 @@ class WorstCase(Entry):
 
     Attributes
     ----------
-    metric, upper, lower
-        As of `Chance`.
+    metric
+        What is limited.
+    upper
+        Largest permitted value, as of `Chance`.
+    lower
+        Smallest permitted value; at least one of both.
     probability
         With which a run keeps it in each context; None: the mean over noise keeps it.
     """
