@@ -55,7 +55,8 @@ ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}
 # Parts of Python, or of extras: imported only when they are asked for.
 NOT_DECLARED = {
     *sys.stdlib_module_names, "setuptools", "distributed",
-    "ConfigSpace", "botorch", "cma", "cobyqa", "gpytorch", "greenlet", "optuna", "smac", "torch",
+    "ConfigSpace", "botorch", "cma", "cobyqa", "gpytorch", "greenlet", "optuna", "pandas", "smac",
+    "torch",
 }  # fmt: skip
 
 every_package = pytest.mark.parametrize("package", EXECUTABLES)

@@ -68,6 +68,7 @@ setup(
     extras_require={
         "jazzy": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
+        "pandas": ["pandas>=2.2,<4"],
         "test": ["pytest"],
     },
     keywords=[f"commit-{commit()}"],

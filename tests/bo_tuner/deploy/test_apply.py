@@ -13,7 +13,6 @@ from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.cli import apply as command
-from bo_tuner.cli.deliverables import withdraw_result
 from bo_tuner.cli.streams import confirmed
 from bo_tuner.deploy.apply import (
     ApplyError,
@@ -25,6 +24,7 @@ from bo_tuner.deploy.apply import (
 from bo_tuner.deploy.bundle import differences
 from bo_tuner.evidence.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.interruption import Interrupted
+from bo_tuner.report.deliverables import withdraw_result
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}

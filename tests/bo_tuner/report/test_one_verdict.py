@@ -17,7 +17,6 @@ from judged_runs import certify, default_trial, made
 from rich.console import Console
 
 from bo_tuner.cli import apply
-from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.evidence.next_steps import next_steps
@@ -33,6 +32,7 @@ from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.content import Chapter
+from bo_tuner.report.deliverables import write_deliverables
 from bo_tuner.report.page import answer_html, render, section_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections

@@ -112,5 +112,25 @@ class RunError(BoTunerError, RuntimeError):
     """A run cannot continue; its record is kept."""
 
 
+class Failed(BoTunerError, RuntimeError):  # noqa: N818
+    """Raised by a function that is tuned: the run failed for its parameters, for this reason."""
+
+
+class MetricsError(BoTunerError, ValueError):
+    """What a function has returned, or was told of a run, is not a number for each metric."""
+
+
+class WindowFull(BoTunerError, RuntimeError):  # noqa: N818
+    """Nothing more can be asked for until the result of a run that was asked for is told."""
+
+
+class UnknownRunError(BoTunerError, LookupError):
+    """The result of a run that nobody waits for: told already, or of another tuner."""
+
+
+class MissingPackageError(BoTunerError, ImportError):
+    """A package that is installed only on request is missing."""
+
+
 class OutputError(BoTunerError, OSError):
     """A file or folder of results cannot be written."""

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from bo_tuner.trials import Evaluation
 
@@ -194,6 +194,9 @@ class Runs(Plan[Run]):
 
 
 R = TypeVar("R")
+
+Phases = Generator[Plan[Any], None, R]
+"""Yields plans, each of which is carried out before the next is asked for, and returns a result."""
 
 Batches = Generator[Sequence[Evaluation], Sequence[Evaluation], R]
 """Yields batches of planned evaluations, is sent those that were run, and returns a result."""

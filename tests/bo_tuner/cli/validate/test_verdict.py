@@ -10,6 +10,7 @@ from commands import run
 from validated_run import NEEDED, certificate
 
 from bo_tuner.cli import validate as validate_command
+from bo_tuner.evidence.certificate import store
 from bo_tuner.evidence.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.monitoring import now_and_then
 from bo_tuner.storage.record import read_run
@@ -114,7 +115,7 @@ class TestVerdict:
 
     def test_the_next_in_rank_if_the_result_fails(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "2")
-        monkeypatch.setattr(validate_command, "required_draws", lambda *_: 1)
+        monkeypatch.setattr(store, "required_draws", lambda *_: 1)
         code, out, _ = here(folder, "--until-pass", "3")
         assert code == 3
         # As many as there are that are believed feasible.

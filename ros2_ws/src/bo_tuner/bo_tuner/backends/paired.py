@@ -1,6 +1,6 @@
 """The default beside each evaluation, for metrics that are relative to it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 
 from bo_tuner.metrics.collect import metric_problem
@@ -57,27 +57,51 @@ class DefaultBeside:
         Returns
         -------
         Outcome
+            As `runs` returns it.
+        """
+        runs = self.runs(planned)
+        due = next(runs)
+        while True:
+            outcome = run(due)
+            if due is not planned:
+                after_default()
+            try:
+                due = runs.send(outcome)
+            except StopIteration as end:
+                found: Outcome = end.value
+                return found
+
+    def runs(self, planned: Evaluation) -> Generator[Evaluation, Outcome, Outcome]:
+        """Yield what is to be run for an evaluation, one after the other, and be sent the outcomes.
+
+        Parameters
+        ----------
+        planned
+            The evaluation. The default comes ahead of it where it is needed and not known yet.
+
+        Returns
+        -------
+        Outcome
             With the relative metrics, and in its details what the default has of the metrics that
             these are of. Where the default fails, nothing is known of the parameters, and they are
             not run: the evaluation is lost if the default is, and otherwise not prepared.
         """
         if not self._metrics:
-            return run(planned)
+            return (yield planned)
         draw = (tuple(sorted(planned.context.items())), planned.seed)
         if planned.parameter_set == parameter_set(self._default):
-            outcome = run(planned)
+            outcome = yield planned
             if outcome.complete:
                 self._known[draw] = outcome.metrics
             return self._completed(outcome, outcome.metrics)
         if draw not in self._known:
-            default = run(replace(planned, parameters=self._default))
-            after_default()
+            default = yield replace(planned, parameters=self._default)
             if not default.complete:
                 return _without_default(default)
             self._known[draw] = default.metrics
-            outcome = run(planned).with_starts(*default.starts)
+            outcome = (yield planned).with_starts(*default.starts)
             return self._completed(outcome, default.metrics)
-        return self._completed(run(planned), self._known[draw])
+        return self._completed((yield planned), self._known[draw])
 
     def _completed(self, outcome: Outcome, default: Mapping[str, float]) -> Outcome:
         """Return an outcome with its relative metrics; `default` are the metrics of the default."""

@@ -10,12 +10,53 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
 
-class RecordedEvaluations:
-    """A backend that runs only the evaluations which are not on record.
+class OnRecord:
+    """Evaluations on record, each given once when it is planned again.
 
     An evaluation is known again by its stage, its seed and what is set for it: parameters and
     context. A run that was resumed plans the same, so that it takes the way it took before. Where
     no parameter takes the seed, it still tells one repetition from another.
+
+    Parameters
+    ----------
+    study
+        The study.
+    evaluations
+        The record, in its order.
+
+    Raises
+    ------
+    KeyError
+        If an evaluation has a parameter or a context variable that the study does not have.
+    """
+
+    def __init__(self, study: Study, evaluations: Iterable[Evaluation]) -> None:
+        self._study = study
+        self._evaluations: dict[str, list[Evaluation]] = {}
+        for evaluation in evaluations:
+            self._evaluations.setdefault(self._key(evaluation), []).append(evaluation)
+
+    def take(self, planned: Evaluation) -> Evaluation | None:
+        """Return a planned evaluation with its outcome on record; None if it is to be run."""
+        found = self._evaluations.get(self._key(planned))
+        if not found:
+            return None
+        earlier = found.pop(0)
+        # Those of another run may have been judged by another study.
+        outcome = judged(self._study, earlier.outcome)
+        return replace(planned, outcome=outcome, seconds=earlier.seconds, recorded=True)
+
+    def _key(self, evaluation: Evaluation) -> str:
+        assignments: Mapping[str, Mapping[str, object]] = self._study.assignments(
+            evaluation.parameters, evaluation.context, evaluation.seed
+        )
+        # As text, 3 and 3.0 differ, as they do for a node, and all bits of a double count.
+        values = {node: dict(of_node) for node, of_node in assignments.items()}
+        return json.dumps([evaluation.stage, evaluation.seed, values], sort_keys=True)
+
+
+class RecordedEvaluations:
+    """A backend that runs only the evaluations which are not on record.
 
     Parameters
     ----------
@@ -24,7 +65,7 @@ class RecordedEvaluations:
     study
         The study.
     evaluations
-        The record, in its order; each is given once.
+        The record, in its order; each is given once, see `OnRecord`.
 
     Raises
     ------
@@ -35,10 +76,7 @@ class RecordedEvaluations:
     def __init__(self, backend: Backend, study: Study, evaluations: Iterable[Evaluation]) -> None:
         self.name = backend.name
         self._backend = backend
-        self._study = study
-        self._evaluations: dict[str, list[Evaluation]] = {}
-        for evaluation in evaluations:
-            self._evaluations.setdefault(self._key(evaluation), []).append(evaluation)
+        self._record = OnRecord(study, evaluations)
 
     def open(self) -> None:
         """Get ready to run evaluations."""
@@ -47,23 +85,12 @@ class RecordedEvaluations:
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Give evaluations from the record, or run them."""
         for planned in evaluations:
-            found = self._evaluations.get(self._key(planned))
-            if found:
-                earlier = found.pop(0)
-                # Those of another run may have been judged by another study.
-                outcome = judged(self._study, earlier.outcome)
-                yield replace(planned, outcome=outcome, seconds=earlier.seconds, recorded=True)
-            else:
+            earlier = self._record.take(planned)
+            if earlier is None:
                 yield from self._backend.run([planned])
+            else:
+                yield earlier
 
     def close(self) -> None:
         """Let go of everything that `open` took."""
         self._backend.close()
-
-    def _key(self, evaluation: Evaluation) -> str:
-        assignments: Mapping[str, Mapping[str, object]] = self._study.assignments(
-            evaluation.parameters, evaluation.context, evaluation.seed
-        )
-        # As text, 3 and 3.0 differ, as they do for a node, and all bits of a double count.
-        values = {node: dict(of_node) for node, of_node in assignments.items()}
-        return json.dumps([evaluation.stage, evaluation.seed, values], sort_keys=True)

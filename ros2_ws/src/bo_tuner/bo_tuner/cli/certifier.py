@@ -17,9 +17,9 @@ from bo_tuner.evidence.certificate.certification import (
     Subject,
     most_evaluations,
 )
-from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.outlook import outlook
+from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.now_and_then import NowAndThen
@@ -28,7 +28,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.terminal import print_line
 from bo_tuner.text import counted
-from bo_tuner.trials import DEFAULT, TUNED, Trial
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -97,7 +97,7 @@ class Certifier:
         """
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
-        subjects = self._subjects(trial, nodes.name)
+        subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
         self._tell_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))
         self._tell_most(subjects, draws, trial, confidence)
@@ -137,22 +137,6 @@ class Certifier:
         path = write_certificate(folder.path, certificate, evidence)
         unfinished.remove()
         return certificate, path, left
-
-    def _subjects(self, trial: Trial, backend: str) -> list[Subject]:
-        """Return the parameter sets to certify, with what is known of them."""
-        study = self.record.study
-        suspected = tuple(
-            trial.worst_cases[constraint.name].context
-            for constraint in study.worst_case_constraints
-            if constraint.name in trial.worst_cases
-        )
-        earlier = earlier_evidence(self.record, trial.parameters, backend)
-        tuned = Subject(TUNED, trial.parameters, suspected, earlier)
-        if not self.with_default:
-            return [tuned]
-        defaults = study.search_space().defaults
-        earlier = earlier_evidence(self.record, defaults, backend)
-        return [Subject(DEFAULT, defaults, earlier=earlier), tuned]
 
     def _tell_earlier(self, subjects: Sequence[Subject]) -> None:
         """Say what failed before, and where it is evaluated again."""

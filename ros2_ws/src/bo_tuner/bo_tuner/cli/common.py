@@ -22,6 +22,7 @@ from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
+from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
@@ -251,8 +252,13 @@ def recorded_backend(record: RunRecord) -> str:
     Raises
     ------
     RunRecordError
-        If the record names an unknown backend.
+        If it is of a function, or the record names an unknown backend.
     """
+    if record.backend == FUNCTION:
+        raise RunRecordError(
+            f"{record.path}: is a run of a Python function, which no command can call; go on with "
+            "it from Python"
+        )
     if record.backend not in BACKENDS:
         raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
     return record.backend

@@ -11,7 +11,6 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
 from bo_tuner.cli.common import ended, opened
-from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -29,6 +28,7 @@ from bo_tuner.plans import Event, EventKind, Phase, finished_after
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
+from bo_tuner.report.deliverables import withdraw_result, write_deliverables
 from bo_tuner.report.sections.convergence import known_incumbents
 from bo_tuner.storage.carrying import Carried
 from bo_tuner.storage.csv_tables import export_csv
@@ -53,7 +53,7 @@ from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_re
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import TUNING, Trial
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.journaling import JournalObserver
@@ -278,15 +278,8 @@ class Session:
         return provenance
 
     def _recorded(self, earlier: JournalContent) -> RecordedEvaluations:
-        # What whole trials hold is not asked for again; what was lost is run again.
-        left = [
-            item
-            for item in earlier.evaluations
-            if (item.stage not in TUNING or item.trial >= len(earlier.trials))
-            and not item.outcome.spoilt
-        ]
         try:
-            return RecordedEvaluations(self._backend, self._study, left)
+            return RecordedEvaluations(self._backend, self._study, earlier.to_give_again)
         except KeyError as error:
             raise RunRecordError(
                 f"{self._folder.journal}: has evaluations of another study, with {error}"

@@ -26,14 +26,13 @@ from bo_tuner.cli.common import (
     trial_of,
     whole_number,
 )
-from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
-from bo_tuner.errors import OutputError, RunError, RunRecordError
-from bo_tuner.evidence.certificate.judgement import most_draws_needed
+from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
+    DRAWS_KEY,
+    draws_of,
     latest_certificate,
     read_certificate,
-    required_draws,
     shortfall,
 )
 from bo_tuner.evidence.certificate.table import certificate_lines
@@ -44,7 +43,7 @@ from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
-from bo_tuner.numerics.sequential import spent
+from bo_tuner.report.deliverables import write_deliverables
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
@@ -101,8 +100,6 @@ examples:
   validate runs/latest --with-default      the default, too, in the same draws
   validate runs/latest && echo fit for use
 """
-
-FEWEST_DRAWS = 2
 
 
 def make_parser() -> Parser:
@@ -248,22 +245,12 @@ def _draws(
     attempt: int,
 ) -> int:
     """Return the largest number of draws, which must be able to show every chance constraint."""
-    level = spent(confidence, attempt, 2 if arguments.with_default else 1)
-    needed, constraint = most_draws_needed(record.study, level)
-    if needed > maxima.DRAWS:
-        parser.error(
-            f"constraints.{constraint}: expected a probability that {maxima.DRAWS} draws can show, "
-            f"found one that takes {needed}"
-        )
-    draws: int | None = arguments.draws
-    if draws is None:
-        draws = max(required_draws(record.study, confidence), needed)
-    if draws > maxima.DRAWS:
-        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {draws}")
-    if draws < max(needed, FEWEST_DRAWS):
-        why = f" to show {constraint}, even if none violates it" if constraint else ""
-        parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
-    return draws
+    sets = 2 if arguments.with_default else 1
+    try:
+        return draws_of(record.study, confidence, attempt, arguments.draws, sets=sets)
+    except StudyError as error:
+        option = "--draws: " if error.path == DRAWS_KEY else ""
+        parser.error(f"{option}{error.problem}" if option else str(error))
 
 
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:

@@ -29,8 +29,8 @@ def export_csv(path: Path, directory: Path) -> None:
         If a file cannot be written.
     """
     content = read_journal(path)
-    trials = [_of_trial(trial) for trial in content.trials]
-    evaluations = [_of_evaluation(evaluation) for evaluation in content.evaluations]
+    trials = [trial_row(trial) for trial in content.trials]
+    evaluations = [evaluation_row(evaluation) for evaluation in content.evaluations]
     _write(directory / "trials.csv", trials, "number")
     _write(directory / "evaluations.csv", evaluations, "trial")
 
@@ -42,7 +42,8 @@ def csv_text(rows: Iterable[Iterable[object]], end: str = "\n") -> str:
     return text.getvalue()
 
 
-def _of_trial(trial: Trial) -> dict[str, object]:
+def trial_row(trial: Trial) -> dict[str, object]:
+    """Return a trial as a row of its table, by the names of the columns."""
     metrics = {name: None for e in trial.evaluations for name in e.outcome.metrics}
     return {
         "number": trial.number,
@@ -61,7 +62,8 @@ def _of_trial(trial: Trial) -> dict[str, object]:
     }
 
 
-def _of_evaluation(evaluation: Evaluation) -> dict[str, object]:
+def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
+    """Return an evaluation as a row of its table, by the names of the columns."""
     outcome = evaluation.outcome
     return {
         "trial": evaluation.whose,

@@ -56,6 +56,19 @@ class JournalContent:
     damage: str
     events: tuple[Event, ...] = ()
 
+    @property
+    def to_give_again(self) -> tuple[Evaluation, ...]:
+        """Evaluations that a resumed run is given in place of running them.
+
+        What whole trials hold is not asked for again; what was lost is run again.
+        """
+        return tuple(
+            item
+            for item in self.evaluations
+            if (item.stage not in TUNING or item.trial >= len(self.trials))
+            and not item.outcome.spoilt
+        )
+
 
 def read_journal(path: Path) -> JournalContent:
     """Read a journal, which another process may be writing.

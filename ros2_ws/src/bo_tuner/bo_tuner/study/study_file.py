@@ -14,6 +14,7 @@ from bo_tuner.study.building import Findings, arguments, build, is_required, und
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.function_study import with_function
 from bo_tuner.study.guarding import Guarding, build_guarding
 from bo_tuner.study.metrics import COMPUTED, ReportedMetric, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
@@ -76,7 +77,9 @@ Describe = Callable[[Mapping[str, str]], Descriptions]
 """Asks nodes, ROS names by keys in the study, for all their parameters."""
 
 
-def load_study(name_or_path: str | Path, describe: Describe | None = None) -> Study:
+def load_study(
+    name_or_path: str | Path, describe: Describe | None = None, *, of_function: bool = False
+) -> Study:
     """Read a study.
 
     Parameters
@@ -86,6 +89,8 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
     describe : callable, optional
         Asks the nodes for what the file leaves open of their parameters; without it, nothing may
         be left open.
+    of_function : bool
+        Whether a file without nodes describes a study of a function, see `with_function`.
 
     Returns
     -------
@@ -109,7 +114,8 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
-    study = parse_study(read_text(Path(name_or_path), source), source, describe)
+    text = read_text(Path(name_or_path), source)
+    study = parse_study(text, source, describe, of_function=of_function)
     return _in_folder(study, Path(name_or_path).resolve().parent, source)
 
 
@@ -131,10 +137,16 @@ def _in_folder(study: Study, folder: Path, source: str) -> Study:
     return dataclasses.replace(study, folder=own, run=run)
 
 
-def parse_study(text: str, source: str = "study", describe: Describe | None = None) -> Study:
+def parse_study(
+    text: str,
+    source: str = "study",
+    describe: Describe | None = None,
+    *,
+    of_function: bool = False,
+) -> Study:
     """Return the study that a YAML text describes; `source` names it in errors.
 
-    `describe` as in `load_study`.
+    `describe` and `of_function` as in `load_study`.
 
     Raises
     ------
@@ -159,7 +171,8 @@ def parse_study(text: str, source: str = "study", describe: Describe | None = No
         lines = document.lines
         if describe is not None and (open_nodes := incomplete(document.value)):
             _fill_in(document.value, open_nodes, describe)
-        return study_from_mapping(document.value)
+        completed = with_function(document.value) if of_function else document.value
+        return study_from_mapping(completed)
     except StudyError as error:
         found = [located(each) for each in (error, *error.others)]
         # What is missing altogether stands nowhere.

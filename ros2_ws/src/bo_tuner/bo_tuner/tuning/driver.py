@@ -74,40 +74,92 @@ class Driver:
         RunError
             If three tasks in a row were lost with their nodes or disturbed.
         """
-        losses = Losses(plan.what)
-        window = _Window(plan, self._window, self._observer)
-        window.fill()
-        while window.tasks:
-            yield from self._tell(plan, window, losses)
+        steps = Steps(plan, self._observer, window=self._window, gate=self._gate)
+        yield from steps.begin()
+        while not steps.over:
             ran = False
-            for evaluation in self._backend.run(window.due()):
+            for evaluation in self._backend.run(steps.due()):
                 ran = True
-                self._observer.evaluation(evaluation)
-                self._pass_gate(plan, window)
-                window.take(evaluation)
-                yield from self._tell(plan, window, losses)
-            if window.tasks and not ran:
+                yield from steps.take(evaluation)
+            if not steps.over and not ran:
                 raise BackendError("the backend has given no result")
 
-    def _tell(self, plan: Plan[TaskT], window: "_Window[TaskT]", losses: Losses) -> Iterator[TaskT]:
+
+class Steps(Generic[TaskT]):
+    """A plan on its way, for whoever runs the evaluations: what is due, and what comes of it.
+
+    `begin` comes first, and each generator is run to its end before the next call.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    observer, window, gate
+        As of `Driver`.
+    """
+
+    def __init__(
+        self,
+        plan: Plan[TaskT],
+        observer: RunObserver = NOBODY,
+        *,
+        window: int = 1,
+        gate: Gate = OPEN,
+    ) -> None:
+        self._plan = plan
+        self._observer = observer
+        self._gate = gate
+        self._losses = Losses(plan.what)
+        self._window = _Window(plan, window, observer)
+
+    @property
+    def over(self) -> bool:
+        """Whether the plan has come to its end."""
+        return not self._window.tasks
+
+    def begin(self) -> Iterator[TaskT]:
+        """Plan the first tasks; yields those that have nothing to run, as `take` does."""
+        self._window.fill()
+        yield from self._tell()
+
+    def due(self) -> Iterator[Evaluation]:
+        """Yield what can be run now, of the oldest task first; pulled when there is room for it."""
+        return self._window.due()
+
+    def take(self, evaluation: Evaluation) -> Iterator[TaskT]:
+        """Take the result of an evaluation that was due; yields tasks as the plan is told of them.
+
+        Raises
+        ------
+        RunError
+            If three tasks in a row were lost with their nodes or disturbed.
+        BackendError
+            If it was not due.
+        """
+        self._observer.evaluation(evaluation)
+        self._pass_gate()
+        self._window.take(evaluation)
+        yield from self._tell()
+
+    def _tell(self) -> Iterator[TaskT]:
         """Tell the plan of the tasks that have ended, and yield them, up to one that has not."""
-        while (ended := window.ended()) is not None:
-            losses.note(ended.lost)
-            if plan.tell(ended.task):
+        while (ended := self._window.ended()) is not None:
+            self._losses.note(ended.lost)
+            if self._plan.tell(ended.task):
                 self._observer.advance()
             yield ended.task
-            self._pass_gate(plan, window)
-            losses.check()
-            window.fill()
+            self._pass_gate()
+            self._losses.check()
+            self._window.fill()
 
-    def _pass_gate(self, plan: Plan[TaskT], window: "_Window[TaskT]") -> None:
+    def _pass_gate(self) -> None:
         """Take requests from outside, and tell observers of them as events."""
 
         def note(kind: EventKind, detail: str = "") -> None:
-            self._observer.event(Event(plan.phase, window.planned, kind, detail))
+            self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
 
         self._gate.wait(note)
-        if self._gate.finishing and plan.finish():
+        if self._gate.finishing and self._plan.finish():
             note(EventKind.FINISH)
 
 

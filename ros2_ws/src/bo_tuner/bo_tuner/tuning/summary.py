@@ -13,6 +13,7 @@ from bo_tuner.errors import RunError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
+from bo_tuner.plans import Phases
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import recorded_window, study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -28,7 +29,7 @@ from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.effects import ParameterEffects, effects_in
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import trials_are_over
-from bo_tuner.tuning.validation import Validation, validate
+from bo_tuner.tuning.validation import Validation, ValidationPlan
 
 
 @dataclass(frozen=True)
@@ -51,17 +52,15 @@ class Conclusion:
     effects: tuple[ParameterEffects, ...]
 
 
-def conclude(
-    study: Study, driver: Driver, method: Method, trials: Sequence[Trial]
-) -> Conclusion | None:
-    """Check the best candidates, and validate the recommended one beside the default.
+def concluding(study: Study, method: Method, trials: Sequence[Trial]) -> Phases[Conclusion | None]:
+    """Yield the plans that check the best candidates, and validate the recommended one.
+
+    It is validated beside the default. Each plan is carried out before the next is asked for.
 
     Parameters
     ----------
     study, method
         Of the run.
-    driver
-        Carries out both.
     trials
         All trials of the run.
 
@@ -69,18 +68,37 @@ def conclude(
     -------
     Conclusion or None
         None if every trial failed.
+    """
+    search = method.answer_search(study, trials, None)
+    yield search
+    best = search.answer
+    if best is None:
+        return None
+    validation = ValidationPlan(
+        study, [study.search_space().defaults, best.candidate.trial.parameters]
+    )
+    yield validation
+    default, tuned = validation.results
+    return Conclusion(best, default, tuned, effects_in(study, trials))
+
+
+def conclude(
+    study: Study, driver: Driver, method: Method, trials: Sequence[Trial]
+) -> Conclusion | None:
+    """Carry out what follows the trials, see `concluding`; returns what that does.
 
     Raises
     ------
     RunError
-        As in `validate`.
+        If three evaluations in a row were lost with their nodes or disturbed.
     """
-    best = choose_answer(study, driver, method, trials)
-    if best is None:
-        return None
-    candidates = [study.search_space().defaults, best.candidate.trial.parameters]
-    default, tuned = validate(study, driver, candidates)
-    return Conclusion(best, default, tuned, effects_in(study, trials))
+    plans = concluding(study, method, trials)
+    while True:
+        try:
+            driver.complete(next(plans))
+        except StopIteration as end:
+            conclusion: Conclusion | None = end.value
+            return conclusion
 
 
 def continued(
@@ -127,8 +145,10 @@ def choose_answer(
 
     Parameters
     ----------
-    study, driver, method, trials
-        As in `conclude`.
+    study, method, trials
+        As in `concluding`.
+    driver
+        Carries out the search.
     most_repeated
         As `most` of `Method.answer_search`.
 

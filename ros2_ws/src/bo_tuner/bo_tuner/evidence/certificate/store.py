@@ -10,18 +10,20 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from bo_tuner.errors import RunRecordError
+from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
 from bo_tuner.evidence.certificate.findings import TAIL
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.verdict import FAIL, PASS
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.typed_json import from_json, to_json
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
@@ -29,6 +31,10 @@ from bo_tuner.trials import Trial, Value
 CERTIFICATES = "certificates"
 FORMAT = 6
 """Version of the files' format."""
+
+FEWEST_DRAWS = 2
+DRAWS_KEY = ("draws",)
+"""Path of the number of draws in an error."""
 
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
 
@@ -163,6 +169,49 @@ def required_draws(study: Study, confidence: float) -> int:
     return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
 
 
+def draws_of(
+    study: Study, confidence: float, attempt: int, draws: int | None = None, *, sets: int = 1
+) -> int:
+    """Return the largest number of draws, which must be able to show every chance constraint.
+
+    Parameters
+    ----------
+    study
+        The study.
+    confidence
+        Confidence of all certificates of the run together.
+    attempt
+        Number of the certificate in the run, from 1.
+    draws
+        As asked for; None for as many as the study requires.
+    sets
+        Number of parameter sets that it is about.
+
+    Raises
+    ------
+    StudyError
+        With the path `DRAWS_KEY` if these are too few or too many, else if the study asks for what
+        no number of draws can show.
+    """
+    needed, constraint = most_draws_needed(study, spent(confidence, attempt, sets))
+    if needed > maxima.DRAWS:
+        raise StudyError(
+            f"expected a probability that {maxima.DRAWS} draws can show, found one that takes "
+            f"{needed}",
+            ("constraints", constraint),
+        )
+    if draws is None:
+        draws = max(required_draws(study, confidence), needed)
+    if draws > maxima.DRAWS:
+        raise StudyError(f"expected at most {maxima.DRAWS}, found {draws}", DRAWS_KEY)
+    if draws < max(needed, FEWEST_DRAWS):
+        why = f" to show {constraint}, even if none violates it" if constraint else ""
+        raise StudyError(
+            f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", DRAWS_KEY
+        )
+    return draws
+
+
 def shortfall(study: Study, draws: int, confidence: float) -> str:
     """Return in a few words what a certificate lacks of what the study requires; else empty."""
     required = study.certificate.confidence
@@ -192,6 +241,8 @@ def parameters_sha256(parameters: Mapping[str, Value]) -> str:
 
 
 def _mismatch(study: Study, path: Path, certificate: Certificate) -> str:
+    if certificate.provenance.get("backend") == FUNCTION:
+        return "was made with a Python function, which is not what apply sets values on"
     if certificate.study_sha256 != study_sha256(study):
         return "belongs to another version of the study"
     if problem := evaluations_problem(path, certificate):

@@ -17,6 +17,7 @@ from bo_tuner.report.sections.trajectories import response
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
+from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.limits import Standing
 from bo_tuner.text import with_unit
 
@@ -122,8 +123,8 @@ def answer(analysis: Analysis) -> Answer:
             *(f"{line}." for line in verdict.draws_in_words),
             *_details(verdict),
         ],
-        # The page may be opened from any folder.
-        steps=next_steps(verdict, str(record.path.resolve())),
+        # The page may be opened from any folder. Commands do not reach a function.
+        steps=() if record.backend == FUNCTION else next_steps(verdict, str(record.path.resolve())),
         files=[
             (name, DO_NOT_USE if name == BEST and not verdict.feasible else what)
             for name, what in FILES

@@ -33,7 +33,7 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell, known: Known | None
     """
     try:
         record = with_summary(read_run(folder), warn)
-        record = _with_verdict(record)
+        record = with_verdict(record)
         if record.summary is not None:
             # The report lists the folder of the bundle, which is written later: it has a copy of
             # the report. What is wrong with it is told then.
@@ -64,8 +64,14 @@ def withdraw_result(folder: Path) -> None:
         raise OutputError(f"{error.filename}: cannot be removed: {error.strerror}") from error
 
 
-def _with_verdict(record: RunRecord) -> RunRecord:
-    """Bring the verdict in the summary's file up to date with the latest certificate."""
+def with_verdict(record: RunRecord) -> RunRecord:
+    """Bring the verdict in the summary's file up to date with the latest certificate.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
     if record.summary is None:
         return record
     current = run_verdict(record).to_summary()

@@ -1,0 +1,146 @@
+"""Certificates of functions, also for values that somebody else tuned."""
+
+import contextlib
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from bo_tuner.api.study import Study
+from bo_tuner.backends.function import Function, FunctionBackend
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.errors import OutputError
+from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.certification import Certification
+from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.store import draws_of
+from bo_tuner.evidence.certificate.subjects import subjects_of
+from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
+from bo_tuner.methods.registry import DEFAULT_METHOD
+from bo_tuner.numerics.sequential import spent
+from bo_tuner.storage.provenance import session_provenance
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study import checks
+from bo_tuner.study import study as checked
+from bo_tuner.study.function_study import FUNCTION
+from bo_tuner.trials import TUNED, Trial, TrialState, Value
+from bo_tuner.tuning.driver import Driver
+
+
+def certify(
+    function: Function,
+    study: Study,
+    parameters: Mapping[str, Value] | None = None,
+    *,
+    folder: str | Path | None = None,
+    draws: int | None = None,
+    confidence: float | None = None,
+) -> Certificate:
+    """Certify a parameter set by fresh runs of a function, whoever has tuned it.
+
+    Parameters
+    ----------
+    function
+        As in `Study.optimize`.
+    study
+        The study, for contexts and limits.
+    parameters
+        Values by name; what is left out is the default.
+    folder
+        Where the certificate is kept, and goes on after an interruption. All certificates in a
+        folder share the confidence. Without it, only the returned object remains.
+    draws
+        Largest number of draws; unless given as many as the study requires.
+    confidence
+        Between 0 and 1, of all certificates in the folder together; unless given that of the study.
+
+    Returns
+    -------
+    Certificate
+        `passed`, `verdict`, and the findings for each limit. `apply` refuses it: it tells of the
+        function, whose code it does not know.
+
+    Raises
+    ------
+    StudyError
+        If the values are no parameter set of the study, or the draws cannot show its limits.
+    MetricsError
+        If the function returns something else than a number for each metric.
+    OutputError
+        If the folder cannot be written to, or another process works in it.
+    """
+    inner = study.checked
+    values = inner.complete_set(parameters or {})
+    with contextlib.ExitStack() as stack:
+        if folder is None:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bo_tuner-")))
+        else:
+            path = Path(folder).absolute()
+            try:
+                path.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(f"{folder}: cannot write there: {error.strerror}") from error
+        trial = Trial(0, values, "given", TrialState.COMPLETE)
+        record = _without_run(inner, path)
+        return certify_trial(record, trial, function, draws=draws, confidence=confidence)
+
+
+def certify_trial(
+    record: RunRecord,
+    trial: Trial,
+    function: Function,
+    *,
+    draws: int | None,
+    confidence: float | None,
+) -> Certificate:
+    """Certify the parameter set of a trial, and write the certificate to the folder of its run."""
+    study, folder = record.study, RunFolder(record.path)
+    with contextlib.closing(folder), threadpool_limits(1):
+        level = confidence
+        if level is None:
+            level = study.certificate.confidence
+        level = checks.fraction(level, "confidence")
+        attempt = attempt_for(record.path, study, trial.parameters, FUNCTION)
+        most = draws_of(study, level, attempt, draws)
+        subjects = subjects_of(record, trial, FUNCTION, with_default=False)
+        unfinished = Unfinished(record.path, study, trial.parameters, FUNCTION, attempt)
+        with contextlib.closing(unfinished):
+            nodes = FunctionBackend(study, function)
+            backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
+            certification = Certification(
+                study,
+                Driver(backend, unfinished),
+                confidence=spent(level, attempt, 1),
+                attempt=attempt,
+            )
+            (found,) = certification.collect(subjects, most)
+        evidence = {TUNED: found}
+        made = make_certificate(
+            record, trial, evidence, most, level, attempt, FUNCTION, best_sha256=None
+        )
+        folder.check()
+        write_certificate(record.path, made, evidence)
+        unfinished.remove()
+        return made
+
+
+def _without_run(study: checked.Study, path: Path) -> RunRecord:
+    """Return the record of a study of which nothing was run."""
+    return RunRecord(
+        path=path,
+        study=study,
+        algorithm=DEFAULT_METHOD,
+        backend=FUNCTION,
+        stop_early=False,
+        attached=False,
+        namespace="",
+        record_policy="",
+        record_limit=None,
+        provenance=session_provenance(study, FUNCTION, DEFAULT_METHOD),
+        trials=(),
+        evaluations=(),
+        summary=None,
+        damage="",
+    )

@@ -1,0 +1,159 @@
+"""A run that is open: its folder, its journal, and what it has on record."""
+
+import contextlib
+import shutil
+import tempfile
+import warnings
+import weakref
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from bo_tuner.backends.recorded import OnRecord
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.stopping import StopAdvisor
+from bo_tuner.report.deliverables import withdraw_result
+from bo_tuner.storage.csv_tables import export_csv
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.journal_reader import JournalContent
+from bo_tuner.storage.journal_repair import salvage, withdraw_lost
+from bo_tuner.storage.provenance import WINDOW, session_provenance
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import JOURNAL, LOCK, STUDY, SUMMARY, RunFolder
+from bo_tuner.study.function_study import FUNCTION
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial
+from bo_tuner.tuning.journaling import JournalObserver
+from bo_tuner.tuning.loop import trials_are_over
+from bo_tuner.tuning.summary import Conclusion, continued, summarize
+
+NOTHING = JournalContent((), (), (), "")
+
+
+class TemporaryFolder:
+    """A folder that is there for as long as this object is; `path` is its path."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="bo_tuner-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+class OpenRun:
+    """The run of a function in its folder, which this process alone works in until it is closed.
+
+    Parameters
+    ----------
+    study, path, algorithm, window
+        Of the run. The folder is made if need be.
+    temporary
+        Keeps a temporary folder; None for a folder of the user's.
+
+    Attributes
+    ----------
+    known
+        Trials on record.
+    on_record
+        Evaluations on record that are not of these.
+    observers
+        Is told of each evaluation.
+
+    Raises
+    ------
+    OutputError, JournalError, RunRecordError
+        If the folder or its journal cannot be had.
+    """
+
+    def __init__(
+        self, study: Study, path: Path, algorithm: str, window: int, temporary: object = None
+    ) -> None:
+        self.study = study
+        self.path = path.absolute()
+        self.method = METHODS[algorithm]
+        self.window = window
+        self.temporary = temporary
+        self.closed = False
+        self._advisor = StopAdvisor(study, self.method)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(contextlib.closing(RunFolder(self.path)))
+            earlier, damage = NOTHING, ""
+            if folder.journal.exists():
+                earlier, damage = salvage(folder.journal)
+                earlier = withdraw_lost(folder.journal, earlier)
+            self.on_record = OnRecord(study, earlier.to_give_again)
+            self.known = continued(
+                study, self.method, earlier.trials, earlier.evaluations, stop_early=False
+            )
+            provenance = session_provenance(study, FUNCTION, algorithm) | {WINDOW: str(window)}
+            if damage:
+                warnings.warn(f"the record was damaged: {damage}", RuntimeWarning, stacklevel=5)
+                provenance["salvaged"] = damage
+            if not folder.journal.exists():
+                # A journal without its study is no run.
+                folder.write_study(study)
+            self._journal = stack.enter_context(Journal(folder.journal, provenance))
+            # A file of fewer trials is that of an earlier session.
+            folder.write_study(study)
+            if not trials_are_over(study, earlier.trials, None):
+                withdraw_result(self.path)
+            self.observers = JournalObserver(self._journal, folder.check)
+            self._folder = folder
+            self._open = stack.pop_all()
+
+    @staticmethod
+    def begun(path: Path) -> bool:
+        """Return whether there is a run in a folder.
+
+        Raises
+        ------
+        RunRecordError
+            If there is something else.
+        """
+        if (path / JOURNAL).exists():
+            return True
+        try:
+            others = {item.name for item in path.iterdir()} - {LOCK, STUDY}
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
+        if others:
+            raise RunRecordError(f"{path}: is no run folder; name one, or a new folder")
+        return False
+
+    def note_trial(self, trials: Sequence[Trial], *, recorded: bool) -> None:
+        """Record the last of the trials, unless that is done, and look for advice to stop."""
+        self._advisor.consider([trial.unchecked for trial in trials])
+        if not recorded:
+            self.observers.trial(trials[-1], None)
+
+    def finish(self, conclusion: Conclusion | None) -> None:
+        """Write what the run has led to, and close it."""
+        record = read_run(self.path)
+        if conclusion is not None:
+            summary = summarize(
+                self.study,
+                conclusion,
+                self._advisor.advice,
+                stop_early=False,
+                trials=len(record.trials),
+                evaluations=self._journal.count_evaluations(),
+            )
+            verdict = run_verdict(replace(record, summary=summary))
+            parameters = conclusion.recommendation.candidate.trial.parameters
+            notes = file_notes(self.study, verdict.unseen)
+            self._folder.write_parameters(self.study, parameters, notes)
+            self._folder.write_json(SUMMARY, summary | verdict.to_summary())
+        export_csv(self._folder.journal, self.path)
+        self.close()
+
+    def close(self) -> None:
+        """Let others work in the folder."""
+        self.closed = True
+        self._open.close()

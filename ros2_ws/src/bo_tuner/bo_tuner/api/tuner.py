@@ -1,0 +1,340 @@
+"""Ask and tell: a run whose evaluations somebody else carries out; the journal is its state."""
+
+import contextlib
+import time
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+from threadpoolctl import ThreadpoolController
+
+from bo_tuner.api.result import Result, load
+from bo_tuner.api.run import OpenRun
+from bo_tuner.backends.function import Returned, failed
+from bo_tuner.backends.paired import DefaultBeside
+from bo_tuner.errors import (
+    RunError,
+    RunRecordError,
+    StudyError,
+    UnknownRunError,
+    WindowFull,
+)
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, problem_of
+from bo_tuner.plans import Phases
+from bo_tuner.storage.provenance import recorded_window
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.study import checks
+from bo_tuner.study.changes import changes, summarized
+from bo_tuner.study.function_study import FUNCTION
+from bo_tuner.study.study import Study
+from bo_tuner.text import brief
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, Value, parameter_set
+from bo_tuner.tuning.driver import Steps
+from bo_tuner.tuning.loop import TrialPlan
+from bo_tuner.tuning.summary import Conclusion, concluding
+
+LARGEST_WINDOW = 1000
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run to carry out: one evaluation.
+
+    Attributes
+    ----------
+    trial, index
+        Number of the trial, and of the run within it, from 0. In the validation the default has
+        the number 0 and the result 1.
+    stage
+        Its purpose, such as ``drawn`` or ``validation``.
+    parameters
+        Value of every parameter, by name.
+    context
+        Value of every context variable, by name.
+    seed
+        Seed of its noise.
+    evaluation
+        The same as the rest of the program has it; not part of the interface.
+    """
+
+    trial: int
+    index: int
+    stage: str
+    parameters: dict[str, Value]
+    context: dict[str, Value]
+    seed: int
+    evaluation: Evaluation = field(repr=False, compare=False)
+
+    def __hash__(self) -> int:
+        return hash((self.stage, self.trial, self.index, self.seed))
+
+    @classmethod
+    def of(cls, evaluation: Evaluation) -> Self:
+        """Make it of a planned evaluation."""
+        return cls(
+            evaluation.trial,
+            evaluation.index,
+            str(evaluation.stage),
+            dict(evaluation.parameters),
+            dict(evaluation.context),
+            evaluation.seed,
+            evaluation,
+        )
+
+
+@dataclass
+class _Pending:
+    """A planned evaluation that was asked for, and which of its runs is due."""
+
+    planned: Evaluation
+    runs: Generator[Evaluation, Outcome, Outcome]
+    due: Evaluation
+    asked_for: bool = False
+    begin: float = field(default_factory=time.monotonic)
+
+
+class Tuner:
+    """A run that asks for its evaluations; made by `Study.tuner`.
+
+    What it asks for follows from the study, the window and the results alone, not from the order in
+    which these are told. Each result is on disk when the call returns. A process that dies goes on
+    in a new tuner with the same folder: it asks again for what was not told.
+
+    It is not for several threads at once. Use it in a ``with`` block, or `close` it.
+    """
+
+    def __init__(self, run: OpenRun) -> None:
+        self._run = run
+        self._returned = Returned(run.study)
+        self._beside = DefaultBeside(run.study)
+        self._threads = ThreadpoolController()
+        self._pending: dict[tuple[object, ...], _Pending] = {}
+        self._plan: object = None
+        self._steps: Steps[Any] | None = None
+        self._over = False
+        with self._working():
+            self._phases = self._all_phases()
+            self._next_phase()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return self._run.path
+
+    def ask(self) -> Run | None:
+        """Return the next run to carry out; None when all is done and the result is there.
+
+        Raises
+        ------
+        WindowFull
+            If nothing more can be planned before the result of a run is told.
+        RunError
+            If the tuner is closed.
+        """
+        if self._over:
+            return None
+        with self._working():
+            found = self._next_run()
+        if found is None and not self._over:
+            count = len(self._pending)
+            raise WindowFull(f"tell a result first: {count} of {self._run.window} are waited for")
+        return found
+
+    def tell(self, run: Run, metrics: Mapping[str, float]) -> None:
+        """Take the result of a run.
+
+        Parameters
+        ----------
+        run
+            As it was asked for.
+        metrics
+            A number for each metric that is not computed from others. One that is not finite is a
+            failed run.
+
+        Raises
+        ------
+        UnknownRunError
+            If nobody waits for it: it was told already, or is of another tuner.
+        MetricsError
+            If these are no numbers for the metrics; the run is still waited for.
+        RunError
+            If the tuner is closed.
+        """
+        self._awaited(run)
+        self.tell_outcome(run, self._returned.outcome(metrics))
+
+    def fail(self, run: Run, reason: str) -> None:
+        """Take that a run failed for its parameters; raises as `tell`."""
+        self.tell_outcome(run, failed(str(reason)))
+
+    def lose(self, run: Run, reason: str = "") -> None:
+        """Take that a run came to nothing for reasons that tell nothing of its parameters.
+
+        It is asked for again, once in a trial. Three trials in a row without a result end the run,
+        until it is continued.
+
+        Raises
+        ------
+        UnknownRunError
+            As `tell`.
+        RunError
+            If the tuner is closed, or now ends.
+        """
+        why = brief(str(reason)) or "no reason given"
+        self.tell_outcome(run, Outcome(EvaluationState.LOST, {}, why))
+
+    def tell_outcome(self, run: Run, outcome: Outcome) -> None:
+        """Take what came of a run; not part of the interface."""
+        pending = self._awaited(run)
+        with self._working():
+            del self._pending[_key(pending.due)]
+            try:
+                pending.due = pending.runs.send(outcome)
+            except StopIteration as end:
+                seconds = time.monotonic() - pending.begin
+                self._take(replace(pending.planned, outcome=end.value, seconds=seconds))
+            else:
+                pending.asked_for = False
+                self._pending[_key(pending.due)] = pending
+
+    def result(self) -> Result:
+        """Return what is known so far; once `ask` has returned None, the result."""
+        return load(self._run.path, keep=self._run.temporary)
+
+    def close(self) -> None:
+        """Let others work in the folder; what was asked for and not told is asked for again."""
+        self._run.close()
+
+    @contextlib.contextmanager
+    def _working(self) -> Iterator[None]:
+        """Compute as the commands do; what interrupts that closes the tuner, on a whole record."""
+        if self._run.closed:
+            raise RunError(f"the tuner is closed; open it again on its folder, {self._run.path}")
+        try:
+            # More than one thread only slows down the small matrices of the surrogates.
+            with self._threads.limit(limits=1):
+                yield
+        except BaseException:
+            self.close()
+            raise
+
+    def _awaited(self, run: Run) -> _Pending:
+        if not isinstance(run, Run):
+            raise UnknownRunError(f"expected a run that was asked for, found {checks.show(run)}")
+        pending = self._pending.get(_key(run.evaluation))
+        if pending is None or not pending.asked_for:
+            place = run.evaluation.place
+            why = "the run is over" if self._over else "told already, or asked for by another tuner"
+            raise UnknownRunError(f"nobody waits for {place}: {why}")
+        return pending
+
+    def _next_run(self) -> Run | None:
+        """Return the next run, and take all results ahead of it that are on record."""
+        waiting = next((item for item in self._pending.values() if not item.asked_for), None)
+        while waiting is None:
+            planned = None if self._steps is None else next(self._steps.due(), None)
+            if planned is None:
+                return None
+            recorded = self._run.on_record.take(planned)
+            if recorded is not None:
+                self._take(recorded)
+                continue
+            runs = self._beside.runs(planned)
+            waiting = _Pending(planned, runs, next(runs))
+            self._pending[_key(waiting.due)] = waiting
+        waiting.asked_for = True
+        return Run.of(waiting.due)
+
+    def _all_phases(self) -> Phases[Conclusion | None]:
+        """Yield the plans of the run, one after the other: those of ``tune``."""
+        run = self._run
+        trials = TrialPlan(run.study, run.method, run.known)
+        yield trials
+        return (yield from concluding(run.study, run.method, trials.trials))
+
+    def _take(self, evaluation: Evaluation) -> None:
+        if self._steps is not None:
+            self._note(self._steps.take(evaluation))
+            self._go_on()
+
+    def _next_phase(self) -> None:
+        try:
+            self._plan = plan = next(self._phases)
+        except StopIteration as end:
+            self._steps, self._over = None, True
+            self._run.finish(end.value)
+            return
+        self._steps = Steps(plan, self._run.observers, window=self._run.window)
+        self._note(self._steps.begin())
+        self._go_on()
+
+    def _go_on(self) -> None:
+        if self._steps is not None and self._steps.over:
+            self._next_phase()
+
+    def _note(self, told: Iterator[Any]) -> None:
+        """Tell observers of the trials among the tasks that a plan was told of."""
+        for task in told:
+            if isinstance(self._plan, TrialPlan):
+                self._run.note_trial(self._plan.trials, recorded=task.recorded)
+
+
+def _key(evaluation: Evaluation) -> tuple[object, ...]:
+    """Return what tells a run from the others that are waited for."""
+    place = (Stage(evaluation.stage), evaluation.trial, evaluation.index, evaluation.seed)
+    return (*place, parameter_set(evaluation.parameters))
+
+
+def opened(
+    study: Study, path: Path, algorithm: str | None, window: int, temporary: object = None
+) -> Tuner:
+    """Begin a run in a folder, or continue the one that is there; raises as `Study.tuner`."""
+    checks.integer(window, "window", at_least=1, at_most=LARGEST_WINDOW)
+    name = algorithm or DEFAULT_METHOD
+    checks.choice(name, tuple(METHODS), "algorithm")
+    record = _recorded(study, path, algorithm)
+    if record is not None:
+        name, window = record.algorithm, recorded_window(record.provenance)
+    if problem := problem_of(name, study):
+        raise StudyError(problem, ("algorithm",))
+    if window > 1 and study.relative_metrics:
+        raise StudyError(
+            f"expected 1, since limits are relative to the default, found {window}", ("window",)
+        )
+    return Tuner(OpenRun(study, path, name, window, temporary))
+
+
+def _recorded(study: Study, path: Path, algorithm: str | None) -> RunRecord | None:
+    """Return the run in a folder; None where there is none yet."""
+    if not OpenRun.begun(path):
+        return None
+    record = read_run(path)
+    if record.backend != FUNCTION:
+        raise RunRecordError(
+            f"{path}: is a run on {record.backend}, not of a function; continue it with tune"
+        )
+    if algorithm not in (None, record.algorithm):
+        raise RunRecordError(f"{path}: is of the algorithm {record.algorithm}, not {algorithm}")
+    if changed := _changed(record.study, study):
+        raise RunRecordError(
+            f"{path}: is of another study: {summarized(changed)}; take another folder"
+        )
+    return record
+
+
+def _changed(then: Study, now: Study) -> list[str]:
+    """Return what has changed between two sessions, but for a budget with more trials."""
+    before, budget = then.budget, now.budget
+    if budget.trials >= before.trials:
+        trials = replace(before, trials=budget.trials, evaluations=budget.evaluations)
+        more = before.evaluations is None or (budget.evaluations or 0) >= before.evaluations
+        if more and trials == budget:
+            then = replace(then, budget=budget)
+    return changes(then, now)

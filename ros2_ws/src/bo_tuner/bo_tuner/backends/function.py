@@ -1,0 +1,103 @@
+"""Evaluations by a Python function, which has no nodes."""
+
+from collections.abc import Callable, Mapping
+
+from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.errors import Failed, MetricsError
+from bo_tuner.metrics.collect import STATUS_OK, Collector
+from bo_tuner.study.function_study import FUNCTION, problem_of_returned, returned_metrics
+from bo_tuner.study.named_code import told
+from bo_tuner.study.study import Study
+from bo_tuner.text import brief
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Value
+
+Function = Callable[[dict[str, Value], dict[str, Value], int], Mapping[str, float]]
+"""Runs once: takes parameters and context by name, and the seed of the noise; returns the metrics
+by name, or raises `Failed`."""
+
+
+class Returned:
+    """Makes the outcome of an evaluation of what a function has returned.
+
+    Parameters
+    ----------
+    study
+        The study.
+
+    Raises
+    ------
+    StudyError
+        If it has metrics that no function returns.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._metrics = returned_metrics(study)
+        self._collector = Collector(study)
+
+    def outcome(self, returned: object) -> Outcome:
+        """Judge what was returned; a value that is not finite is a failed evaluation.
+
+        Raises
+        ------
+        MetricsError
+            If it is not a number for each metric.
+        """
+        if problem := problem_of_returned(self._metrics, returned):
+            raise MetricsError(brief(problem))
+        values: Mapping[str, object] = returned  # type: ignore[assignment]
+        said: dict[str, dict[str, object]] = {}
+        for name, metric in self._metrics.items():
+            of_node = said.setdefault(metric.node, {"status": STATUS_OK})
+            of_node[metric.key] = float(values[name])  # type: ignore[arg-type]
+        return self._collector.outcome(said)
+
+
+def failed(reason: str) -> Outcome:
+    """Return the outcome of an evaluation that failed for its parameters."""
+    return Outcome(EvaluationState.FAILED, {}, brief(reason) or "no reason given")
+
+
+class FunctionBackend(SequentialBackend):
+    """Calls a function.
+
+    Parameters
+    ----------
+    study
+        The study.
+    function
+        What is called.
+
+    Raises
+    ------
+    StudyError
+        If the study has metrics that no function returns.
+    """
+
+    name = FUNCTION
+
+    def __init__(self, study: Study, function: Function) -> None:
+        super().__init__(study)
+        self._function = function
+        self._returned = Returned(study)
+
+    def open(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def outcome(self, planned: Evaluation) -> Outcome:
+        """Call the function; any exception but those that end a program is a failed evaluation.
+
+        Raises
+        ------
+        MetricsError
+            If it returns something else than a number for each metric.
+        """
+        try:
+            returned = self._function(dict(planned.parameters), dict(planned.context), planned.seed)
+        except Failed as error:
+            return failed(str(error))
+        except Exception as error:
+            return failed(told(error))
+        return self._returned.outcome(returned)
