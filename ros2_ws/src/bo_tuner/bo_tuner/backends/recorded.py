@@ -45,7 +45,8 @@ class RecordedEvaluations:
         self._backend.open()
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
-        """Give evaluations from the record, or run them."""
+        """Give evaluations from the record, then run the others."""
+        others = []
         for planned in evaluations:
             found = self._evaluations.get(self._key(planned))
             if found:
@@ -54,7 +55,8 @@ class RecordedEvaluations:
                 outcome = judged(self._study, earlier.outcome)
                 yield replace(planned, outcome=outcome, seconds=earlier.seconds, recorded=True)
             else:
-                yield from self._backend.run([planned])
+                others.append(planned)
+        yield from self._backend.run(others)
 
     def close(self) -> None:
         """Let go of everything that `open` took."""

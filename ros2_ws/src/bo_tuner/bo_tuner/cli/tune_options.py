@@ -5,6 +5,7 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Parser, whole_number
 from bo_tuner.cli.init import FIRST_STUDY
+from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
@@ -42,6 +43,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --study my_axis.yaml --workers 4   four evaluations at once
   tune --init my_axis.yaml             write a first study for running nodes
   tune --check my_axis.yaml            try the study on its nodes
   tune --resume latest                 resume an interrupted run
@@ -65,6 +67,7 @@ def make_parser() -> Parser:
     parser = Parser("tune", DESCRIPTION, EPILOG)
     _add_study(parser)
     parser.add_backend_arguments(BACKENDS[0])
+    add_workers_arguments(parser, "the study's, else 1, or as the run that is resumed")
     _add_record(parser)
     parser.add_argument(
         "--algorithm",

@@ -28,6 +28,7 @@ from bo_tuner.cli.common import (
 )
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.certificate.store import (
@@ -94,6 +95,7 @@ examples:
   validate latest                          as many draws as the study requires
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
+  validate runs/latest --workers 4         four evaluations at once
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
@@ -139,6 +141,7 @@ def make_parser() -> Parser:
         "--with-default", action="store_true", help="certify the default as well, to compare"
     )
     parser.add_backend_arguments("as in the run")
+    add_workers_arguments(parser, "as in the run")
     parser.add_trust_argument()
     return parser
 
@@ -156,6 +159,15 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
     most = _most_sets(arguments, parser)
+    workers = workers_of(
+        arguments,
+        parser,
+        record.study,
+        backend,
+        attach=attach,
+        provenance=record.provenance,
+        keeps_window=False,
+    )
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
@@ -188,12 +200,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 ros_arguments=in_namespace_of(record, ros_arguments),
                 interrupted=interruption.check,
                 earlier=record.evaluations,
+                workers=workers.count,
             ),
             confidence,
             interruption,
             console,
             with_default=arguments.with_default,
             more=most > 1,
+            window=workers.window,
         )
         path = None
         try:
