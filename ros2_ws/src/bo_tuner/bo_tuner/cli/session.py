@@ -112,7 +112,7 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
-    workers: Workers = Workers()
+    workers: Workers = dataclasses.field(default_factory=Workers)
     more: bool = False
     carried: Carried | None = None
     web: Address | None = None

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from bo_tuner.backends.workers import process
-from bo_tuner.backends.workers.process import Answer, MakeBackend, OwnBackend
+from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.errors import BackendError
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
@@ -60,6 +59,7 @@ class WorkerPool:
         self._interrupted = interrupted
         self._patience = patience
         self._client: Any = None
+        self._process: Any = None
         self._stack = contextlib.ExitStack()
         self._running: dict[Any, Evaluation] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -74,7 +74,7 @@ class WorkerPool:
         """
         try:
             self._start()
-            for answer in self._ask_each(process.begin, STARTING):
+            for answer in self._ask_each(self._process.begin, STARTING):
                 if answer.problem:
                     raise BackendError(
                         f"worker {answer.worker} of {self.workers} cannot be started: "
@@ -86,11 +86,14 @@ class WorkerPool:
 
     def _start(self) -> None:
         try:
+            # Dask takes its time to be imported, and is there where several workers are wanted.
             import dask
             from distributed import Client, LocalCluster, Security
 
+            from bo_tuner.backends.workers import process
+
             # Whoever reaches a scheduler runs code as its user: only who has this run's key does.
-            security = Security.temporary()
+            security = Security.temporary()  # type: ignore[no-untyped-call]
         except ImportError as error:
             raise BackendError(f"{EXTRA} ({error.name or error})") from None
         enter = self._stack.enter_context
@@ -102,7 +105,9 @@ class WorkerPool:
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    # Status pages have ports, too: any free one, of this machine only.
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                    worker_dashboard_address="127.0.0.1:0",
                     memory_limit=0,
                     security=security,
                     silence_logs=50,
@@ -112,8 +117,8 @@ class WorkerPool:
             client.wait_for_workers(self.workers, timeout=STARTING)
         except (OSError, TimeoutError, RuntimeError) as error:
             raise BackendError(f"the workers cannot be started: {error}") from error
-        client.register_plugin(OwnBackend(self._make))
-        self._client = client
+        client.register_plugin(process.OwnBackend(self._make))
+        self._client, self._process = client, process
         self._interrupted()
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
@@ -142,7 +147,7 @@ class WorkerPool:
                 yield self._next()
 
     def _submit(self, planned: Evaluation) -> None:
-        future = self._client.submit(process.evaluate, planned, pure=False)
+        future = self._client.submit(self._process.evaluate, planned, pure=False)
         self._running[future.key] = planned
         future.add_done_callback(self._ended.put)
 
@@ -183,7 +188,7 @@ class WorkerPool:
         list of str
             What went wrong, each in a line.
         """
-        answers = self._ask_each(process.park, None)
+        answers = self._ask_each(self._process.park, None)
         return [
             f"worker {answer.worker}: {problem}"
             for answer in answers
@@ -227,7 +232,7 @@ class WorkerPool:
         # What fails here ends with the processes.
         with contextlib.suppress(Exception):
             if self._running:
-                client.run(process.end)
+                client.run(self._process.end)
             self._client = client
-            self._ask_each(process.close, self._patience)
+            self._ask_each(self._process.close, self._patience)
         self._client = None

@@ -9,43 +9,18 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol, cast
 
 from distributed import Worker, WorkerPlugin, get_worker
 
 from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import Evaluation
 
-MakeBackend = Callable[[int, Callable[[], None]], Backend]
-"""Makes the backend of a worker, by its number and by what to call while it waits."""
-
 IN_PARENT = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 """Sent by a terminal to all processes; the run takes them, and ends its workers."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a worker says of what it was asked for.
-
-    Attributes
-    ----------
-    worker
-        Its number, from 1.
-    evaluation
-        That it has run; None for anything else.
-    problem
-        Why it cannot go on; empty if it can.
-    remarks
-        What went wrong beside, each in a line.
-    """
-
-    worker: int
-    evaluation: Evaluation | None = None
-    problem: str = ""
-    remarks: tuple[str, ...] = ()
 
 
 class Parks(Protocol):
