@@ -67,6 +67,8 @@ setup(
         "jazzy": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
         "test": ["pytest"],
+        # Several evaluations at once; cryptography is for TLS between a run and its workers.
+        "workers": ["cryptography>=42", "distributed>=2024.8"],
     },
     keywords=[f"commit-{commit()}"],
     entry_points={

@@ -116,9 +116,7 @@ def alone(tmp_path, study):
 
 class TestAnswer:
     @pytest.mark.parametrize("workers", [2, 4])
-    def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(
-        self, runs, whole, workers
-    ):
+    def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(self, runs, whole, workers):
         assert runs.run("several", "--workers", workers, "--window", 4) == whole
         pids = set(runs.evaluations.read_text().split())
         assert len(pids) == workers
@@ -130,9 +128,7 @@ class TestAnswer:
         runs.run("new", "--workers", 2, "--trials", 3)
         (session,) = read_journal(runs.latest("new") / "journal.sqlite").sessions
         assert (session["workers"], session["window"]) == ("2", "2")
-        line = complaint(
-            tune, capsys, "--resume", runs.latest("new"), "--window", 3, "--trials", 4
-        )
+        line = complaint(tune, capsys, "--resume", runs.latest("new"), "--window", 3, "--trials", 4)
         assert "--window: expected 2, by which the trials of the run were planned" in line
 
     def test_a_certificate(self, shared, whole, tmp_path):

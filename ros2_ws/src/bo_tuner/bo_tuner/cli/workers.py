@@ -4,8 +4,9 @@ import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bo_tuner.backends.workers.limits import check_workers
+from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.cli.common import Parser, whole_number
+from bo_tuner.errors import StudyError
 from bo_tuner.storage.provenance import recorded_window, recorded_workers
 from bo_tuner.study import maxima
 from bo_tuner.study.parts import ROS
@@ -94,7 +95,8 @@ def workers_of(
         # Of one that ran on other nodes before, these may be running ones.
         count = 1 if attach else recorded_workers(provenance)
     count = count or study.budget.workers or 1
-    check_workers(study, backend, count, attach=attach)
+    if problem := problem_of_workers(study, backend, count, attach=attach):
+        raise StudyError(f"--workers: {problem}")
     if provenance is None or not keeps_window:
         return Workers(count, arguments.window or count)
     window = recorded_window(provenance)

@@ -5,7 +5,6 @@ import re
 import shlex
 from collections.abc import Iterator
 
-from bo_tuner.errors import StudyError
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.nodes import WORKER, NodeSpec
 from bo_tuner.study.parts import ROS
@@ -59,18 +58,6 @@ def problem_of_workers(study: Study, backend: str, workers: int, *, attach: bool
         ),
         "",
     )
-
-
-def check_workers(study: Study, backend: str, workers: int, *, attach: bool) -> None:
-    """Refuse a number of workers that a study cannot be run by.
-
-    Raises
-    ------
-    StudyError
-        In a line that names the option.
-    """
-    if problem := problem_of_workers(study, backend, workers, attach=attach):
-        raise StudyError(f"--workers: {problem}")
 
 
 def times_of_nodes(study: Study) -> Iterator[str]:

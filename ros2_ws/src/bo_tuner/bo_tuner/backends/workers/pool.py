@@ -87,7 +87,6 @@ class WorkerPool:
     def _start(self) -> None:
         try:
             # Dask takes its time to be imported, and is there where several workers are wanted.
-            import dask
             from distributed import Client, LocalCluster, Security
 
             from bo_tuner.backends.workers import process
@@ -97,7 +96,6 @@ class WorkerPool:
         except ImportError as error:
             raise BackendError(f"{EXTRA} ({error.name or error})") from None
         enter = self._stack.enter_context
-        enter(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS - 1}))
         try:
             cluster = enter(
                 LocalCluster(  # type: ignore[no-untyped-call]
@@ -113,6 +111,7 @@ class WorkerPool:
                     silence_logs=50,
                 )
             )
+            cluster.scheduler.allowed_failures = DEATHS - 1
             client = enter(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
             client.wait_for_workers(self.workers, timeout=STARTING)
         except (OSError, TimeoutError, RuntimeError) as error:
@@ -124,8 +123,8 @@ class WorkerPool:
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run evaluations; yields each as it ends.
 
-        More are taken whenever a worker is free. Once there are no more, a result may make others
-        due: it ends after the next one, and a later call yields those that still run.
+        More are taken whenever a worker is free. Where there are no more it ends, after one result
+        at least; a later call yields those that still run.
 
         Raises
         ------
@@ -135,16 +134,22 @@ class WorkerPool:
         if self._client is None:
             raise BackendError("the backend is not open")
         due = iter(evaluations)
-        more = True
-        while more:
-            while len(self._running) < self.workers:
-                planned = next(due, None)
-                if planned is None:
-                    more = False
-                    break
-                self._submit(planned)
-            if self._running:
-                yield self._next()
+        has_yielded = False
+        while self._fill(due):
+            yield self._next()
+            has_yielded = True
+        # What has ended may have made others due, which only the next call has.
+        if self._running and not has_yielded:
+            yield self._next()
+
+    def _fill(self, due: Iterator[Evaluation]) -> bool:
+        """Give evaluations to the workers that are free; returns whether all have one."""
+        while len(self._running) < self.workers:
+            planned = next(due, None)
+            if planned is None:
+                return False
+            self._submit(planned)
+        return True
 
     def _submit(self, planned: Evaluation) -> None:
         future = self._client.submit(self._process.evaluate, planned, pure=False)
