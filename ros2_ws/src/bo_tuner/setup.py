@@ -70,6 +70,8 @@ setup(
         "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
         "pandas": ["pandas>=2.2,<4"],
         "test": ["pytest"],
+        # Several evaluations at once; cryptography is for TLS between a run and its workers.
+        "workers": ["cryptography>=42", "distributed>=2024.8"],
     },
     keywords=[f"commit-{commit()}"],
     entry_points={

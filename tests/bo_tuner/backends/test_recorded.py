@@ -64,3 +64,17 @@ def test_what_another_study_took_is_judged_by_this_one(make_study, function_back
     backend = RecordedEvaluations(function_backend(study, lambda **_: {}), study, [recorded])
     (given,) = backend.run([planned({"gain": 0.5}, {"load": 1.5}, 7)])
     assert given.outcome.reason == "metric error is -1.0; its log scale needs a positive value"
+
+
+def test_what_is_on_record_does_not_wait_for_what_is_run(make_study, function_backend):
+    """Such as for a worker: those that follow from it can begin meanwhile."""
+    study = make_study()
+    outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.1})
+    recorded = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
+    inner = function_backend(study, lambda **_: {"error": 3.0, "peak": 0.1})
+    backend = RecordedEvaluations(inner, study, [recorded])
+    others = [planned({"gain": gain}, {"load": 1.5}, 7) for gain in (0.25, 0.5, 0.75)]
+    given = backend.run(others)
+    assert next(given).recorded
+    assert inner.calls == []
+    assert [evaluation.parameters["gain"] for evaluation in given] == [0.25, 0.75]

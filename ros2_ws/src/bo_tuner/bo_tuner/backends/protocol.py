@@ -28,8 +28,9 @@ class Backend(Protocol):
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run planned evaluations; yields each with its outcome and duration as it ends.
 
-        They may end in another order than they were given. A fault of a node or of the simulation
-        is an outcome, not an exception.
+        They may end in another order than they were given, and some may still run when all are
+        taken and one has ended: a later call, which may bring others, yields these. A fault of a
+        node or of the simulation is an outcome, not an exception.
         """
 
     def close(self) -> None:

@@ -83,13 +83,15 @@ class RecordedEvaluations:
         self._backend.open()
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
-        """Give evaluations from the record, or run them."""
+        """Give evaluations from the record, then run the others."""
+        others = []
         for planned in evaluations:
             earlier = self._record.take(planned)
             if earlier is None:
-                yield from self._backend.run([planned])
+                others.append(planned)
             else:
                 yield earlier
+        yield from self._backend.run(others)
 
     def close(self) -> None:
         """Let go of everything that `open` took."""

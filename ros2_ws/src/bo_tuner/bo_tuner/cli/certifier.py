@@ -56,6 +56,8 @@ class Certifier:
         Whether the default is certified, too, in the same draws.
     more
         Whether another certificate may follow in this call.
+    window
+        Number of evaluations that are planned at once.
     """
 
     record: RunRecord
@@ -66,6 +68,7 @@ class Certifier:
     console: Console
     with_default: bool
     more: bool
+    window: int = 1
 
     def certify(
         self, trial: Trial, draws: int, attempt: int, best_sha256: str | None
@@ -114,7 +117,12 @@ class Certifier:
             observers.add(bar)
             certification = Certification(
                 study,
-                Driver(backend, observers, gate=Gate(self.interruption.check, observers)),
+                Driver(
+                    backend,
+                    observers,
+                    window=self.window,
+                    gate=Gate(self.interruption.check, observers),
+                ),
                 confidence=confidence,
                 attempt=attempt,
             )

@@ -2,16 +2,21 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+
+from rclpy.context import Context
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.isolation import namespace_of
+from bo_tuner.backends.ros.run_context import run_context
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
+from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.workers import Workers
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
@@ -45,6 +50,7 @@ from bo_tuner.storage.provenance import (
     RECORD_LIMIT,
     STOP_EARLY,
     WINDOW,
+    WORKERS,
     changed_sources,
     session_provenance,
 )
@@ -87,8 +93,8 @@ class RunOptions:
         What is shown of the run.
     stop_early
         Follow the advice to stop.
-    window
-        Number of trials, or other tasks, that are planned at once.
+    workers
+        How many evaluations are run at once.
     more
         Whether a run that is resumed goes on with trials although it was asked to finish.
     carried
@@ -106,7 +112,7 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
-    window: int = 1
+    workers: Workers = dataclasses.field(default_factory=Workers)
     more: bool = False
     carried: Carried | None = None
     web: Address | None = None
@@ -153,6 +159,7 @@ class Session:
             ros_arguments=options.ros_arguments,
             interrupted=interruption.check,
             halt=self._halt,
+            workers=options.workers.count,
         )
 
     def _halt(self, reason: str) -> None:
@@ -259,7 +266,8 @@ class Session:
             provenance[NAMESPACE] = self._namespace
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
-        provenance[WINDOW] = str(options.window)
+        provenance[WINDOW] = str(options.workers.window)
+        provenance[WORKERS] = str(options.workers.count)
         provenance[RECORD] = str(options.record.policy)
         provenance[RECORD_LIMIT] = str(options.record.limit)
         if options.carried is not None:
@@ -289,6 +297,8 @@ class Session:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
+        if several := options.workers.text(options.backend):
+            self._display.tell(several)
         if options.carried is not None:
             self._display.tell(f"begins with {options.carried.text}, of {options.carried.run}")
         elif earlier.evaluations:
@@ -310,7 +320,7 @@ class Session:
             stop_early=options.stop_early,
             finished=finished,
         )
-        driver = Driver(backend, observers, window=options.window, gate=self._gate)
+        driver = Driver(backend, observers, window=options.workers.window, gate=self._gate)
         tuning = Tuning(study, driver, self._method, trials=known, finished=finished)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
@@ -338,7 +348,7 @@ class Session:
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
         """Let all observers see the run: what is durable first, what may wait last."""
-        ros = self._backend if isinstance(self._backend, RosBackend) else None
+        pool, ros = self._backend, self._backend if isinstance(self._backend, RosBackend) else None
         recording = RunRecording(
             self._folder.path,
             self._study,
@@ -353,17 +363,24 @@ class Session:
                 self._observers.add(observer)
             if ros is not None:
                 ros.after_default = recording.skip
-                live = LiveNode(
-                    ros.context, self._study, self._folder.path, self._status, self._control
-                )
-                self._observers.add(stack.enter_context(contextlib.closing(live)))
-                self._observers.add(ParkInPause(ros.park, self._display.warn))
+                self._show_on_ros(ros.context, ros.park, stack)
+            elif isinstance(pool, WorkerPool) and pool.name == ROS:
+                context = stack.enter_context(run_context(self._options.ros_arguments))
+                self._show_on_ros(context, pool.park, stack)
             if self._live_page is not None:
                 self._observers.add(self._live_page)
             self._observers.add(self._advisor)
             stack.enter_context(self._display)
             stack.enter_context(recording)
             yield recording
+
+    def _show_on_ros(
+        self, context: Context, park: Callable[[], list[str]], stack: contextlib.ExitStack
+    ) -> None:
+        """Let a node tell of the run and take requests, and have the machine parked in a pause."""
+        live = LiveNode(context, self._study, self._folder.path, self._status, self._control)
+        self._observers.add(stack.enter_context(contextlib.closing(live)))
+        self._observers.add(ParkInPause(park, self._display.warn))
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:
         """Run trials up to the budget, or until the advice to stop if it is to be followed."""

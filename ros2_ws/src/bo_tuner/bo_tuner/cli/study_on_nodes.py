@@ -7,12 +7,14 @@ from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import BackendError
 from bo_tuner.monitoring.display import say
 from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.nodes import USE_SIM_TIME
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
@@ -91,6 +93,8 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
                 f"parameters.{name}: the node has {described.value} now, the study's "
                 f"default is {shown(defaults[name])}"
             )
+    if problem := problem_of_workers(study, ROS, study.budget.workers or 1, attach=False):
+        problems.append(f"budget.workers: {problem}")
     if absent == len(study.nodes):
         # Of nodes that were not started, their topics and services are not worth a line each.
         return problems, notes

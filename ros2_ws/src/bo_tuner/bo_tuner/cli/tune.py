@@ -22,6 +22,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
+from bo_tuner.cli.workers import Workers, workers_of
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
@@ -34,7 +35,6 @@ from bo_tuner.storage.carrying import (
     is_carried,
     remeasured,
 )
-from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted, trust
@@ -102,16 +102,24 @@ def _run(
         plan = _after_earlier(record, arguments, parser, ros_arguments, interruption)
     else:
         plan = _new(arguments, parser, ros_arguments, interruption)
-    _check_options(plan, arguments, parser)
+    workers = workers_of(
+        arguments,
+        parser,
+        plan.study,
+        plan.backend,
+        attach=plan.attach,
+        provenance=None if plan.resumed is None else plan.resumed.provenance,
+    )
+    _check_options(plan, arguments, parser, workers)
     options = RunOptions(
         algorithm=plan.algorithm,
         backend=plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        record=_recording(arguments, plan.resumed),
+        record=_recording(arguments, plan.resumed, workers),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
-        window=1 if plan.resumed is None else recorded_window(plan.resumed.provenance),
+        workers=workers,
         more=plan.resumed is not None
         and not (arguments.trials is None and arguments.evaluations is None),
         carried=plan.carried,
@@ -129,7 +137,9 @@ def _run(
         raise
 
 
-def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> RecordOptions:
+def _recording(
+    arguments: argparse.Namespace, resumed: RunRecord | None, workers: Workers
+) -> RecordOptions:
     """Return which bags to keep: what the user says, else what an earlier session of the run did.
 
     The bags of that session count, too: a lower limit would delete them.
@@ -139,6 +149,8 @@ def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> Reco
         known = resumed.record_policy in list(Policy)
         policy = policy or (resumed.record_policy if known else None)
         limit = resumed.record_limit if limit is None else limit
+    if workers.count > 1:
+        policy = Policy.NONE
     default = RecordOptions()
     return RecordOptions(
         Policy(policy or default.policy), default.limit if limit is None else limit
@@ -290,7 +302,9 @@ def _resumed_in(
     return arguments
 
 
-def _check_options(plan: Plan, arguments: argparse.Namespace, parser: Parser) -> None:
+def _check_options(
+    plan: Plan, arguments: argparse.Namespace, parser: Parser, workers: Workers
+) -> None:
     """Refuse options that do not go with the run."""
     if plan.stop_early and len(plan.study.objectives) > 1:
         parser.error("--stop-early: expected a study with one objective; leave it out")
@@ -298,6 +312,11 @@ def _check_options(plan: Plan, arguments: argparse.Namespace, parser: Parser) ->
         parser.error("--web-control needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
+    if arguments.record not in (None, Policy.NONE) and workers.count > 1:
+        parser.error(
+            f"--record: expected none with {workers.count} workers, each of which has its nodes in "
+            f"a ROS domain of its own, found {arguments.record}"
+        )
 
 
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
+from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.monitoring.display import Output
@@ -42,6 +43,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --study my_axis.yaml --workers 4   four evaluations at once
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
@@ -69,6 +71,7 @@ def make_parser() -> Parser:
     _add_known(parser.add_argument_group("what is known before"))
     _add_method(parser.add_argument_group("method"))
     parser.add_backend_arguments(BACKENDS[0], "with --resume or --from: ")
+    add_workers_arguments(parser, "the study's, else 1, or as the run that is resumed")
     _add_record(parser.add_argument_group("files"))
     _add_output(parser.add_argument_group("output"))
     _add_web(parser.add_argument_group("live page"))

@@ -27,6 +27,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
     DRAWS_KEY,
@@ -94,6 +95,7 @@ examples:
   validate latest                          as many draws as the study requires
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
+  validate runs/latest --workers 4         four evaluations at once
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
@@ -139,6 +141,7 @@ def make_parser() -> Parser:
         "requires)",
     )
     parser.add_backend_arguments("as in the run")
+    add_workers_arguments(parser, "as in the run")
     return parser
 
 
@@ -155,6 +158,15 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
     most = _most_sets(arguments, parser)
+    workers = workers_of(
+        arguments,
+        parser,
+        record.study,
+        backend,
+        attach=attach,
+        provenance=record.provenance,
+        keeps_window=False,
+    )
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
@@ -187,12 +199,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 ros_arguments=in_namespace_of(record, ros_arguments),
                 interrupted=interruption.check,
                 earlier=record.evaluations,
+                workers=workers.count,
             ),
             confidence,
             interruption,
             console,
             with_default=arguments.with_default,
             more=most > 1,
+            window=workers.window,
         )
         path = None
         try:

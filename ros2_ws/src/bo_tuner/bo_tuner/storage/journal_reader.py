@@ -6,7 +6,7 @@ from there, see `bo_tuner.storage.journal_repair`.
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +22,10 @@ from bo_tuner.storage.journal import (
     checksum,
     harden,
 )
+from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.study import maxima
 from bo_tuner.text import one_line
-from bo_tuner.trials import TUNING, Evaluation, Trial, latest_by_place
+from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place
 
 # With page size and number of pages, see https://www.sqlite.org/fileformat.html.
 _SQLITE = b"SQLite format 3\0"
@@ -43,7 +44,8 @@ class JournalContent:
         Trials with their evaluations, numbered from 0 without a gap. Checks of a trial are not
         among its evaluations.
     evaluations
-        All evaluations, in the order in which they were recorded.
+        All evaluations, in the order in which they were recorded; where several tasks were planned
+        at once, in that of `in_order_of_plans`.
     damage
         What could not be read; empty if nothing is wrong.
     events
@@ -96,9 +98,11 @@ def read_journal(path: Path) -> JournalContent:
             raise
         raise JournalError(f"{path}: {one_line(str(error))}") from error
     try:
-        evaluations = tuple(rows.evaluation_of(row) for row in evaluation_rows)
-        trials = tuple(_trials(trial_rows, evaluations))
+        evaluations: Sequence[Evaluation] = [rows.evaluation_of(row) for row in evaluation_rows]
         provenances = tuple(rows.provenance_of(row) for row in sessions)
+        if any(recorded_window(provenance) > 1 for provenance in provenances):
+            evaluations = in_order_of_plans(evaluations)
+        trials = tuple(_trials(trial_rows, evaluations))
         events = tuple(rows.event_of(row) for row in event_rows)
     except ValueError as error:
         # The checksums hold, so it was no disk: somebody else wrote this.
@@ -111,10 +115,25 @@ def read_journal(path: Path) -> JournalContent:
     return JournalContent(
         sessions=provenances,
         trials=trials,
-        evaluations=evaluations,
+        evaluations=tuple(evaluations),
         damage=f"{path.name}: {damage}" if damage else "",
         events=events,
     )
+
+
+def in_order_of_plans(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    """Return evaluations in an order that does not tell which of several workers was faster.
+
+    Those of trials come first, then those of each stage after them; in a stage, those of a trial
+    in the order of its plan. Of one that was run again, the last stays the last.
+    """
+    stages = list(Stage)
+
+    def place(evaluation: Evaluation) -> tuple[int, int, int]:
+        stage = 0 if evaluation.stage in TUNING else 1 + stages.index(evaluation.stage)
+        return stage, evaluation.trial, evaluation.index
+
+    return sorted(evaluations, key=place)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -164,7 +183,7 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     return found, ""
 
 
-def _trials(found: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
+def _trials(found: list[dict[str, object]], evaluations: Sequence[Evaluation]) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial = latest_by_place(evaluations, TUNING)
     for number, row in enumerate(sorted(found, key=rows.number_of)):

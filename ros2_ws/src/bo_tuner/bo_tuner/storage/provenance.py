@@ -21,6 +21,8 @@ STOP_EARLY = "stop_early"
 """Key that tells of the option, so that a run goes on as it began."""
 WINDOW = "window"
 """Key that tells how many trials, or other tasks, are planned at once."""
+WORKERS = "workers"
+"""Key that tells how many evaluations a session runs at once."""
 ATTACHED = "attached"
 """Key that tells that a session used running nodes."""
 NAMESPACE = "namespace"
@@ -64,7 +66,17 @@ def session_provenance(study: Study, backend: str, algorithm: str) -> dict[str, 
 
 def recorded_window(provenance: Mapping[str, str]) -> int:
     """Return how many tasks a run plans at once, by the provenance of one of its sessions."""
-    text = provenance.get(WINDOW, "")
+    return _count(provenance, WINDOW)
+
+
+def recorded_workers(provenance: Mapping[str, str]) -> int:
+    """Return how many evaluations a session of a run has run at once, by its provenance."""
+    return _count(provenance, WORKERS)
+
+
+def _count(provenance: Mapping[str, str], key: str) -> int:
+    """Return a number of at least 1, and 1 where none is on record."""
+    text = provenance.get(key, "")
     return max(1, int(text)) if text.isascii() and text.isdigit() else 1
 
 

@@ -13,6 +13,7 @@ MOST = {
     "search_evaluations": maxima.EVALUATIONS,
     "validation_draws": maxima.DRAWS,
     "evaluations": maxima.TRIALS * maxima.EVALUATIONS,
+    "workers": maxima.WORKERS,
 }
 
 
@@ -64,6 +65,9 @@ class Budget:
         Fresh draws of context and noise for the validation of the result.
     evaluations : int, optional
         Evaluations of all trials together; the tuning also ends with the trial that reaches it.
+    workers : int, optional
+        Evaluations that run at once, each on nodes or objects of its own in a process of its own.
+        Unless given, 1.
     """
 
     trials: int
@@ -72,6 +76,7 @@ class Budget:
     search_evaluations: int | None = None
     validation_draws: int = 25
     evaluations: int | None = None
+    workers: int | None = None
 
     def remaining(self, trials: int, evaluations: int) -> int:
         """Return how many more trials the budget suffices for, after so many with so many.

@@ -19,6 +19,8 @@ CHOICES = 50
 """Of a tuned text."""
 CONTEXTS = 50
 SIGNALS = 100
+WORKERS = 100
+"""Of a run: each has a ROS domain of its own, of the 101 on a machine, and so has the run."""
 STEPS = 100
 """In each part of a run: before, start, after and recover."""
 STREAM_RATE = 1_000.0

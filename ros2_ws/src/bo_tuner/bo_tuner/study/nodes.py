@@ -3,7 +3,7 @@
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from bo_tuner.errors import StudyError
@@ -12,6 +12,8 @@ from bo_tuner.study import checks, maxima
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 PARAMETER_FILE = "{parameter_file}"
 """Stands in `command` and `launch` for the file with the values that a node starts with."""
+WORKER = "{worker}"
+"""Stands in `command`, `launch` and `env` for the number of the worker that starts it, from 1."""
 USE_SIM_TIME = "use_sim_time"
 """Parameter of every node: whether its clock is that of a simulation."""
 
@@ -116,6 +118,15 @@ class NodeSpec:
     def is_started(self) -> bool:
         """Whether the study says how to start it."""
         return bool(self.executable or self.command or self.launch)
+
+    def of_worker(self, number: int) -> "NodeSpec":
+        """Return the node as a worker starts it."""
+
+        def filled(text: str | None) -> str | None:
+            return None if text is None else text.replace(WORKER, str(number))
+
+        env = {name: text.replace(WORKER, str(number)) for name, text in self.env.items()}
+        return replace(self, command=filled(self.command), launch=filled(self.launch), env=env)
 
     @property
     def passes_file(self) -> bool:

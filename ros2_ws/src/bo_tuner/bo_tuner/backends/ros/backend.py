@@ -105,6 +105,8 @@ class RosBackend(SequentialBackend):
         for the nodes that it starts.
     interrupted
         Asked while waiting; raises what shall end the wait.
+    worker
+        Number of the worker that this is the backend of.
 
     Attributes
     ----------
@@ -126,6 +128,7 @@ class RosBackend(SequentialBackend):
         halt: Callable[[str], None] | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
+        worker: int = 1,
     ) -> None:
         super().__init__(study)
         self._study = study
@@ -156,7 +159,7 @@ class RosBackend(SequentialBackend):
         self._suspension = Suspension()
         self._safe_state: SafeState | None = None
         self._previous: PreviousParameters | None = None
-        self._started = StartedNodes(study, self._namespace, log_directory)
+        self._started = StartedNodes(study, self._namespace, log_directory, worker)
 
     def open(self) -> None:
         """Start the nodes, unless attached, and wait until they are discovered.

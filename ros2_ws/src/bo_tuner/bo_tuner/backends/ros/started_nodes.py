@@ -28,6 +28,8 @@ class StartedNodes:
         Namespace of the nodes that are started as an executable.
     log_directory
         Takes what they print.
+    worker
+        Number of the worker that has them.
 
     Attributes
     ----------
@@ -37,8 +39,9 @@ class StartedNodes:
         By node key what nodes with ``at_start`` are started with from now on.
     """
 
-    def __init__(self, study: Study, namespace: str, log_directory: Path) -> None:
+    def __init__(self, study: Study, namespace: str, log_directory: Path, worker: int = 1) -> None:
         self._study = study
+        self._nodes = {key: spec.of_worker(worker) for key, spec in study.nodes.items()}
         self._namespace = namespace
         self._log_directory = log_directory
         self.processes: dict[str, NodeProcess] = {}
@@ -56,9 +59,9 @@ class StartedNodes:
         """
         if self._study.folder and not Path(self._study.folder).is_dir():
             raise StudyError(f"there is no folder {self._study.folder}", ("folder",))
-        commands = {key: self._command(key) for key in self._study.nodes}
+        commands = {key: self._command(key) for key in self._nodes}
         # A launch file, or a program of the user's, may start several nodes.
-        may_start_others = any(spec.launch or spec.command for spec in self._study.nodes.values())
+        may_start_others = any(spec.launch or spec.command for spec in self._nodes.values())
         for key, command in commands.items():
             if not command and not may_start_others:
                 raise StudyError(
@@ -102,7 +105,7 @@ class StartedNodes:
                 raise LostError(process.exit_reason)
 
     def _start(self, key: str, command: list[str]) -> None:
-        spec = self._study.nodes[key]
+        spec = self._nodes[key]
         # Nothing else: a node is to run as it will with its result.
         environment = {"ROS_LOG_DIR": str(self._log_directory), **spec.env}
         name = spec.executable or spec.node
@@ -113,7 +116,7 @@ class StartedNodes:
 
     def _command(self, key: str) -> list[str]:
         """Return the program of a node and its arguments; empty if it has none."""
-        spec = self._study.nodes[key]
+        spec = self._nodes[key]
         if spec.package and spec.executable:
             program = str(find_executable(spec.package, spec.executable))
             namespace = self._namespace
@@ -136,7 +139,7 @@ class StartedNodes:
 
     def _with_values(self, key: str, command: list[str]) -> list[str]:
         """Write the file with the values of the nodes that a command starts, and pass it on."""
-        nodes = self._study.nodes
+        nodes = self._nodes
         started = [other for other in self.values if starter_of(nodes, other) == key]
         passes_file = nodes[key].passes_file
         if not started and not passes_file:
@@ -156,7 +159,7 @@ class StartedNodes:
 
     def _own_file(self, key: str) -> Path | None:
         """Return the parameter file of a node, ahead of the values."""
-        spec = self._study.nodes[key]
+        spec = self._nodes[key]
         if not spec.parameter_file:
             return None
         path = Path(self._study.folder, spec.parameter_file).absolute()

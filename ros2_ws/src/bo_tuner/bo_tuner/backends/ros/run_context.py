@@ -1,0 +1,49 @@
+"""Where a run is seen on ROS whose workers have their nodes in domains of their own."""
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+
+from rclpy.context import Context
+
+from bo_tuner.backends.ros.isolation import (
+    DomainClaim,
+    domain_of_environment,
+    isolated_environment,
+    namespace_of,
+)
+from bo_tuner.backends.ros.tuner_node import TunerNode
+
+
+@contextlib.contextmanager
+def run_context(ros_arguments: Sequence[str]) -> Iterator[Context]:
+    """Join the domain of the environment, or a free one; yields the context of a node there.
+
+    Parameters
+    ----------
+    ros_arguments
+        ``--ros-args`` of the node.
+
+    Raises
+    ------
+    BackendError
+        If another tuner has the domain in this namespace, or ROS does not take the arguments.
+    """
+    claim = DomainClaim(namespace_of(ros_arguments), domain_of_environment())
+    variables = isolated_environment(claim.domain)
+    before = {name: os.environ.get(name) for name in variables}
+    with contextlib.ExitStack() as stack:
+        stack.callback(claim.release)
+        stack.callback(_restore, before)
+        os.environ.update(variables)
+        tuner = TunerNode(claim.domain, ros_arguments, lambda: None)
+        stack.callback(tuner.close)
+        yield tuner.context
+
+
+def _restore(variables: dict[str, str | None]) -> None:
+    for name, value in variables.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value

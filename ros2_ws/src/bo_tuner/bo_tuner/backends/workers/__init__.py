@@ -1,0 +1,1 @@
+"""Several evaluations at once, each in a process of its own."""

@@ -1,0 +1,32 @@
+"""What a worker says of what it was asked for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.trials import Evaluation
+
+MakeBackend = Callable[[int, Callable[[], None]], Backend]
+"""Makes the backend of a worker, by its number and by what to call while it waits."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a worker says of what it was asked for.
+
+    Attributes
+    ----------
+    worker
+        Its number, from 1.
+    evaluation
+        That it has run; None for anything else.
+    problem
+        Why it cannot go on; empty if it can.
+    remarks
+        What went wrong beside, each in a line.
+    """
+
+    worker: int
+    evaluation: Evaluation | None = None
+    problem: str = ""
+    remarks: tuple[str, ...] = ()

@@ -1,0 +1,100 @@
+"""A pool of workers, by itself."""
+
+import os
+import time
+from dataclasses import replace
+from functools import partial
+
+import pytest
+from functions import planned
+
+from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.workers.pool import DEATHS, WorkerPool
+from bo_tuner.errors import BackendError
+from bo_tuner.trials import EvaluationState, Outcome
+
+FIRST, LAST, DEADLY, BROKEN = 0, 1, 2, 3
+
+
+class Odd(SequentialBackend):
+    """Does what the seed of an evaluation says; its outcome has the number of the worker."""
+
+    name = "odd"
+
+    def __init__(self, study, folder, number, interrupted):
+        super().__init__(study)
+        self._folder, self._number = folder, number
+
+    def open(self):
+        (self._folder / f"open-{self._number}").touch()
+
+    def close(self):
+        (self._folder / f"open-{self._number}").unlink()
+
+    def park(self):
+        return [f"{self._number} does not park"]
+
+    def outcome(self, planned):
+        if planned.seed == DEADLY:
+            with (self._folder / "deaths").open("a") as file:
+                file.write("x")
+            os.kill(os.getpid(), 9)
+        if planned.seed == BROKEN:
+            raise BackendError("the bus is gone")
+        if planned.seed == LAST:
+            while not (self._folder / "go").exists():
+                time.sleep(0.01)
+        return Outcome(EvaluationState.COMPLETE, {"error": float(self._number), "peak": 0.1})
+
+
+@pytest.fixture
+def pool(make_study, tmp_path):
+    pool = WorkerPool("odd", 2, partial(Odd, make_study(), tmp_path))
+    pool.open()
+    yield pool
+    pool.close()
+
+
+def doing(seed, index):
+    return replace(planned({"gain": 0.5}, {"load": 1.5}, seed), index=index)
+
+
+def test_results_come_as_they_end_and_more_is_taken_when_a_worker_is_free(pool, tmp_path):
+    taken = []
+
+    def due():
+        for index, seed in enumerate((LAST, FIRST, FIRST)):
+            taken.append(index)
+            yield doing(seed, index)
+
+    results = pool.run(due())
+    # The first is held: the other worker has all others, one after the other.
+    assert next(results).index == 1
+    assert taken == [0, 1]
+    assert next(results).index == 2
+    assert taken == [0, 1, 2]
+    # What is taken meanwhile does not wait for it either.
+    assert [evaluation.index for evaluation in pool.run([doing(FIRST, 3)])] == [3]
+    (tmp_path / "go").touch()
+    (last,) = pool.run([])
+    assert last.index == 0
+    assert list(pool.run([])) == []
+    assert pool.park() == ["worker 1: 1 does not park", "worker 2: 2 does not park"]
+    assert {path.name for path in tmp_path.glob("open-*")} == {"open-1", "open-2"}
+    pool.close()
+    assert not [*tmp_path.glob("open-*")]
+    with pytest.raises(BackendError, match="not open"):
+        next(pool.run([doing(FIRST, 4)]))
+
+
+def test_an_evaluation_that_ends_each_worker_is_lost(pool, tmp_path):
+    (lost,) = pool.run([doing(DEADLY, 0)])
+    assert lost.outcome.state is EvaluationState.LOST
+    assert len((tmp_path / "deaths").read_text()) == DEATHS
+    (other,) = pool.run([doing(FIRST, 1)])
+    assert other.outcome.complete
+
+
+def test_a_backend_that_cannot_go_on_ends_the_run_and_is_named(pool):
+    with pytest.raises(BackendError, match=r"worker [12]: the bus is gone"):
+        list(pool.run([doing(BROKEN, 0)]))

@@ -1,0 +1,283 @@
+"""Several evaluations at once: the answer is that of one after the other, whatever happens."""
+
+import os
+import signal
+
+import pytest
+import yaml
+from command_runs import RESULTS
+from commands import finish, start
+from in_process import complaint
+from waiting import wait_until
+
+from bo_tuner.backends.workers import limits
+from bo_tuner.cli import tune, validate
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import study_to_mapping, study_to_yaml
+
+OBJECT = """\
+import os
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+class Axis:
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def evaluate(self):
+        with (HERE / "evaluations").open("a") as file:
+            file.write(f"{os.getpid()}\\n")
+        # Once for each file: one worker takes it, the others do not find it.
+        for order, act in (("kill", lambda: os.kill(os.getpid(), 9)),):
+            try:
+                (HERE / order).unlink()
+            except FileNotFoundError:
+                continue
+            act()
+        while (HERE / "hold").exists():
+            time.sleep(0.01)
+        # Whichever worker is the faster.
+        time.sleep(os.urandom(1)[0] / 5000.0)
+        return {
+            "status": "ok",
+            "error": 25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100)),
+            "peak": self.load * self.gain,
+        }
+"""
+
+
+class Runs:
+    """Runs of commands in a folder with the object."""
+
+    def __init__(self, folder, study):
+        self.folder = folder
+        (folder / "waiting_axis.py").write_text(OBJECT)
+        (folder / "axis.yaml").write_text(study_to_yaml(study))
+
+    @property
+    def evaluations(self):
+        return self.folder / "evaluations"
+
+    def latest(self, name):
+        return self.folder / name / "latest"
+
+    def start(self, *arguments):
+        return start(*arguments, folder=self.folder)
+
+    def begin(self, name, *arguments):
+        new = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
+        return self.start("tune", *new, *arguments)
+
+    def run(self, name, *arguments):
+        code, _, err = finish(self.begin(name, *arguments))
+        assert code == 0, err
+        return self.results(name)
+
+    def results(self, name):
+        return [(self.latest(name) / file).read_bytes() for file in RESULTS]
+
+
+@pytest.fixture(scope="module")
+def study(make_study):
+    node = {"node": "axis", "result": "~/cut_result", "object": "waiting_axis:Axis"}
+    return make_study(
+        nodes={"axis": node}, seed_parameter={"node": "axis", "parameter": "seed"}
+    ).replace(trials=6)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory, study):
+    return Runs(tmp_path_factory.mktemp("shared"), study)
+
+
+@pytest.fixture(scope="module")
+def whole(shared):
+    """Results of one worker, with four trials planned at once."""
+    return shared.run("whole", "--workers", 1, "--window", 4)
+
+
+@pytest.fixture
+def runs(shared, whole):
+    """In the same folder, which a study has on record."""
+    shared.evaluations.unlink()
+    yield shared
+    for order in ("kill", "hold"):
+        (shared.folder / order).unlink(missing_ok=True)
+
+
+@pytest.fixture
+def alone(tmp_path, study):
+    """In a folder of its own, in which everything may be changed."""
+    return Runs(tmp_path, study)
+
+
+class TestAnswer:
+    @pytest.mark.parametrize("workers", [2, 4])
+    def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(self, runs, whole, workers):
+        assert runs.run("several", "--workers", workers, "--window", 4) == whole
+        pids = set(runs.evaluations.read_text().split())
+        assert len(pids) == workers
+
+    def test_it_depends_on_the_window(self, shared, whole):
+        assert shared.run("one", "--window", 1)[2] != whole[2]
+
+    def test_the_window_is_as_wide_as_there_are_workers_and_stays(self, runs, capsys):
+        runs.run("new", "--workers", 2, "--trials", 3)
+        (session,) = read_journal(runs.latest("new") / "journal.sqlite").sessions
+        assert (session["workers"], session["window"]) == ("2", "2")
+        line = complaint(tune, capsys, "--resume", runs.latest("new"), "--window", 3, "--trials", 4)
+        assert "--window: expected 2, by which the trials of the run were planned" in line
+
+    def test_a_certificate(self, shared, whole, tmp_path):
+        """Contexts, bounds and verdict, in the file that others read."""
+        texts = []
+        for workers in (1, 2):
+            again = ("validate", shared.latest("whole"), "--workers", workers, "--window", 2)
+            code, out, err = finish(shared.start(*again, "--draws", 300))
+            assert code in (0, 3), err
+            texts.append(out)
+        certificates = sorted((shared.latest("whole") / "certificates").glob("*.csv"))
+        assert len(certificates) >= 2
+        # Each has fresh draws: as many were run, for the same reason.
+        first, second = (path.read_text().splitlines() for path in certificates[:2])
+        assert first[0] == second[0]
+
+
+class TestFaults:
+    def test_what_a_worker_had_that_died_is_run_again(self, runs, whole):
+        (runs.folder / "kill").touch()
+        assert runs.run("killed", "--workers", 2, "--window", 4) == whole
+        assert not (runs.folder / "kill").exists()
+
+    def test_a_run_that_was_killed_goes_on(self, runs, shared, whole):
+        (runs.folder / "hold").touch()
+        process = runs.begin("killed", "--workers", 4)
+        wait_until(lambda: runs.evaluations.exists(), "an evaluation", process)
+        process.kill()
+        finish(process)
+        (runs.folder / "hold").unlink()
+        code, _, err = finish(runs.start("tune", "--resume", "killed/latest"))
+        assert code == 0, err
+        assert runs.results("killed") == whole
+
+    def test_ctrl_c_ends_the_workers(self, runs, whole):
+        process = runs.begin("ended", "--workers", 4)
+        wait_until(lambda: lines(runs.evaluations) >= 6, "evaluations", process)
+        pids = {int(pid) for pid in runs.evaluations.read_text().split()}
+        process.send_signal(signal.SIGINT)
+        code, _, err = finish(process)
+        assert code == 128 + signal.SIGINT, err
+        assert "--resume" in err
+        assert not any(alive(pid) for pid in pids)
+        code, _, err = finish(runs.start("tune", "--resume", "ended/latest", "--workers", 2))
+        assert code == 0, err
+        assert runs.results("ended") == whole
+
+    def test_one_that_cannot_be_started_is_named(self, alone):
+        (alone.folder / "waiting_axis.py").write_text("raise OSError('no such bus')\n")
+        code, out, err = finish(alone.begin("none", "--workers", 2))
+        assert (code, out) == (2, ""), err
+        assert err.startswith("error: worker 1 of 2 cannot be started: nodes.axis.object: ")
+        assert "no such bus" in err
+
+
+def lines(file):
+    return len(file.read_text().split()) if file.exists() else 0
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+class TestRefusals:
+    @pytest.fixture
+    def refused(self, alone, capsys, monkeypatch):
+        """Function that returns what is said of options for a study on ROS nodes."""
+        monkeypatch.setattr(limits, "cores", lambda: 2)
+
+        def run(*options, study="axis.yaml", backend="ros"):
+            named = study if study == "benchmark" else alone.folder / study
+            new = ("--study", named, "--backend", backend, "--output", alone.folder / "runs")
+            line = complaint(tune, capsys, *new, *options)
+            assert not (alone.folder / "runs").exists()
+            return line
+
+        return run
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            (("--workers", 0), "--workers: expected at least 1, found 0"),
+            (("--workers", 101), "--workers: expected at most 100, found 101"),
+            (("--window", 0), "--window: expected at least 1, found 0"),
+            (("--workers", 2, "--attach"), "--workers: expected 1 with --attach, found 2"),
+            (("--workers", 2, "--record", "all"), "--record: expected none with 2 workers"),
+        ],
+    )
+    def test_options(self, refused, options, said):
+        assert said in refused(*options)
+
+    def test_measured_times_beside_more_workers_than_cores(self, refused):
+        line = refused("--workers", 3, study="benchmark")
+        assert "expected at most 2, the number of cores, found 3" in line
+        assert "(return_time)" in line
+
+    @pytest.mark.parametrize(
+        ("node", "port"),
+        [
+            ({"command": "sim --port 5760"}, "5760"),
+            ({"command": "sim --url=udp:127.0.0.1:14550"}, "14550"),
+            ({"launch": "robot sim.launch.py port:=9090"}, "9090"),
+            ({"command": "sim", "env": {"SIM_PORT": "5760"}}, "5760"),
+        ],
+    )
+    def test_a_port_that_all_would_want(self, refused, alone, make_study, node, port):
+        axis = {"node": "axis", "result": "~/cut_result"} | node
+        file = alone.folder / "port.yaml"
+        file.write_text(study_to_yaml(make_study(nodes={"axis": axis})))
+        line = refused("--workers", 2, study="port.yaml")
+        assert f"nodes.axis: port {port} would be the same for all 2 workers" in line
+        assert "{worker}" in line
+
+    @pytest.mark.parametrize(
+        "node",
+        [
+            {"command": "sim --port 576{worker}"},
+            {"command": "sim --rate 5000"},
+            {"command": "sim", "env": {"SIM_PORT": "576{worker}", "STEPS": "20000"}},
+        ],
+    )
+    def test_what_is_no_port_of_all(self, make_study, node):
+        study = make_study(nodes={"axis": {"node": "axis", "result": "~/cut_result"} | node})
+        assert limits.problem_of_workers(study, "ros", 2, attach=False) == ""
+
+    def test_the_study_says_how_many(self, alone, study, refused):
+        budget = {"trials": 5, "initial_trials": 3, "workers": 2}
+        mapping = study_to_mapping(study)
+        (alone.folder / "two.yaml").write_text(yaml.safe_dump(mapping | {"budget": budget}))
+        line = refused("--attach", study="two.yaml")
+        assert "expected 1 with --attach, found 2" in line
+        none = mapping | {"budget": budget | {"workers": 0}}
+        (alone.folder / "none.yaml").write_text(yaml.safe_dump(none))
+        assert "budget.workers" in refused(study="none.yaml")
+
+    def test_validate_on_running_nodes(self, shared, whole, capsys):
+        options = ("--backend", "ros", "--attach", "--workers", 2)
+        line = complaint(validate, capsys, shared.latest("whole"), *options)
+        assert "--workers: expected 1 with --attach, found 2" in line
+
+
+def test_without_dask(alone):
+    """It is an extra: who wants one worker does not need it."""
+    (alone.folder / "distributed.py").write_text("raise ImportError('no', name='distributed')\n")
+    assert alone.run("one")
+    code, _, err = finish(alone.begin("two", "--workers", 2))
+    assert code == 2
+    assert "pip install 'bo_tuner[workers]'" in err
