@@ -6,6 +6,7 @@ from signal_runs import ANGLE, SETPOINT, record_run, signal_study
 from bo_tuner.figures.figure import Band, Color, Dash, Line
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.sections import trajectories as drawn
 from bo_tuner.report.sections.trajectories import Signal as Traced
 from bo_tuner.report.sections.trajectories import panels, response, trajectories
 from bo_tuner.storage.record import read_run
@@ -87,7 +88,15 @@ def test_what_is_over_a_limit_on_the_largest_value_is_shaded(tmp_path):
     assert list(band.upper) == [high, high]
     assert low < min(min(e.y) for e in effort.elements if isinstance(e, Line))
     # It is what the first screen shows.
-    assert [panel.y.label for panel in response(analysis).panels] == ["effort"]
+    shown = response(analysis)
+    assert [panel.y.label for panel in shown.panels] == ["effort"]
+    assert shown.title.startswith("How does the effort follow, ")
+
+
+def test_the_first_screen_asks_for_two_signals_in_the_plural(tmp_path, monkeypatch):
+    monkeypatch.setattr(drawn, "_main", lambda panels: panels[0].y.label)
+    title = response(analysis_of(tmp_path)).title
+    assert title.startswith("How do the setpoint and angle follow, ")
 
 
 def test_a_trace_says_where_a_metric_is_zero(make_study):

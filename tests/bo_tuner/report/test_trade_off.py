@@ -108,6 +108,17 @@ def test_a_limit_of_zero_has_no_others_to_look_at(analysis):
     assert section.tables == []
 
 
+def test_limits_outside_the_range_of_the_metric_are_not_looked_at(analysis):
+    """Of 0.8, 0.9, 1, 1.1 and 1.25 only those from 0.9 on and below 1.25 can be a limit."""
+    study = analysis.study
+    (constraint,) = study.worst_case_constraints
+    peak = replace(study.metrics[constraint.metric], range=(0.85, 1.25))
+    metrics = {**study.metrics, constraint.metric: peak}
+    record = replace(analysis.record, study=replace(study, metrics=metrics))
+    (table,) = trade_off(limited(Analysis(record), 0.98, 0.05, probability=0.9)).tables
+    assert [row[0] for row in table.rows] == ["0.9 to 1", "1.1"]
+
+
 def test_the_default_is_where_the_verdict_has_it(analysis):
     (figure,) = trade_off(analysis).figures
     (default,) = [

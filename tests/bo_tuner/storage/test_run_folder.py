@@ -235,6 +235,24 @@ class TestSources:
         assert changed_sources(before, after) == ["their_axis"]
         assert "their_axis" not in sys.modules
 
+    def test_an_object_in_the_folder_of_the_study_has_one_imported_or_not(
+        self, tmp_path, make_study, monkeypatch
+    ):
+        """What makes a certificate imports it, and what reads the certificate does not."""
+        (tmp_path / "their_plate.py").write_text("VALUE = 1")
+        study = make_study(
+            folder=str(tmp_path),
+            nodes={"axis": {"node": "axis", "result": "~/r", "object": "their_plate:VALUE"}},
+        )
+        before = sources(study, "inprocess")
+        assert "their_plate" not in sys.modules
+        assert str(tmp_path) not in sys.path
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "path", [*sys.path, str(tmp_path)])
+            assert sources(study, "inprocess") == before
+        (tmp_path / "their_plate.py").write_text("VALUE = 22")
+        assert changed_sources(before, sources(study, "inprocess")) == ["their_plate"]
+
     def test_what_a_package_ships_beside_its_code_shows(self, tmp_path, digests, monkeypatch):
         """Such as the defaults of a plant; in the source tree, and installed."""
         source = tmp_path / "src" / "their_axis"

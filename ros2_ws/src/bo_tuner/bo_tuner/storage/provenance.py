@@ -1,6 +1,7 @@
 """What produced a run: enough to tell later whether another one was made the same way."""
 
 import hashlib
+import importlib.machinery
 import importlib.util
 import os
 import platform
@@ -98,12 +99,14 @@ def sources(study: Study, backend: str) -> dict[str, str]:
     dict from str to str
         ``sources_sha256`` for this package, ``sources_sha256.<package>`` for each other.
     """
+    folder = study.folder if backend == IN_PROCESS else ""
     if backend == IN_PROCESS:
         names = [node.object.split(":")[0] for node in study.nodes.values() if node.object]
     else:
         names = [node.package for node in study.nodes.values() if node.package]
     packages = sorted({name.split(".")[0] for name in names} - {OWN_PACKAGE})
-    digests = {SOURCES: _digest(OWN_PACKAGE)} | {f"{SOURCES}.{p}": _digest(p) for p in packages}
+    digests = {SOURCES: _digest(OWN_PACKAGE)}
+    digests |= {f"{SOURCES}.{p}": _digest(p, folder) for p in packages}
     return {key: digest for key, digest in digests.items() if digest}
 
 
@@ -135,11 +138,16 @@ def commit() -> str:
     return named[0] if named else "unknown"
 
 
-def _digest(package: str) -> str:
-    """Return the digest of a package's or module's code; empty if there is none."""
+def _digest(package: str, folder: str = "") -> str:
+    """Return the digest of a package's or module's code; empty if there is none.
+
+    As objects of a study, it is looked for in the study's `folder` last, imported or not.
+    """
     try:
         # Of a name without a dot this imports nothing.
         spec = importlib.util.find_spec(package)
+        if spec is None and folder:
+            spec = importlib.machinery.PathFinder.find_spec(package, [folder])
     except (ImportError, ValueError):
         return ""
     if spec is None:

@@ -190,13 +190,16 @@ def _moved_limits(
     """Return the limits that lead to the same best trial, by its index; `NONE` if none keeps them.
 
     A trial is within a limit as the verdicts of trials have it. Trials whose means differ by no
-    more than their noise are the same.
+    more than their noise are the same. A limit outside the declared range of its metric is none.
     """
     study = analysis.study
+    low, high = study.metrics[constraint.metric].range or (-np.inf, np.inf)
     cost = study.objective.sign * means
     found: dict[int, list[float]] = {}
     # Those of a limit of 0 are all the same.
     for limit in dict.fromkeys(sorted(factor * constraint.limit for factor in LIMITS)):
+        if not low < limit < high:
+            continue
         upper = constraint.side == UPPER
         moved = replace(constraint, upper=limit) if upper else replace(constraint, lower=limit)
         other = replace(study, constraints={**study.constraints, constraint.name: moved})

@@ -129,9 +129,11 @@ def response(analysis: Analysis) -> Figure | None:
         return None
     label = _main(found.panels)
     panels = [panel for panel in found.panels if panel.y.label == label][:2]
+    # Of a reference and what follows it, such as "setpoint and angle".
+    verb = "do" if " and " in label else "does"
     return Figure(
         name="response",
-        title=f"How does the {label} follow, default and {analysis.answer_name}?",
+        title=f"How {verb} the {label} follow, default and {analysis.answer_name}?",
         caption=found.caption,
         alternative=f"{label} over time of both parameter sets. {found.lead}",
         panels=panels,
