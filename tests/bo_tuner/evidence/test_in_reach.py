@@ -76,8 +76,20 @@ def test_a_share_of_runs_is_judged_by_the_run_that_as_many_must_keep(told):
     """Of ten runs nine must keep the limit, so it is the ninth that decides."""
     limit = {"often": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}}
     first, _ = told((0.4, [float(k) for k in range(11, 21)], 0.0), constraints=limit)
-    assert "smallest peak of any trial is 19 (trial 0)" in first
+    assert "smallest peak that runs of a trial keep as often as they must is 19 (trial 0)" in first
 
 
 def test_without_a_complete_trial_there_is_none(make_study):
     assert in_reach(make_study(), ()) == ()
+
+
+def test_a_limit_that_the_validation_has_refuted_is_named_although_trials_kept_it(
+    make_study, make_trial
+):
+    limits = {
+        name: {"kind": "worst_case", "metric": metric, "upper": upper}
+        for name, metric, upper in (("peak", "peak", 1.0), ("far", "error", 100.0))
+    }
+    study = make_study(constraints=limits)
+    first, *_ = in_reach(study, trials_of(make_trial, (0.4, [0.9], 0.99)), violated=["far"])
+    assert "the smallest error of any trial in the worst context" in first

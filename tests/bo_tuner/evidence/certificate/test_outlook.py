@@ -66,6 +66,16 @@ def test_a_certificate_takes_about_as_many(make_study, function_backend, margin)
     assert probable.high <= 6 * probable.low
 
 
+def test_of_bets_in_a_range_nothing_is_told(make_study):
+    """They take other runs than the tests of normal and log-normal noise."""
+    metrics = {"error": {"node": "axis"}, "peak": {"node": "axis", "range": [0.0, 10.0]}}
+    study = make_study(constraints=MEAN, metrics=metrics)
+    worst = {"peak": WorstCase(0.9, {"load": 1.5}, 0.9, 0.1)}
+    trial = Trial(0, {"gain": 0.5}, "", TrialState.COMPLETE, worst_cases=worst)
+    assert outlook(make_study(constraints=MEAN), trial, (), 1000, 0.95) is not None
+    assert outlook(study, trial, (), 1000, 0.95) is None
+
+
 def test_what_is_not_known_is_not_told(make_study):
     """No noise of the worst case; no draws for a chance constraint."""
     assert outlook(make_study(), make_trial(0, {"gain": 0.5}, [1.0]), (), 1000, 0.95) is None

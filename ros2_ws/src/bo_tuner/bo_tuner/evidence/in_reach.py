@@ -1,6 +1,6 @@
 """What is in reach where no trial keeps all limits: change the limit, the range or contexts."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import ceil, isfinite
 
 from bo_tuner.evidence.at_bounds import at_bounds
@@ -10,7 +10,9 @@ from bo_tuner.text import shown_beside
 from bo_tuner.trials import Trial, TrialState
 
 
-def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
+def in_reach(
+    study: Study, trials: Sequence[Trial], violated: Collection[str] = ()
+) -> tuple[str, ...]:
     """Return advice in sentences: on each limit that no trial keeps, or else on the hardest one.
 
     Parameters
@@ -19,6 +21,8 @@ def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
         The study.
     trials
         All trials of a run in which no parameter set was found feasible.
+    violated
+        Names of the limits that the recommended one has violated in its validation.
     """
     complete = [trial for trial in trials if trial.state is TrialState.COMPLETE]
     best = {
@@ -29,7 +33,9 @@ def in_reach(study: Study, trials: Sequence[Trial]) -> tuple[str, ...]:
     if not best:
         return ()
     broken = {
-        name for name, (_, value) in best.items() if study.constraints[name].violations(value)
+        name
+        for name, (_, value) in best.items()
+        if name in violated or study.constraints[name].violations(value)
     }
     # The one that leaves the least to spare.
     hardest = max(best, key=lambda name: study.constraints[name].excess(best[name][1]))
@@ -57,9 +63,11 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
     where = (
         " in the worst context" if constraint.name in trial.worst_cases and study.contexts else ""
     )
+    runs = "that runs of a trial keep as often as they must"
+    whose = runs if constraint.rule.on_runs else "of any trial"
     found = [
-        f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} of any "
-        f"trial{where} is {number} (trial {trial.number}), the limit is {limit}."
+        f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} {whose}{where} "
+        f"is {number} (trial {trial.number}), the limit is {limit}."
     ]
     if bounds := at_bounds(study, trial.parameters):
         names = " and ".join(f"the {b.side} bound of {b.parameter}" for b in bounds)

@@ -106,14 +106,18 @@ def validated(
         is_default=same,
         outliers=tuple(outliers),
         at_bounds=at_bounds(study, tuned.parameters),
-        advice=_advice(study, trials, outliers) if state is State.INFEASIBLE else (),
+        advice=_advice(study, tuned, trials, outliers) if state is State.INFEASIBLE else (),
         default_lost=default.lost,
     )
 
 
-def _advice(study: Study, trials: Sequence[Trial], outliers: Sequence[int]) -> tuple[str, ...]:
+def _advice(
+    study: Study, tuned: Validation, trials: Sequence[Trial], outliers: Sequence[int]
+) -> tuple[str, ...]:
     """Return what is in reach of the trials that were candidates."""
-    return in_reach(study, [trial for trial in trials if trial.number not in outliers])
+    violated = [name for name, sample in tuned.constraints.items() if not sample.agrees]
+    candidates = [trial for trial in trials if trial.number not in outliers]
+    return in_reach(study, candidates, violated)
 
 
 def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:

@@ -69,8 +69,14 @@ def outlook(
     Returns
     -------
     Outlook or None
-        None if nothing is known of a limit.
+        None if nothing is known of a limit, or if the evidence is of another kind: bets in a
+        declared range, or nothing that rests on the models.
     """
+    if study.certificate.distribution_free or any(
+        study.metrics[constraint.metric].range is not None and not constraint.rule.on_runs
+        for constraint in study.constraints.values()
+    ):
+        return None
     complete = [evaluation for evaluation in drawn if evaluation.outcome.complete]
     draws, needed = [LEAST_DRAWS, LEAST_DRAWS], 0
     places = [0, 0]
