@@ -46,10 +46,12 @@ def test_answers_are_those_of_one_row_of_one_case(tmp_path):
 
 def test_a_summary_counts_what_passed():
     certified = [
-        {"passed": passed, "evaluations": k} for k, passed in enumerate((True, False, True))
+        {"passed": passed, "evaluations": k, "least": 2}
+        for k, passed in enumerate((True, False, True))
     ]
     found = summary(certified)
     assert (found["certified"], found["passed"]) == (3, 2)
     assert (found["median_evaluations"], found["most_evaluations"]) == (1, 2)
+    assert found["median_of_least"] == 0.5
     assert found["interval"][0] < 2 / 3 < found["interval"][1]
     assert summary([]) is None

@@ -8,6 +8,7 @@ import pytest
 from bo_tuner.methods.boundary.exploration import Exploration
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import SPACE_FILLING
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 TRIALS = 20
@@ -33,7 +34,7 @@ def origins(make_study, function_backend):
     def tune(peak, exploration=METHODS["boundary"].exploration):
         study = make_study(constraints={"peak": PEAK}).replace(trials=TRIALS)
         method = replace(METHODS["boundary"], exploration=exploration)
-        trials = list(Tuning(study, function_backend(study, basin(peak)), method))
+        trials = list(Tuning(study, Driver(function_backend(study, basin(peak))), method))
         return trials, [t.number for t in trials if t.origin == SPACE_FILLING]
 
     return tune

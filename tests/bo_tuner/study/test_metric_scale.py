@@ -12,6 +12,7 @@ from bo_tuner.models.logarithm import Logarithm
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.study.study_file import study_from_mapping, study_to_mapping
 from bo_tuner.trials import TrialState
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
 PEAK = {"node": "drive", "key": "peak_p99", "unit": "A"}
@@ -93,7 +94,7 @@ def test_a_run_in_which_a_metric_is_not_positive_goes_on(make_study, function_ba
         noise = np.random.default_rng(seed).standard_normal()
         return {"error": gain, "peak": 0.0 if gain > 0.7 else (0.2 + gain) * np.exp(0.2 * noise)}
 
-    trials = list(Tuning(study, function_backend(study, run), METHODS["boundary"]))
+    trials = list(Tuning(study, Driver(function_backend(study, run)), METHODS["boundary"]))
     assert len(trials) == 9
     zero = [t for t in trials if t.parameters["gain"] > 0.7]
     assert zero
@@ -119,6 +120,6 @@ def test_runs_that_say_nothing_of_a_scale(make_study, function_backend, peak, sc
     node = {"node": "axis"}
     study = make_study(metrics={"error": node, "peak": node | {"scale": scale}}).replace(trials=9)
     backend = function_backend(study, lambda gain, load, seed: {"error": gain, "peak": peak(gain)})
-    trials = list(Tuning(study, backend, replace(METHODS["boundary"])))
+    trials = list(Tuning(study, Driver(backend), replace(METHODS["boundary"])))
     assert len(trials) == 9
     assert not any("could not be maximized" in w for t in trials for w in t.warnings)

@@ -6,7 +6,6 @@ import sys
 from functools import partial
 from typing import NoReturn
 
-from bo_tuner.cli.exit_codes import EXIT_FAULT
 from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import SIGNALS, Interruption
 
@@ -31,6 +30,9 @@ def run(module: str, argv: list[str]) -> NoReturn:
     try:
         command = importlib.import_module(module)
     except ModuleNotFoundError as error:
+        # Not before: it imports NumPy, whose threads would take signals.
+        from bo_tuner.cli.exit_codes import EXIT_FAULT
+
         root = str(error.name).partition(".")[0]
         if root not in ROS:
             raise

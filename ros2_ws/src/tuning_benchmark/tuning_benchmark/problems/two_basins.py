@@ -152,7 +152,7 @@ class TwoBasins:
 class Node(ParameterizedNode):
     """A node that evaluates the problem; its parameters are the problem's, and the point."""
 
-    def run_cut(self) -> dict[str, object]:
+    def evaluate(self) -> dict[str, object]:
         """Evaluate cost and stress once."""
         values = self.values
         problem = problem_of(values)
