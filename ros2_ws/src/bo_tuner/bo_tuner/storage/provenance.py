@@ -153,14 +153,14 @@ def _digest(package: str, folder: str = "") -> str:
     if spec is None:
         return ""
     digest, found = hashlib.sha256(), False
-    for folder in map(Path, spec.submodule_search_locations or ()):
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    for place in map(Path, spec.submodule_search_locations or ()):
+        for path in sorted(place.rglob("*.py")):
+            digest.update(path.relative_to(place).as_posix().encode() + path.read_bytes())
             found = True
         if package == OWN_PACKAGE:
             # It ships studies, each of which has a digest of its own.
             continue
-        config = _config(folder.resolve(), package)
+        config = _config(place.resolve(), package)
         for path in sorted(p for p in config.rglob("*") if p.is_file()):
             digest.update(path.relative_to(config).as_posix().encode() + path.read_bytes())
     if spec.submodule_search_locations is None and spec.origin and Path(spec.origin).is_file():
