@@ -91,7 +91,8 @@ class RecordedEvaluations:
                 others.append(planned)
             else:
                 yield earlier
-        yield from self._backend.run(others)
+        if others:
+            yield from self._backend.run(others)
 
     def close(self) -> None:
         """Let go of everything that `open` took."""
