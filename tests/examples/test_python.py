@@ -2,17 +2,12 @@
 
 import re
 import runpy
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from waiting import wait_until
 
 import bo_tuner as bt
-from bo_tuner.storage.journal_reader import read_journal
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "python"
@@ -50,23 +45,6 @@ def test_the_pole_stays_upright(module):
         for seed in range(10)
     ]
     assert np.mean(np.array(largest) <= 0.3) >= 0.9
-
-
-def test_ask_and_tell_goes_on_after_it_was_stopped(tmp_path):
-    command = [sys.executable, EXAMPLES / "ask_and_tell.py", tmp_path / "run"]
-    journal = tmp_path / "run" / "journal.sqlite"
-
-    def on_record():
-        return len(read_journal(journal).evaluations) if journal.exists() else 0
-
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as stopped:
-        wait_until(lambda: on_record() > 3, "some runs are on record", stopped)
-        stopped.send_signal(signal.SIGINT)
-    assert stopped.returncode != 0
-    before = on_record()
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "No limit broken" in done.stdout
-    assert on_record() > before
 
 
 def test_the_document_describes_one_study_in_two_ways(tmp_path):

@@ -91,8 +91,8 @@ class RecordedEvaluations:
                 others.append(planned)
             else:
                 yield earlier
-        if others:
-            yield from self._backend.run(others)
+        # Also without new ones: several workers may still have some of earlier calls.
+        yield from self._backend.run(others)
 
     def close(self) -> None:
         """Let go of everything that `open` took."""

@@ -330,7 +330,9 @@ class _Nothing:
         pass
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
-        raise _NotOnRecordError
+        for _ in evaluations:
+            raise _NotOnRecordError
+        return iter(())
 
     def close(self) -> None:
         pass
