@@ -5,6 +5,7 @@ from math import ceil, isfinite
 
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limits import decisive
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
 from bo_tuner.trials import Trial, TrialState
@@ -95,7 +96,7 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
 def _decisive(constraint: Constraint, trial: Trial) -> float:
     """Return what is held against a limit: the worst case, or what enough runs keep; else NaN."""
     if (worst := trial.worst_cases.get(constraint.name)) is not None:
-        return worst.value + constraint.sign * constraint.deviations * worst.noise
+        return decisive(constraint, worst)
     values = sorted(trial.observations(constraint.metric), key=lambda v: constraint.sign * v)
     if not values:
         return float("nan")

@@ -121,13 +121,17 @@ def is_shown(study: Study, sample: Sample) -> bool:
     return rule.is_shown_by(sample.violations, sample.count, study.certificate.confidence)
 
 
-def excess(constraint: Constraint, worst_case: WorstCase) -> float:
-    """Return how far an estimated worst case is beyond the limit, as `Constraint.excess`.
+def decisive(constraint: Constraint, worst_case: WorstCase) -> float:
+    """Return what an estimated worst case has that is held against the limit, in its unit.
 
     On single runs it is the quantile of a normal metric with the estimated mean and noise.
     """
-    deviation = constraint.deviations * worst_case.noise
-    return constraint.excess(worst_case.value + constraint.sign * deviation)
+    return worst_case.value + constraint.sign * constraint.deviations * worst_case.noise
+
+
+def excess(constraint: Constraint, worst_case: WorstCase) -> float:
+    """Return how far an estimated worst case is beyond the limit, as `Constraint.excess`."""
+    return constraint.excess(decisive(constraint, worst_case))
 
 
 def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:

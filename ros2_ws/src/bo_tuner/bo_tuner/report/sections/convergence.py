@@ -28,7 +28,7 @@ from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
 from bo_tuner.report.content import Section, number, numbered, quantity
 from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limits import worst_case_holds
+from bo_tuner.study.limits import decisive, worst_case_holds
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, values
@@ -37,7 +37,6 @@ from bo_tuner.trials import (
     EvaluationState,
     Trial,
     TrialState,
-    WorstCase,
     count_evaluations,
     count_trials,
 )
@@ -152,7 +151,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     sign, metric = constraint.sign, analysis.study.metrics[constraint.metric]
     estimates = [t.worst_cases.get(constraint.name) for t in analysis.trials]
     found = np.array(
-        [math.nan if worst is None else _decisive(constraint, worst) for worst in estimates]
+        [math.nan if worst is None else decisive(constraint, worst) for worst in estimates]
     )
     edge = _edge(analysis, found, Scale.LINEAR, sign, [constraint.limit])
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
@@ -181,11 +180,6 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
         ],
         panel_height=280,
     )
-
-
-def _decisive(constraint: Constraint, worst: WorstCase) -> float:
-    """Return the number that is held against a limit."""
-    return worst.value + constraint.sign * constraint.deviations * worst.noise
 
 
 def _edge_in_words(sign: float) -> str:
