@@ -244,7 +244,7 @@ def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
     why = {
         evaluation.outcome.reason
         for evaluation in evaluations_of(evaluations, tuned.parameters)
-        if evaluation.whose == TUNED and evaluation.outcome.spoilt
+        if evaluation.whose == TUNED and evaluation.outcome.unusable
     }
     cause = f" ({why.pop()})" if len(why) == 1 else ""
     runs = counted(tuned.draws, "test run")

@@ -183,7 +183,7 @@ class PooledModels:
             (point, evaluation)
             for trial, point in zip(trials, fitting.points(trials), strict=True)
             for evaluation in trial.evaluations
-            if not evaluation.outcome.spoilt
+            if not evaluation.outcome.unusable
         ]
         return CrashModel.fit(
             np.array([point for point, _ in runs]).reshape(-1, len(fitting.minimum)),
@@ -193,7 +193,7 @@ class PooledModels:
             coding=fitting.coding,
             contexts=contexts.candidates(),
             neighbours=fitting.classifier(
-                [t for t in trials if not t.spoilt], lambda t: t.state is TrialState.FAILED
+                [t for t in trials if not t.unusable], lambda t: t.state is TrialState.FAILED
             ),
             rng=fitting.rng,
             start=fitting.kept(FAILURES),

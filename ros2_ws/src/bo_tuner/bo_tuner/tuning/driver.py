@@ -189,11 +189,11 @@ class _Planned(Generic[TaskT]):
     def take(self, evaluation: Evaluation) -> None:
         """Take a result, unless its evaluation is to be run again."""
         self.running = False
-        spoilt = evaluation.outcome.spoilt
-        if spoilt and self._failed + 1 < self._attempts:
+        unusable = evaluation.outcome.unusable
+        if unusable and self._failed + 1 < self._attempts:
             self._failed += 1
             return
-        if spoilt and self.lost is None:
+        if unusable and self.lost is None:
             self.lost = evaluation
         self._failed = 0
         self.task.tell(evaluation)

@@ -128,7 +128,7 @@ def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects,
         evaluation
         for trial in trials
         for evaluation in trial.evaluations
-        if evaluation.stage in TUNING and not evaluation.outcome.spoilt
+        if evaluation.stage in TUNING and not evaluation.outcome.unusable
     ]
     if not known:
         return ()

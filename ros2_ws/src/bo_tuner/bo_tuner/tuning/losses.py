@@ -14,7 +14,7 @@ HOW = {
 
 
 class Losses:
-    """Counter of tasks in a row with a spoilt outcome, see `Outcome.spoilt`.
+    """Counter of tasks in a row with a unusable outcome, see `Outcome.unusable`.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Losses:
         self._in_a_row: list[Outcome] = []
 
     def note(self, evaluation: Evaluation | None) -> None:
-        """Count a task by its spoilt evaluation; None, or one on record, resets the counter.
+        """Count a task by its unusable evaluation; None, or one on record, resets the counter.
 
         Those on record ended an earlier session: whoever resumes it has the nodes again.
         """

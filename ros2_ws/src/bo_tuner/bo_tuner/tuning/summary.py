@@ -247,11 +247,11 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     if not over and advisor.advice is None:
         return None
     # What the trials hold is not given again, nor what was lost and then run again.
-    kept = {_place(item) for item in record.evaluations if not item.outcome.spoilt}
+    kept = {_place(item) for item in record.evaluations if not item.outcome.unusable}
     later = [
         item
         for item in record.evaluations
-        if item.stage not in TUNING and not (item.outcome.spoilt and _place(item) in kept)
+        if item.stage not in TUNING and not (item.outcome.unusable and _place(item) in kept)
     ]
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)

@@ -161,7 +161,7 @@ def _judge(
     study: Study, parameters: Mapping[str, Value], evaluations: Sequence[Evaluation]
 ) -> Validation:
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
-    lost = sum(not e.outcome.complete and e.outcome.spoilt for e in evaluations)
+    lost = sum(not e.outcome.complete and e.outcome.unusable for e in evaluations)
     objective = np.array([metrics[study.objective.metric] for metrics in complete])
     return Validation(
         parameters=dict(parameters),

@@ -50,7 +50,7 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
         On which it is to be certified.
     """
     study = record.study
-    own = [e for e in evaluations_of(record.evaluations, parameters) if not e.outcome.spoilt]
+    own = [e for e in evaluations_of(record.evaluations, parameters) if not e.outcome.unusable]
     refutations = [*_of_run(study, own)]
     evaluations = own if record.backend == backend else []
     certified, unread = False, []

@@ -278,7 +278,7 @@ def is_failed(evaluations: Sequence[Evaluation]) -> bool:
 
     Those lost or disturbed at the end can be followed by more, which end it without a verdict.
     """
-    return bool(_failed(evaluations)) and not evaluations[-1].outcome.spoilt
+    return bool(_failed(evaluations)) and not evaluations[-1].outcome.unusable
 
 
 def is_refuted_by(

@@ -136,7 +136,7 @@ class Unfinished(RunObserver):
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""
-        if evaluation.recorded or evaluation.outcome.spoilt:
+        if evaluation.recorded or evaluation.outcome.unusable:
             return
         row = dict(zip(COLUMNS["evaluation"], evaluation_row(evaluation), strict=True))
         with writing(self._path):

@@ -217,7 +217,7 @@ def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
     """Add repetitions to a trial, which has failed if one of them did for its parameters."""
     extended = replace(trial, evaluations=(*trial.evaluations, *repetitions))
     for outcome in (evaluation.outcome for evaluation in repetitions):
-        if not outcome.complete and not outcome.spoilt:
+        if not outcome.complete and not outcome.unusable:
             return replace(extended, state=TrialState.FAILED, reason=outcome.reason)
     return extended
 

@@ -75,7 +75,7 @@ class AdaptedAvoidance:
         """Return the largest probability of a failure of the next proposal."""
         level, highest = 0.0, np.log2(DOOMED / self.failing)
         for trial in trials[study.budget.initial_trials :]:
-            if trial.spoilt:
+            if trial.unusable:
                 continue
             failed = trial.state is TrialState.FAILED
             level += self.adaptation * (-1.0 if failed else self.failing / (1.0 - self.failing))

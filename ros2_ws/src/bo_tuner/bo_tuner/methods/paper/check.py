@@ -124,7 +124,7 @@ class CheckedAnswer(AnswerSearch):
         if trial is None:
             return False
         self._awaited -= 1
-        if not evaluation.outcome.spoilt:
+        if not evaluation.outcome.unusable:
             self._check[evaluation.index - len(trial.evaluations)] = evaluation
         if self._awaited or not (self._failed or len(self._check) == len(self._plan)):
             return False
