@@ -115,8 +115,8 @@ def certify_trial(
                 confidence=spent(level, attempt, 1),
                 attempt=attempt,
             )
-            (found,) = certification.collect(subjects, most)
-        evidence = {TUNED: found}
+            (collected,) = certification.collect(subjects, most)
+        evidence = {TUNED: collected}
         made = make_certificate(
             record, trial, evidence, most, level, attempt, FUNCTION, best_sha256=None
         )

@@ -141,11 +141,11 @@ class Tuner:
         if self._over:
             return None
         with self._working():
-            found = self._next_run()
-        if found is None and not self._over:
+            run = self._next_run()
+        if run is None and not self._over:
             count = len(self._pending)
             raise WindowFull(f"tell a result first: {count} of {self._run.window} are waited for")
-        return found
+        return run
 
     def tell(self, run: Run, metrics: Mapping[str, float]) -> None:
         """Take the result of a run.
@@ -279,9 +279,9 @@ class Tuner:
         if self._steps is not None and self._steps.over:
             self._next_phase()
 
-    def _note(self, told: Iterator[Any]) -> None:
+    def _note(self, tasks: Iterator[Any]) -> None:
         """Tell observers of the trials among the tasks that a plan was told of."""
-        for task in told:
+        for task in tasks:
             if isinstance(self._plan, TrialPlan):
                 self._run.note_trial(self._plan.trials, recorded=task.recorded)
 

@@ -74,12 +74,14 @@ class Difference:
 
 def paired(default: Sequence[float], tuned: Sequence[float]) -> Difference:
     """Return the mean difference of pairs, both of shape (n,)."""
-    found = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
-    n = len(found)
+    differences = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
+    n = len(differences)
     if n < 2:
-        return Difference(float(found[0]) if n else nan, -inf, inf, n)
-    mean = float(found.mean())
-    half = float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(found.std(ddof=1)) / sqrt(n)
+        return Difference(float(differences[0]) if n else nan, -inf, inf, n)
+    mean = float(differences.mean())
+    half = (
+        float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(differences.std(ddof=1)) / sqrt(n)
+    )
     return Difference(mean, mean - half, mean + half, n)
 
 

@@ -58,8 +58,8 @@ class Observed:
 
     def mean(self, metric: str) -> float:
         """Return the mean of a metric over the draws; NaN without any."""
-        found = self.values(metric)
-        return sum(found) / len(found) if found else nan
+        values = self.values(metric)
+        return sum(values) / len(values) if values else nan
 
     def values(self, metric: str) -> list[float]:
         """Return the values of a metric in the draws."""

@@ -160,7 +160,7 @@ def observed(
 
 
 def limits_in(
-    study: Study, found: Validation, evaluations: Sequence[Evaluation]
+    study: Study, validation: Validation, evaluations: Sequence[Evaluation]
 ) -> dict[str, LimitVerdict]:
     """Return what the validation of a parameter set says of each limit, by its name.
 
@@ -168,31 +168,33 @@ def limits_in(
     ----------
     study
         The study.
-    found
+    validation
         The validation.
     evaluations
         All that are on record: they tell whether its worst context was searched, which there is
         none of without contexts.
     """
-    unsearched = bool(study.contexts) and not _searched(evaluations, found.parameters)
+    unsearched = bool(study.contexts) and not _searched(evaluations, validation.parameters)
     return {
         name: by_test_runs(study, sample, unsearched=unsearched)
-        for name, sample in found.constraints.items()
+        for name, sample in validation.constraints.items()
     }
 
 
 def _problems(
-    study: Study, found: Validation, limits: Mapping[str, LimitVerdict]
+    study: Study, validation: Validation, limits: Mapping[str, LimitVerdict]
 ) -> dict[str, str]:
     """Return what speaks against a parameter set in the validation, by the constraint's name."""
     problems = {
         name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
         for name, limit in limits.items()
         # All of the test runs may have been lost, which tells nothing.
-        if limit.standing is Standing.VIOLATED and (limit.runs or not found.lost)
+        if limit.standing is Standing.VIOLATED and (limit.runs or not validation.lost)
     }
-    if found.failures:
-        problems[FAILURES] = f"{found.failures} of {counted(found.draws, 'test run')} failed"
+    if validation.failures:
+        problems[FAILURES] = (
+            f"{validation.failures} of {counted(validation.draws, 'test run')} failed"
+        )
     return problems
 
 

@@ -83,8 +83,10 @@ def _values(
     drawn: Sequence[Trace], shapes: Sequence[Mapping[str, Any]], letter: str
 ) -> list[float]:
     """Return all that an axis shows."""
-    found = [v for trace in drawn for v in trace.get(letter, ()) if v is not None]
-    return found + [shape[f"{letter}0"] for shape in shapes if shape.get(f"{letter}ref") != "paper"]
+    values = [v for trace in drawn for v in trace.get(letter, ()) if v is not None]
+    return values + [
+        shape[f"{letter}0"] for shape in shapes if shape.get(f"{letter}ref") != "paper"
+    ]
 
 
 def _axis(axis: Axis, shown: Sequence[float]) -> dict[str, Any]:

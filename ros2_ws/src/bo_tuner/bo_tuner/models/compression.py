@@ -100,17 +100,17 @@ class Compression:
         with np.errstate(over="ignore", invalid="ignore"):
             near = mu * ndtr(left) - s * np.exp(-0.5 * left**2) / np.sqrt(2.0 * np.pi)
             far = np.exp(mu - 1.0 + 0.5 * s**2) * ndtr(s - left)
-        found = np.clip(near + far, mu, most)
+        expected = np.clip(near + far, mu, most)
         # Elsewhere the noise does not reach so far.
-        return np.where(left < REACH, self.limit + self.sign * self.width * found, mean)
+        return np.where(left < REACH, self.limit + self.sign * self.width * expected, mean)
 
     def restore_deviation(self, deviation: ArrayLike, z: ArrayLike) -> Array:
         """Return a small deviation at z, on the scale of the model, in the metric's unit."""
         values = np.asarray(z, dtype=np.float64)
-        found: Array = np.asarray(deviation) * np.where(
+        stretched: Array = np.asarray(deviation) * np.where(
             self._is_far(values), self._stretch(values), 1.0
         )
-        return found
+        return stretched
 
     def _is_far(self, z: Array) -> NDArray[np.bool_]:
         return np.asarray(self.sign * (z - self.limit) > self.width)
@@ -119,8 +119,8 @@ class Compression:
         """Return exp(d / W - 1) of the distance d beyond the limit, at most that of `largest`."""
         ratio = self.sign * (z - self.limit) / self.width
         most = max(self.largest / self.width, 1.0)
-        found: Array = np.exp(np.minimum(ratio - 1.0, np.log(most)))
-        return found
+        factor: Array = np.exp(np.minimum(ratio - 1.0, np.log(most)))
+        return factor
 
 
 NO_COMPRESSION = Compression()

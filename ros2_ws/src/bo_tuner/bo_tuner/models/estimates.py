@@ -19,9 +19,9 @@ def estimated(study: Study, models: Surrogates, trial: Trial) -> Trial:
     for name in trial.worst_cases:
         # Of trials that have all failed when they were run again there is no model.
         constraint, response = study.constraints[name], models.constraints.get(name)
-        found = None if response is None else response.estimate(x)
-        if found is not None:
-            point, value, noise = found
+        estimate = None if response is None else response.estimate(x)
+        if estimate is not None:
+            point, value, noise = estimate
             context = contexts.to_dict(contexts.to_contexts(point[None])[0])
             values = [
                 evaluation.outcome.metrics[constraint.metric]

@@ -108,7 +108,8 @@ def _believed(
         replace(
             evaluation,
             outcome=Outcome(
-                EvaluationState.COMPLETE, {name: float(found[k]) for name, found in values.items()}
+                EvaluationState.COMPLETE,
+                {name: float(predicted[k]) for name, predicted in values.items()},
             ),
         )
         for k, evaluation in enumerate(pending.evaluations)

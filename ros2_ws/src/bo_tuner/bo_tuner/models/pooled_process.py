@@ -321,8 +321,8 @@ class PooledProcess:
         """Return the posterior mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
         constant = MEAN_SD**2 * self.posterior.weights.sum()
         mean = self._parameter_kernel(x) @ self._reduction(contexts).weights + constant
-        found: Array = self.standardization.shift + self.scale * mean
-        return found
+        means: Array = self.standardization.shift + self.scale * mean
+        return means
 
     def variances(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> Array:
         """Return the posterior variance (m,) of x (m, d), each in the context of its own row.
@@ -408,8 +408,8 @@ class PooledProcess:
         return replace(self, over=None)
 
     def _variance(self, prior: float | Array, reduction: Array) -> Array:
-        found: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
-        return found
+        variance: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
+        return variance
 
     @property
     def _prior_variance(self) -> float:
@@ -478,8 +478,8 @@ class PooledProcess:
             return correlation(own, contexts, scales)
         e = contexts.shape[1]
         measured = correlation(own[:, e:], self.over, scales[e:]).mean(axis=1)
-        found: Array = correlation(own[:, :e], contexts, scales[:e]) * measured[:, None]
-        return found
+        averaged: Array = correlation(own[:, :e], contexts, scales[:e]) * measured[:, None]
+        return averaged
 
     def _near(self, x: Array) -> Array:
         """Return the weight in the noise at x (m, d) of the sets of the data, shape (m, p)."""

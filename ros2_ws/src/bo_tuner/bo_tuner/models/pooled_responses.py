@@ -97,8 +97,8 @@ class ExpectedObjective:
             linear: Array = cost.mean(axis=1)
             return linear
         logarithm = _log_mean_exp(self.objective.sign * cost)
-        found: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
-        return found
+        log_mean: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
+        return log_mean
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return as `predict`, with a variance of 0 at `points`."""
@@ -114,8 +114,8 @@ class ExpectedObjective:
     def variance_of_run(self, x: ArrayLike) -> Array:
         """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""
         means = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)
-        found: Array = means.var(axis=1) + self.noise_variance
-        return found
+        variance: Array = means.var(axis=1) + self.noise_variance
+        return variance
 
     def weighted(self, weights: Array) -> Self:
         """Return itself: a single objective has no weights."""
@@ -310,15 +310,15 @@ class EveryContext(PooledResponse):
 
     def most_doubtful(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the row of the most doubtful context, and the log probability there, (m,) each."""
-        found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
+        least, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
         means = self.process.means(x, self.contexts)
         noise, degrees = self.process.noise_everywhere(x, self.contexts)
         for row, (mean, *of_runs) in enumerate(zip(means.T, noise.T, degrees.T, strict=True)):
             quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean, *of_runs)
             here = self.log_kept(quantile, variance)
-            rows[here < found] = row
-            found = np.minimum(found, here)
-        return rows, found
+            rows[here < least] = row
+            least = np.minimum(least, here)
+        return rows, least
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,8 +395,8 @@ class OverContexts(PooledResponse):
             kept = ndtr((middle[:, None] - mean) / deviation).mean(axis=1)
             lower = np.where(kept < self.probability, middle, lower)
             upper = np.where(kept < self.probability, upper, middle)
-        found: Array = upper
-        return found
+        quantile: Array = upper
+        return quantile
 
 
 @dataclass(frozen=True, eq=False)
@@ -448,5 +448,5 @@ def _variance_of_quantile(variance: Array, deviations: float) -> Array:
 def _log_mean_exp(values: Array) -> Array:
     """Return log of the mean of exp(values) over the columns, (m,) of (m, k)."""
     largest: Array = values.max(axis=1)
-    found: Array = largest + np.log(np.exp(values - largest[:, None]).mean(axis=1))
-    return found
+    log_mean: Array = largest + np.log(np.exp(values - largest[:, None]).mean(axis=1))
+    return log_mean

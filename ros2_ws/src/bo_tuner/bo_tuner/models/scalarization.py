@@ -61,8 +61,8 @@ def equal_weights(count: int) -> Array:
 
 def leaning_weights(count: int) -> Array:
     """Return weights (k, k) that lean towards one of `count` objectives each."""
-    found: Array = LEANING * np.eye(count) + (1.0 - LEANING) * equal_weights(count)
-    return found
+    weights: Array = LEANING * np.eye(count) + (1.0 - LEANING) * equal_weights(count)
+    return weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +115,8 @@ class Chebyshev:
         """Return the derivatives (n, k) of f_w by the costs at mean costs (n, k)."""
         weighted = self._weighted(costs)
         largest = np.arange(len(self.weights)) == weighted.argmax(axis=1)[:, None]
-        found: Array = self.weights / (self.nadir - self.ideal) * (AUGMENTATION + largest)
-        return found
+        gradient: Array = self.weights / (self.nadir - self.ideal) * (AUGMENTATION + largest)
+        return gradient
 
     def linearized(self, costs: Array) -> Array:
         """Return values (m,) for the costs (m, k) of a trial's evaluations; their mean is f_w."""

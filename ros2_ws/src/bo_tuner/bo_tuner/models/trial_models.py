@@ -115,8 +115,8 @@ class TrialModels:
             constraints = self._constraints(fitting, kept)
             objective = self._scalarized(fitting, kept, constraints.values(), weights)
         # A node that was lost may have died of its parameters.
-        telling = [t for t in trials if not t.disturbed]
-        failures = fitting.classifier(telling, lambda t: t.state is TrialState.FAILED)
+        informative = [t for t in trials if not t.disturbed]
+        failures = fitting.classifier(informative, lambda t: t.state is TrialState.FAILED)
         outlying = None
         if rejecting:
             outlying = fitting.classifier(complete, lambda t: t.number in outliers)

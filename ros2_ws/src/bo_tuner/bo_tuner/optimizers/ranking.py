@@ -209,8 +209,8 @@ class Ranking(Generic[S_co]):
             if first and first[0].believed_feasible and first[0].score < cost[order[k]]:
                 break
             # In the order of the run, as `ranked_by` has a single block.
-            found = estimates.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
-            first = [min(first + found, key=_place)]
+            block = estimates.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
+            first = [min(first + block, key=_place)]
         return first[0]
 
     def lowest_cost(
@@ -296,7 +296,7 @@ class _Estimates:
         feasibility = self.feasibility(trials)
         excess = relative_excess(models, x)
         estimates = self._of_each(x)
-        found = []
+        candidates = []
         for k, trial in enumerate(trials):
             if not self._several:
                 objective = float(study.objective.from_cost(cost[k]))
@@ -305,7 +305,7 @@ class _Estimates:
             else:
                 # The cost is that of the compromise, which has no unit.
                 objective = float(np.mean(trial.observations(study.objective.metric)))
-            found.append(
+            candidates.append(
                 Candidate(
                     trial=trial,
                     objective=objective,
@@ -317,11 +317,11 @@ class _Estimates:
                     estimates=estimates[k],
                 )
             )
-        return found
+        return candidates
 
     def _of_each(self, x: Array) -> list[dict[str, Estimate]]:
         """Return the estimates of several objectives at x (m, d), as far as they are modelled."""
-        found: list[dict[str, Estimate]] = [{} for _ in x]
+        by_point: list[dict[str, Estimate]] = [{} for _ in x]
         for objective in self._study.objectives if self._several else ():
             model = self._models.costs.get(objective.metric)
             if model is None:
@@ -329,9 +329,9 @@ class _Estimates:
             cost, variance = model.predict(x)
             value, deviation = objective.from_cost(cost), np.sqrt(variance)
             error = deviation * np.abs(value) if objective.scale == LOG else deviation
-            for estimates, *of_point in zip(found, value.tolist(), error.tolist(), strict=True):
+            for estimates, *of_point in zip(by_point, value.tolist(), error.tolist(), strict=True):
                 estimates[objective.metric] = Estimate(*of_point)
-        return found
+        return by_point
 
     def _penalties(self, trials: Sequence[Trial], cost: Array) -> Array:
         """Return the penalties (n,) of trials with a `cost` (n,)."""

@@ -154,14 +154,14 @@ class Analysis:
     @property
     def certificate(self) -> Certificate | None:
         """The certificate, if `validate` has written one and it can be read."""
-        found, _ = self._certificate
-        return None if found is None else found[0]
+        with_section, _ = self._certificate
+        return None if with_section is None else with_section[0]
 
     @property
     def certificate_section(self) -> Section | None:
         """The section on the certificate, if there is one and it can be read."""
-        found, _ = self._certificate
-        return None if found is None else found[1]
+        with_section, _ = self._certificate
+        return None if with_section is None else with_section[1]
 
     @property
     def certificate_problem(self) -> str:
@@ -220,8 +220,8 @@ class Analysis:
         trials farther away.
         """
         good = np.sum([c.log_complement(points) for c in self.models.classifiers], axis=0)
-        found: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
-        return found
+        is_blind: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
+        return is_blind
 
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""

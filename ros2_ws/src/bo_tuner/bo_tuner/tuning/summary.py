@@ -210,8 +210,8 @@ def summarize(
     if len(study.objectives) > 1:
         content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
     # As it will be read from the file.
-    found: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
-    return found
+    as_read: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
+    return as_read
 
 
 def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
@@ -311,9 +311,9 @@ def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
         (tuned, record.trials[number].parameters),
     )
     return all(
-        parameter_set(found.parameters) == parameter_set(parameters)
-        and found.constraints.keys() == record.study.constraints.keys()
-        for found, parameters in sides
+        parameter_set(validation.parameters) == parameter_set(parameters)
+        and validation.constraints.keys() == record.study.constraints.keys()
+        for validation, parameters in sides
     )
 
 

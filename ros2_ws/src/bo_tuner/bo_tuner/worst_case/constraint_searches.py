@@ -36,8 +36,8 @@ class ConstraintSearch:
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all evaluations so far, in the metric's unit."""
-        sign, found = self.constraint.sign, self.search.worst_case(rng)
-        return replace(found, value=sign * found.value, observed=sign * found.observed)
+        sign, worst = self.constraint.sign, self.search.worst_case(rng)
+        return replace(worst, value=sign * worst.value, observed=sign * worst.observed)
 
 
 class WorstCaseSearches:

@@ -156,7 +156,7 @@ class RiskAverse:
         )
         dimension = self._space.dimension
         bounds = torch.stack([torch.zeros(dimension), torch.ones(dimension)]).double()
-        found, _ = optimize_acqf(
+        candidates, _ = optimize_acqf(
             acquisition,
             bounds,
             q=1,
@@ -164,7 +164,7 @@ class RiskAverse:
             raw_samples=RAW_SAMPLES,
             options=OPTIONS,
         )
-        return found
+        return candidates
 
     def _means(self, model: ModelListGP, X: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior means (n,) of expected cost and of the excess at risk, at points (n, d)."""

@@ -72,10 +72,10 @@ def worst_case_constraint(study: Study) -> Constraint:
     ValueError
         If the study has none, or more than one.
     """
-    found = study.worst_case_constraints
-    if len(found) != 1:
-        raise ValueError(f"expected one worst_case constraint, found {len(found)}")
-    return found[0]
+    constraints = study.worst_case_constraints
+    if len(constraints) != 1:
+        raise ValueError(f"expected one worst_case constraint, found {len(constraints)}")
+    return constraints[0]
 
 
 def result_of(study: Study, evaluation: Evaluation) -> Result:

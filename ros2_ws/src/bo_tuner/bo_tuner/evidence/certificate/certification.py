@@ -96,8 +96,8 @@ def _most_places(study: Study, subject: Subject) -> int:
     constraints = len(study.worst_case_constraints)
     if not constraints or not study.contexts:
         return constraints
-    found = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
-    return len(subject.earlier.contexts) + constraints * found
+    per_constraint = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
+    return len(subject.earlier.contexts) + constraints * per_constraint
 
 
 class Certification:
@@ -144,13 +144,13 @@ class Certification:
         case = _Case(self._study, self._confidence, self._attempt, draws)
         drawing = DrawPlan(case, subjects)
         self._driver.complete(drawing)
-        found = [
+        searched = [
             self._look_closely(case, number, subject, drawing.evaluations[number])
             for number, subject in enumerate(subjects)
         ]
         return [
             self._draw_on(case, number, subject, evidence)
-            for number, (subject, evidence) in enumerate(zip(subjects, found, strict=True))
+            for number, (subject, evidence) in enumerate(zip(subjects, searched, strict=True))
         ]
 
     def _look_closely(
@@ -201,7 +201,7 @@ class _Case:
 
     def open_limits(self, evidence: Evidence, place: int) -> list[str] | None:
         """Return the worst-case constraints that are open in a context; None if one is broken."""
-        found = []
+        undecided = []
         for constraint in self.study.worst_case_constraints:
             holds = decide_context(
                 self.study, constraint, evidence, place, self.most, self.confidence
@@ -209,8 +209,8 @@ class _Case:
             if holds is False:
                 return None
             if holds is None:
-                found.append(constraint.name)
-        return found
+                undecided.append(constraint.name)
+        return undecided
 
     def draw(self) -> list[Context]:
         """Return the contexts of all draws."""
@@ -439,7 +439,7 @@ class WorstCasePlan(Plan[Run]):
             return {}
         known = [*self.evidence.search, *self.evidence.drawn]
         complete = [evaluation for evaluation in known if evaluation.outcome.complete]
-        found = {}
+        rankings = {}
         for constraint in study.worst_case_constraints:
             metric, sign = constraint.metric, constraint.sign
             clear, behind = rank(
@@ -449,11 +449,11 @@ class WorstCasePlan(Plan[Run]):
                 sign * constraint.limit,
                 rng,
             )
-            found[constraint.name] = Ranking(
+            rankings[constraint.name] = Ranking(
                 tuple(context for context in clear if context not in failed_before),
                 tuple(context for context in behind if context not in failed_before),
             )
-        return found
+        return rankings
 
     def _find(
         self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator

@@ -66,8 +66,8 @@ def evaluations_csv(
     rows: list[list[object]] = [
         ["parameter_set", "stage", "index", "seed", "state", *columns, "reason"]
     ]
-    for name, found in evidence.items():
-        for evaluation in found.evaluations:
+    for name, side in evidence.items():
+        for evaluation in side.evaluations:
             outcome = evaluation.outcome
             rows.append(
                 [

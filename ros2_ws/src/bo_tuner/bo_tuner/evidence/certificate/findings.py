@@ -71,10 +71,10 @@ class Earlier:
     @cached_property
     def contexts(self) -> list[Context]:
         """The contexts in which it failed, each once."""
-        found: list[Context] = []
+        contexts: list[Context] = []
         for refutation in self.refutations:
-            found += [context for context in refutation.contexts if context not in found]
-        return found
+            contexts += [context for context in refutation.contexts if context not in contexts]
+        return contexts
 
     @cached_property
     def drawn(self) -> tuple[Evaluation, ...]:
@@ -84,11 +84,11 @@ class Earlier:
     @cached_property
     def extremes(self) -> Mapping[str, tuple[float, float]]:
         """The smallest and the largest value of each metric in all runs."""
-        found: dict[str, list[float]] = {}
+        by_metric: dict[str, list[float]] = {}
         for evaluation in self.evaluations:
             for name, value in evaluation.outcome.metrics.items():
-                found.setdefault(name, []).append(value)
-        return {name: (min(values), max(values)) for name, values in found.items()}
+                by_metric.setdefault(name, []).append(value)
+        return {name: (min(values), max(values)) for name, values in by_metric.items()}
 
     def at(self, context: Context) -> list[Evaluation]:
         """Return the runs in exactly this context."""
@@ -101,10 +101,10 @@ class Earlier:
 
     @cached_property
     def _by_context(self) -> Mapping[frozenset[tuple[str, Value]], list[Evaluation]]:
-        found: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
+        by_context: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
         for evaluation in self.evaluations:
-            found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
-        return found
+            by_context.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
+        return by_context
 
 
 @dataclass(frozen=True)

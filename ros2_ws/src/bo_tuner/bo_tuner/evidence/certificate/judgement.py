@@ -360,18 +360,18 @@ def _in_every_context(
         _worst_context(study, place, constraint, evidence, confidence)
         for place in range(len(evidence.repeated))
     ]
-    found = [context for context, by_model in everywhere if not by_model]
+    by_runs = [context for context, by_model in everywhere if not by_model]
     modelled = tuple(context for context, by_model in everywhere if by_model)
     # A context without a complete evaluation has no mean, and counts as the worst.
     sign = constraint.sign
-    worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+    worst = tuple(sorted(by_runs, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
     refuting = [
         context
         for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
         if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
     ]
-    told = refuting or _failed(evidence.evaluations)
-    if constraint.name in evidence.unseen and not told:
+    decided = refuting or _failed(evidence.evaluations)
+    if constraint.name in evidence.unseen and not decided:
         # Those that were run are the worst ones of other limits.
         worst = ()
     passed, reason = _worst_case(
@@ -450,11 +450,11 @@ def _worst_context(
 def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
     rule = constraint.rule
-    found = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
+    mean = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
     if not isinstance(rule, OnMean) or len(runs.values) < 2:
-        return found
+        return mean
     bound = rule.bound(runs, confidence)
-    return replace(found, upper=bound) if constraint.sign > 0.0 else replace(found, lower=bound)
+    return replace(mean, upper=bound) if constraint.sign > 0.0 else replace(mean, lower=bound)
 
 
 def _said_of_ranking(

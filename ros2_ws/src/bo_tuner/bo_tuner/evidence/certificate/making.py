@@ -159,8 +159,8 @@ def _busy(study: Study, findings: Findings, backend: str) -> Iterator[str]:
 def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:
     """Yield what a device holds in fewer digits than it was told, which is what was measured."""
     for name, value in held.items():
-        told = findings.parameters[name]
-        yield f"{name}: the device holds {value}, in 32 bits, of the {told} that it is told"
+        wanted = findings.parameters[name]
+        yield f"{name}: the device holds {value}, in 32 bits, of the {wanted} that it is told"
 
 
 def _widths(study: Study, evidence: Evidence) -> tuple[SearchWidth, ...]:
@@ -179,8 +179,8 @@ def _held(study: Study, evidence: Evidence) -> dict[str, float]:
     for name, item in study.parameters.items():
         if text := details.get(f"{HOLDS}{item.node}.{item.array or item.parameter}", ""):
             # Of an array the items stand in brackets, as in JSON.
-            found = json.loads(text)
-            held[name] = found[item.item] if item.array else found
+            reported = json.loads(text)
+            held[name] = reported[item.item] if item.array else reported
     return {
         name: value
         for name, value in held.items()

@@ -97,9 +97,9 @@ def widths_in_words(widths: Iterable[SearchWidth]) -> str:
     ]
     if not said:
         return ""
-    (width, found), *others = said
+    (width, probability), *others = said
     rest = "".join(f", one of {other:.2g} {probably}" for other, probably in others)
     return (
         f"a violation of at least {width:.2g} of the box's edges in width would have been found "
-        f"{found}{rest}"
+        f"{probability}{rest}"
     )

@@ -44,8 +44,8 @@ def certificate_paths(folder: Path) -> list[Path]:
     directory = folder / CERTIFICATES
     if not directory.is_dir():
         return []
-    found = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
-    return sorted(found, key=_number, reverse=True)
+    paths = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
+    return sorted(paths, key=_number, reverse=True)
 
 
 def evaluations_path(certificate: Path) -> Path:
@@ -117,10 +117,10 @@ def read_certificate(path: Path, study: Study) -> Certificate:
     if certificate.parameters_sha256 != parameters_sha256(certificate.parameters):
         raise RunRecordError(f"{path}: its parameters do not match its digest; run validate")
     if content.get("verdict") != certificate.verdict:
-        found = checks.show(content.get("verdict"))
+        recorded = checks.show(content.get("verdict"))
         raise RunRecordError(
-            f"{path}: verdict: expected {certificate.verdict} by its findings, found {found}; run "
-            "validate"
+            f"{path}: verdict: expected {certificate.verdict} by its findings, found {recorded}; "
+            "run validate"
         )
     return certificate
 

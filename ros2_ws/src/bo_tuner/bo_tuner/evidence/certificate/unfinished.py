@@ -83,8 +83,8 @@ class _Begun:
 def _begun(folder: Path) -> _Begun | None:
     try:
         head, *lines = (folder / CERTIFICATES / UNFINISHED).read_text("utf-8").splitlines()
-        told = json.loads(head)
-        return _Begun(head, str(told["backend"]), int(told["attempt"]), len(lines))
+        header = json.loads(head)
+        return _Begun(head, str(header["backend"]), int(header["attempt"]), len(lines))
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
 
@@ -162,15 +162,15 @@ class Unfinished(RunObserver):
             first, *lines = self._path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError):
             return []
-        found: list[tuple[Evaluation, str]] = []
+        kept: list[tuple[Evaluation, str]] = []
         if first != head:
-            return found
+            return kept
         for line in lines:
             try:
-                found.append((evaluation_of(json.loads(line)), line))
+                kept.append((evaluation_of(json.loads(line)), line))
             except (ValueError, KeyError, TypeError, RecursionError):
                 break
-        return found
+        return kept
 
 
 def _head(study: Study, parameters: Mapping[str, Value], backend: str, attempt: int) -> str:

@@ -27,7 +27,7 @@ class PooledRanking(Ranking[PooledSurrogates]):
         return latest_hyperparameters(trials)
 
 
-def looks(trial: Trial) -> int:
+def judgements(trial: Trial) -> int:
     """Return how often a parameter set was judged anew after it had been run again.
 
     It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: whoever
@@ -37,7 +37,7 @@ def looks(trial: Trial) -> int:
 
 
 def runs_until(trial: Trial, judged: int) -> int:
-    """Return after how many further runs a trial has been judged so often, see `looks`."""
+    """Return after how many further runs a trial has been judged so often, see `judgements`."""
     return int(2**judged) - _repetitions(trial)
 
 
@@ -51,7 +51,7 @@ def required_of(trial: Trial) -> float:
     What is lacking to 1 is divided by the number of judgements, each as if it were the last: with
     1, 2, 3 of them the shares are 1, 1/2, 1/3, whose sum is not bounded.
     """
-    return required_after(looks(trial))
+    return required_after(judgements(trial))
 
 
 def required_after(judged: int) -> float:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.methods.boundary.judging import looks, required_after, runs_until
+from bo_tuner.methods.boundary.judging import judgements, required_after, runs_until
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.models.pooled_responses import PooledResponse, bound_after
 from bo_tuner.numerics.arrays import Array
@@ -107,7 +107,7 @@ def next_repetition(
     challenger = _challenger(study, surrogates, candidates, best, left - len(own))
     if challenger is not None:
         doubtful = _doubtful(study, surrogates, challenger.trial)[0]
-        runs = runs_until(challenger.trial, looks(challenger.trial) + 1)
+        runs = runs_until(challenger.trial, judgements(challenger.trial) + 1)
         # These runs are some of its own.
         its_own = len(lacking(study, surrogates, challenger.trial, required))
         if best is None or max(runs + len(own), its_own) <= left:
@@ -181,12 +181,12 @@ def _plan(
     Returns
     -------
     int
-        Number of runs until one of the next times that it is judged, see `looks`.
+        Number of runs until one of the next times that it is judged, see `judgements`.
     float
         Log probability that it is shown to be feasible then.
     """
     plans: list[tuple[int, float]] = []
-    judged = looks(candidate.trial) + 1
+    judged = judgements(candidate.trial) + 1
     while not plans or runs_until(candidate.trial, judged) <= left:
         runs, required = runs_until(candidate.trial, judged), required_after(judged)
         shown = [
@@ -205,14 +205,14 @@ def _doubtful(study: Study, surrogates: PooledSurrogates, trial: Trial) -> list[
     """
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
-    found: list[tuple[float, Context | None]] = []
+    doubtful: list[tuple[float, Context | None]] = []
     for limit in surrogates.limits:
         point, log_probability = limit.doubtful_context(x)
         context = None
         if point is not None:
             context = contexts.to_dict(contexts.to_contexts(point[None])[0])
-        found.append((log_probability, context))
-    return [context for _, context in sorted(found, key=lambda pair: pair[0])]
+        doubtful.append((log_probability, context))
+    return [context for _, context in sorted(doubtful, key=lambda pair: pair[0])]
 
 
 class _Corners:
@@ -233,8 +233,10 @@ class _Corners:
         """
         if self.seen.all() or len(self.seen) > most:
             return []
-        found = [limit.log_kept_in(self._point[None], self._cube) for limit in surrogates.limits]
-        kept = [log_kept for log_kept in found if log_kept is not None]
+        log_probabilities = [
+            limit.log_kept_in(self._point[None], self._cube) for limit in surrogates.limits
+        ]
+        kept = [log_kept for log_kept in log_probabilities if log_kept is not None]
         if not kept:
             return []
         order = np.argsort(np.sum(kept, axis=0), kind="stable")

@@ -233,19 +233,19 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
     )
     samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
     repeated = [e for e in check if e.stage is Stage.CHECK_WORST]
-    found: dict[str, WorstCase] = {}
+    worst_cases: dict[str, WorstCase] = {}
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases.get(constraint.name)
         if worst is None:
             continue
         there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
         holds = holds and not refuted(constraint, there) and samples[constraint.name].agrees
-        found[constraint.name] = replace(
+        worst_cases[constraint.name] = replace(
             worst,
             value=float(np.mean(there)),
             observed=constraint.farthest([worst.observed, *there]),
         )
-    return replace(extended, worst_cases=found), holds
+    return replace(extended, worst_cases=worst_cases), holds
 
 
 def _size(trial: Trial) -> int:
@@ -255,11 +255,11 @@ def _size(trial: Trial) -> int:
 
 def _worst_contexts(trial: Trial) -> list[Context]:
     """Return the different worst contexts of a trial, in the order of the constraints."""
-    found: list[Context] = []
+    contexts: list[Context] = []
     for worst in trial.worst_cases.values():
-        if dict(worst.context) not in found:
-            found.append(dict(worst.context))
-    return found
+        if dict(worst.context) not in contexts:
+            contexts.append(dict(worst.context))
+    return contexts
 
 
 def _values(evaluations: Sequence[Evaluation], metric: str) -> list[float]:
