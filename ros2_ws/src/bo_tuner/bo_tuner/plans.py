@@ -1,4 +1,4 @@
-"""What a phase of a run is: a plan, which hands out tasks and is told their results.
+"""What a phase of a run is: a plan, which hands out tasks and takes their results.
 
 The trials, the search for the answer, the validation, the parts of a certificate and the runs of
 the command ``check`` are plans. One driver carries all of them out (`bo_tuner.tuning.driver`).
@@ -90,7 +90,7 @@ TaskT = TypeVar("TaskT", bound=Task)
 
 
 class Plan(ABC, Generic[TaskT]):
-    """A phase. Its state follows from what it was made with and from what it was told.
+    """A phase. Its state follows from what it was made with and from the results that it was told.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Plan(ABC, Generic[TaskT]):
         Parameters
         ----------
         pending
-            Tasks that were planned, and whose results are not told yet, in their order.
+            Tasks that were planned and have no results yet, in their order.
 
         Returns
         -------
@@ -166,7 +166,7 @@ class Runs(Plan[Run]):
     Parameters
     ----------
     planned
-        Them, in their order.
+        The evaluations, in their order.
     what
         What they are, in the plural, for messages.
 
@@ -203,12 +203,12 @@ Batches = Generator[Sequence[Evaluation], Sequence[Evaluation], R]
 
 
 class BatchPlan(Plan[Run], Generic[R]):
-    """A plan whose evaluations depend on each other from one batch to the next only.
+    """A plan in batches, each chosen by the results of the one before.
 
     Parameters
     ----------
     batches
-        Yields them.
+        Yields the batches.
     ends
         Returns whether nothing more of a batch is planned after an evaluation.
 

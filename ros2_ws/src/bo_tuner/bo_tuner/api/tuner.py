@@ -175,7 +175,7 @@ class Tuner:
         self.tell_outcome(run, failed(str(reason)))
 
     def lose(self, run: Run, reason: str = "") -> None:
-        """Take that a run came to nothing for reasons that tell nothing of its parameters.
+        """Take that a run came to nothing for reasons that say nothing about its parameters.
 
         It is asked for again, once in a trial. Three trials in a row without a result end the run,
         until it is continued.
@@ -280,14 +280,14 @@ class Tuner:
             self._next_phase()
 
     def _note(self, tasks: Iterator[Any]) -> None:
-        """Tell observers of the trials among the tasks that a plan was told of."""
+        """Note the trials among the tasks that a plan has the results of."""
         for task in tasks:
             if isinstance(self._plan, TrialPlan):
                 self._run.note_trial(self._plan.trials, recorded=task.recorded)
 
 
 def _key(evaluation: Evaluation) -> tuple[object, ...]:
-    """Return what tells a run from the others that are waited for."""
+    """Return the key of a run among those that are waited for."""
     place = (Stage(evaluation.stage), evaluation.trial, evaluation.index, evaluation.seed)
     return (*place, parameter_set(evaluation.parameters))
 

@@ -93,5 +93,5 @@ def _is_set_at_start(study: Study, name: str) -> bool:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as in ``a, b and c``."""
+    """Return names in a list such as ``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

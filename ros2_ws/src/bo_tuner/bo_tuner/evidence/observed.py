@@ -42,7 +42,7 @@ class Observed:
     worst
         By the name of a worst-case constraint, the mean in the worst context, if it was searched.
     paired
-        Metrics in the draws that the other parameter set has, too, if these are not `drawn`.
+        Metrics in the draws that both parameter sets have, if these are not `drawn`.
     """
 
     drawn: Mapping[int, Metrics]

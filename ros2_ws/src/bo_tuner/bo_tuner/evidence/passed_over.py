@@ -18,7 +18,7 @@ def passed_over_in_words(study: Study, passed_over: Sequence[Mapping[str, Any]])
     study
         The study.
     passed_over
-        As in ``summary.json``: each a `bo_tuner.methods.recommendation.PassedOver` as a mapping.
+        From ``summary.json``: each a `bo_tuner.methods.recommendation.PassedOver` as a mapping.
     """
     if not passed_over:
         return ()

@@ -61,7 +61,7 @@ def quantities(
                 sign = objective.sign
         pairs = _pairs(default, tuned, name)
         difference = paired([pair[0] for pair in pairs], [pair[1] for pair in pairs])
-        # Of the same draws, so that they subtract to the difference.
+        # Means over the same draws, so that they subtract to the difference.
         means = [sum(side) / len(pairs) for side in zip(*pairs, strict=True)] or [
             side.mean(name) for side in (default, tuned)
         ]

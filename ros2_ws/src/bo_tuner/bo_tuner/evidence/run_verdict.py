@@ -110,8 +110,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
 def _outliers(record: RunRecord, ranked: object) -> list[int]:
     """Return the trials that broke no limit, but were not ranked as they are outliers.
 
-    Not ranked are also those that repeat a parameter set, whose evaluations count as one trial, and
-    those that failed when they were run again.
+    Not ranked are also those that repeat a parameter set, since its evaluations count as one trial,
+    and those that failed when they were run again.
     """
     if not isinstance(ranked, list):
         return []

@@ -75,7 +75,7 @@ def validated(
     measured
         Whether metrics of time are measured, on nodes, and not modelled.
     outliers
-        As in `Verdict`.
+        Numbers of the trials that are outliers of the objective, and so were no candidates.
     """
     limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
     reasons = (*([doubt] if doubt else []), *_problems(study, tuned, limits).values())
@@ -171,8 +171,8 @@ def limits_in(
     validation
         The validation.
     evaluations
-        All that are on record: they tell whether its worst context was searched, which there is
-        none of without contexts.
+        All that are on record: they show whether its worst context was searched. Without contexts
+        there is none.
     """
     unsearched = bool(study.contexts) and not _searched(evaluations, validation.parameters)
     return {
@@ -188,7 +188,7 @@ def _problems(
     problems = {
         name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
         for name, limit in limits.items()
-        # All of the test runs may have been lost, which tells nothing.
+        # All of the test runs may have been lost, which shows nothing.
         if limit.standing is Standing.VIOLATED and (limit.runs or not validation.lost)
     }
     if validation.failures:
@@ -240,7 +240,7 @@ def _choice(study: Study) -> str:
 
 
 def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
-    """Return that test runs of the tuned parameter set tell nothing of it; empty if all do."""
+    """Return that test runs of the tuned parameter set are unusable; empty if none is."""
     if not tuned.lost:
         return ""
     why = {

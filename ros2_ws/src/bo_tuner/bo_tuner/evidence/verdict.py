@@ -163,7 +163,7 @@ class Verdict:
     observed
         What was observed of the default and of the tuned parameter set; None without a result.
     default_certified
-        Whether a certificate covers the default, too; else its validation tells.
+        Whether a certificate covers the default, too; else its validation counts.
     apply_refuses
         Whether `apply` refuses a result that passed, such as for code that has changed since.
     is_default
@@ -178,9 +178,9 @@ class Verdict:
     at_bounds
         The tuned parameters of the result that are at a bound of the search.
     default_lost
-        Number of test runs of the default that tell nothing of it.
+        Number of test runs of the default that are unusable.
     effects
-        What the trials tell of each tuned parameter.
+        Effects of each tuned parameter that the trials show.
     of_parameters
         What is to know of those that were not seen to move any metric, in sentences.
     advice

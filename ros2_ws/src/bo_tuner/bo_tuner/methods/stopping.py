@@ -11,10 +11,10 @@ to stop is given if
 
 holds twice in a row; it is computed after every fifth trial. Makarova et al. (2022) also compare
 the remaining gain with the statistical error of the incumbent. They bound the gain by confidence
-bounds; here it is the one that the acquisition function expects, as in Jones et al. (1998), who
-stop once the largest expected improvement is small. It is no bound: trials chosen one after the
-other learn from each other, and the models can be wrong. docs/live.md says what
-trials gained that the advice would have spared.
+bounds; here it is the one that the acquisition function expects (Jones et al. 1998), who stop once
+the largest expected improvement is small. It is no bound: trials chosen one after the other learn
+from each other, and the models can be wrong. docs/live.md says what trials gained that the advice
+would have spared.
 
 With pooled evaluations (algorithm `boundary`) the incumbent is the parameter set that is shown to
 keep its limits, and what counts of a new one is the probability that it will be shown, too. The

@@ -1,11 +1,11 @@
 """The scale of a limited metric: as it is up to some distance beyond its limit, then logarithmic.
 
 Where a loop is close to instability, a metric can be a hundred times its limit. A process that has
-to explain such values, too, is too coarse to tell which side of the limit the others are on, and
-all that matters of them is that they are far beyond it. So only a distance d > W beyond the limit
-is changed, to W (1 + log(d / W)), where the width W is the largest distance of a value within the
+to explain such values, too, is too coarse to say which side of the limit the others are on, and all
+that matters of them is that they are far beyond it. So only a distance d > W beyond the limit is
+changed, to W (1 + log(d / W)), where the width W is the largest distance of a value within the
 limit, or the median distance of all values if that is larger. (Eriksson and Poloczek, 2021, take
-the logarithm on both sides of the limit, which would change what runs near it tell.)
+the logarithm on both sides of the limit, which would change what runs near it show.)
 
 The map is increasing, so it maps quantiles to quantiles. It does not map means to means: a mean is
 larger than what the mean on this scale stands for, which matters where most runs are within the
@@ -43,7 +43,7 @@ class Compression:
     width
         W in the metric's unit; infinite if nothing is changed.
     largest
-        Largest distance beyond the limit of a known value. No restored one is farther, as a small
+        Largest distance beyond the limit of a known value. No restored one is farther: a small
         error of a logarithm would be a large one of the metric.
     """
 

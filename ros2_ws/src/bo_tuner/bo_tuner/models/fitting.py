@@ -36,7 +36,7 @@ number of fits grows with the logarithm of the trials.
 
 
 def fitted_after(trials: int) -> bool:
-    """Return whether hyperparameters are fitted after so many trials, or those before are kept."""
+    """Return whether hyperparameters are fitted anew after a number of trials, or kept."""
     if trials <= FITTED_EACH:
         return True
     now, before = (np.log(n / FITTED_EACH) // np.log1p(GROWTH) for n in (trials, trials - 1))
@@ -60,7 +60,7 @@ class Fitting:
     Attributes
     ----------
     study, rng
-        As in the parameters.
+        The study, and the generator of the starting points.
     coding
         Of the parameters' columns.
     minimum : ndarray, shape (d,)

@@ -25,7 +25,7 @@ class Logarithm:
     limit
         L, in the metric's unit; not 0.
     most
-        Largest known ratio y / L. No restored value is beyond it, as a small error of a logarithm
+        Largest known ratio y / L. No restored value is beyond it: a small error of a logarithm
         would be a large one of the metric.
     """
 

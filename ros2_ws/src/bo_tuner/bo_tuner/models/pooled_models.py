@@ -130,7 +130,7 @@ class PooledModels:
         costs: dict[str, ExpectedObjective] = {}
         constraints: dict[str, PooledResponse] = {}
         if complete:
-            # A failed trial's complete evaluations tell of the contexts that they were in.
+            # The complete evaluations of a failed trial are data for their contexts.
             kept = [t for t in trials if t.number not in outliers]
             costs = self._costs(fitting, kept, covariates, several=weights is not None)
             constraints = self._constraints(fitting, kept, covariates)

@@ -139,10 +139,10 @@ class PooledResponse(LimitedResponse):
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return mean and variance (m,) of the limited quantile at x (m, d), and that of a run.
 
-        The last is the variance (m,) with which one further run tells the quantile.
+        The last is the variance (m,) of the quantile estimated from one further run.
 
-        Runs tell a quantile by their mean plus z times their standard deviation. From n runs whose
-        variance is σ², that has about the variance σ² (1 + z² / 2) / n.
+        A quantile is estimated by the mean of runs plus z times their standard deviation. From n
+        runs with the variance σ², that has about the variance σ² (1 + z² / 2) / n.
         """
 
     def predict(self, x: Array) -> tuple[Array, Array]:
@@ -160,7 +160,7 @@ class PooledResponse(LimitedResponse):
         return mean, low, high
 
     def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
-        """Return where runs of x (1, d) tell most of whether the limit is kept.
+        """Return where runs of x (1, d) show most clearly whether the limit is kept.
 
         Returns
         -------
@@ -403,10 +403,10 @@ class OverContexts(PooledResponse):
 class FutureBound(LimitedResponse):
     """Limit on the confidence bound of a response after further runs of the same parameter set.
 
-    With s² the variance of the response today and t² that of what a run tells of it, n runs leave
+    With s² the variance of the response today and t² that of its estimate from a run, n runs leave
     the variance s_n² = s² t² / (t² + n s²). The bound is then the mean plus z s_n, or minus for a
-    lower limit, and seen from today its mean has the variance s² - s_n². So the probability that
-    it keeps the limit is that with which the response is *shown* to keep it after n runs.
+    lower limit, and seen from today its mean has the variance s² - s_n². So the probability that it
+    keeps the limit is that with which the response is *shown* to keep it after n runs.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Models of trials: each is one point, by its mean and its estimated worst case (paper, Sec. 4.1).
 
-One process for the objective, one for each constrained response, and classifiers of failures and
-of outliers. A failed trial tells of failures only.
+One process for the objective, one for each constrained response, and classifiers of failures and of
+outliers. A failed trial is data for failures only.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

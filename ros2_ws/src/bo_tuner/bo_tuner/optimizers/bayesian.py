@@ -130,9 +130,10 @@ class AcquisitionSearch:
 
         Parameters
         ----------
-        avoid, reinterpolate
-            As in `constrained_improvement`.
-
+        avoid
+            Largest probability of a failure.
+        reinterpolate
+            Whether the improvement is under the reinterpolation model.
         """
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
@@ -180,7 +181,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         return self.initial() or self.propose(self._most_promising)
 
     def propose(self, points: PointRule[S], protocol: tuple[int, int] | None = None) -> Proposal:
-        """Propose the first of `points` that was not tried before; `protocol` as in `Proposal`.
+        """Propose the first of `points` that was not tried before, evaluated by `protocol`.
 
         The proposal is a point far from all tried ones (origin ``space-filling``) if there is none,
         or if the computation fails numerically; a failure is also reported in the warnings.

@@ -149,7 +149,7 @@ class Ranking(Generic[S_co]):
         trials
             All trials so far.
         start
-            Hyperparameters for many trials that have recorded none, as in random search; by default
+            Hyperparameters for many trials that have recorded none (random search); by default
             those of a fit to `FITTED_EACH` trials, evenly chosen.
         """
         rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
@@ -187,7 +187,7 @@ class Ranking(Generic[S_co]):
     def ranked_by(
         self, models: Surrogates, study: Study, trials: Sequence[Trial]
     ) -> list[Candidate]:
-        """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
+        """Rank trials, see `rank`, by surrogates that were fitted to them."""
         estimates = _Estimates(models, study, self.required)
         complete = self.comparable(models, trials)
         blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
@@ -348,7 +348,7 @@ class _Estimates:
         return np.bincount(owner, lost, minlength=len(trials)) / np.maximum(count, 1)
 
     def _penalized(self, cost: Array, penalties: Array) -> Array:
-        """Return the cost (n,) that loses as much as the `penalties` (n,) say."""
+        """Return the cost (n,) worsened by the `penalties` (n,)."""
         if self._several:
             penalized: Array = cost + self._objective.scale * penalties
             return penalized

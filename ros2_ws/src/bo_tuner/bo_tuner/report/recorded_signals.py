@@ -54,7 +54,7 @@ def worst_recorded(
     Raises
     ------
     RunRecordError
-        As in `recorded`.
+        If its bag cannot be read.
     """
     badness = partial(evaluation_badness, analysis.study)
     for evaluation in sorted(analysis.evaluations_of(parameters), key=badness, reverse=True):

@@ -34,7 +34,7 @@ class Responses:
     columns
         Number of panels in a row.
     lead
-        Of which runs they are, or why there are none.
+        Which runs are shown, or why none is.
     caption
         How to read them.
     """
@@ -66,7 +66,7 @@ class Bound:
 
 
 def is_zero_of(name: str) -> str:
-    """Return the metric that is 0 at a traced signal, by its name; empty if it is none of these."""
+    """Return the metric that is 0 at a traced signal, by its name; empty if there is none."""
     last = name.rpartition("/")[2]
     return last.removesuffix(ZERO) if last.endswith(ZERO) else ""
 

@@ -1,9 +1,9 @@
 """Which tuned parameters were seen to move a metric, by the trials of a run.
 
-A node may accept a parameter, read it back, and never use it. No single run tells. The test of each
-parameter on each metric is that of `models.dependence`, over all evaluations of the trials; whether
-runs fail is one more response. All tests together take a parameter that does nothing for one that
-does with the probability `ERROR` at most (Bonferroni).
+A node may accept a parameter, read it back, and never use it. No single run shows that. The test of
+each parameter on each metric is that of `models.dependence`, over all evaluations of the trials;
+whether runs fail is one more response. All tests together take a parameter that does nothing for
+one that does with the probability `ERROR` at most (Bonferroni).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -59,7 +59,7 @@ class Effect:
 
     @classmethod
     def of(cls, study: Study, metric: str, test: LinearEffect, level: float) -> Self:
-        """Return the effect on a metric that a test of a level has found."""
+        """Return the effect on a metric by a test of a level."""
         unit = study.metrics[metric].unit if metric in study.metrics else ""
         return cls(metric, unit, test.p_value < level, test.change, test.visible)
 
@@ -123,7 +123,7 @@ def test_level(study: Study, responses: int) -> float:
 
 
 def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects, ...]:
-    """Return what the trials of a run tell of each tuned parameter."""
+    """Return the effects of each tuned parameter that the trials of a run show."""
     known = [
         evaluation
         for trial in trials

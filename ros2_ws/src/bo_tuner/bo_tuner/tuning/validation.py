@@ -27,8 +27,8 @@ class Validation:
     draws
         Number of evaluations.
     failures, lost
-        Number of those that failed for the parameters, and of those that tell nothing of them: lost
-        with their nodes, or disturbed by others.
+        Number of those that failed for the parameters, and of those that are unusable: lost with
+        their nodes, or disturbed by others.
     objective, deviation
         Mean and standard deviation of the objective's metric over the complete evaluations, in the
         metric's unit; NaN if there are too few.
@@ -51,7 +51,7 @@ class Validation:
         Raises
         ------
         KeyError, TypeError, ValueError, AttributeError
-            If it is none.
+            If it is something else.
         """
         if not isinstance(entry, Mapping):
             raise TypeError(f"expected an object, found {entry!r}")

@@ -97,7 +97,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Found:
-    """What the runs tell of a parameter.
+    """What the runs show of a parameter.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Found:
 
 @dataclass
 class VariedRuns:
-    """Runs that have ended, without those that tell nothing of their parameters.
+    """Runs that have ended, without unusable ones.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ def _single(space: SearchSpace, *, whole_range: bool) -> dict[str, tuple[Value, 
     values_of: dict[str, list[Value]] = {name: [] for name in space.names}
     for neighbour in space.neighbours(space.defaults):
         moved = [name for name in space.names if neighbour[name] != space.defaults[name]]
-        # Of two that are kept in order, one may move the other.
+        # One of two that are kept in order may move the other.
         if len(moved) == 1 and (whole_range or moved[0] in space.numbers):
             values_of[moved[0]].append(neighbour[moved[0]])
     if whole_range:
@@ -182,7 +182,7 @@ def _ends(space: SearchSpace, name: str) -> list[Value]:
             most = min(most, float(default[upper]))
     ends = [max(float(space.lower[column]), least), min(float(space.upper[column]), most)]
     (item,) = (item for item in space.parameters if item.name == name)
-    # Of a grid the last value may lie within the bound.
+    # The last value of a grid may lie within the bound.
     numbers = map(item.on_grid, ends)
     values: list[Value] = [round(n) if item.is_integer else n for n in numbers]
     return [value for value in dict.fromkeys(values) if value != default[name]]
@@ -233,7 +233,7 @@ def order_of_runs(study: Study, planned: Variations, default_runs: int) -> list[
 
 
 def judge(study: Study, planned: Variations, runs: VariedRuns) -> dict[str, Found]:
-    """Return what the runs tell of each parameter that was tried, by its name."""
+    """Return what the runs show of each parameter that was tried, by its name."""
     level = test_level(study, len(study.responses))
     at_once = [
         evaluation
@@ -316,7 +316,7 @@ def _tested(
 def _from_tests(
     study: Study, name: str, each: Mapping[str, tuple[LinearEffect, Value]], level: float
 ) -> Found:
-    """Return what tests of a parameter have found, by the response."""
+    """Return what a parameter does, by its tests on each response."""
     effects = {m: Effect.of(study, m, test, level) for m, (test, _) in each.items()}
     moves = tuple(
         Move(effects[m], value, test.noise) for m, (test, value) in each.items() if effects[m].seen

@@ -14,15 +14,15 @@ from bo_tuner.worst_case.protocol import WorstCaseSearch
 class ConstraintSearch:
     """A worst-case constraint and the search for its worst context.
 
-    The search maximizes. For a lower limit it is told the negative of the metric, and its limit is
-    the negative of the constraint's.
+    The search maximizes. For a lower limit it observes the negative metric, and its limit is the
+    negative of the constraint's.
 
     Attributes
     ----------
     constraint, search
         The two.
     measured
-        Metrics that are measured contexts, which it is told beside the context.
+        Metrics that are measured contexts, which are observed beside the context.
     """
 
     constraint: Constraint

@@ -57,7 +57,7 @@ def conduct(
     jobs
         Processes on this machine.
     cluster
-        Address of a Dask scheduler, whose workers run the tasks instead; empty for none.
+        Address of a Dask scheduler; its workers run the tasks instead. Empty for none.
     about
         Provenance that all records share.
     tell

@@ -133,7 +133,7 @@ def _colors(study: Study, name: str, known: Grid) -> ColorScale:
     finite = known[np.isfinite(known)]
     if name == study.objective.metric:
         scale = Scale.LOG if study.objective.scale == "log" else Scale.LINEAR
-        # Beyond, a value is only bad: the colours are for telling the good ones apart.
+        # Beyond, a value is only bad: the colours keep the good ones apart.
         low, high = float(finite.min()), float(np.quantile(finite, 0.6))
         unit = study.metrics[name].unit or ""
         return ColorScale(label=name, unit=unit, low=low, high=high, scale=scale)

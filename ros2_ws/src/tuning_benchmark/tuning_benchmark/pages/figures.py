@@ -27,7 +27,7 @@ from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
 from tuning_benchmark.pages.tables import costs
 
 COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION)
-"""Of the rows; more than these are not told apart in one panel."""
+"""Of the rows; more than these cannot be kept apart in one panel."""
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT, Dash.DASHED)
 
 STEPS = 120

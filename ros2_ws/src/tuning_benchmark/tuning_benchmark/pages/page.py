@@ -182,7 +182,7 @@ def _case(campaign: Campaign, case: Case, summaries: Sequence[RowSummary]) -> Se
     if case.remarks:
         text.append(case.remarks.strip())
     drawn: tuple[Figure, ...] = ()
-    # A single row is compared with nothing, and more than these are not told apart.
+    # A single row is compared with nothing, and more than these cannot be kept apart.
     if 1 < len(summaries) <= len(figures.COLORS):
         drawn = (
             figures.convergence(case, summaries, None if optimum is None else optimum.objective),

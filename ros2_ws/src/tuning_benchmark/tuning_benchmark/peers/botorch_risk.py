@@ -51,7 +51,7 @@ are contexts."""
 SAMPLES, RESTARTS, RAW_SAMPLES = 32, 4, 64
 REFIT = 5
 PENALTY = 5.0
-"""Cost of exceeding the limit by as much as its size, as in `confidence_bounds`."""
+"""Cost of exceeding the limit by as much as its size, the same as for `confidence_bounds`."""
 
 OPTIONS = {"maxiter": 50, "batch_limit": RESTARTS, "init_batch_limit": RAW_SAMPLES}
 

@@ -292,7 +292,7 @@ class FurtherDrawPlan(Plan[Run]):
     Attributes
     ----------
     evidence
-        With what was told.
+        With the runs that have ended.
     """
 
     phase = "more draws"
@@ -329,8 +329,7 @@ class FurtherDrawPlan(Plan[Run]):
 class _Suspects:
     """Contexts that may be the worst ones.
 
-    By constraint, which of them its search has found, and what a model over the contexts has of
-    them.
+    Each constraint has searched for some of them, and has ranked them by a model over the contexts.
     """
 
     contexts: Sequence[Context]
@@ -355,7 +354,7 @@ class WorstCasePlan(Plan[Run]):
     Attributes
     ----------
     evidence
-        With what was told.
+        With the runs that have ended.
     """
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
@@ -405,7 +404,7 @@ class WorstCasePlan(Plan[Run]):
         drawn = self.evidence.drawn
         key = Stream.CERTIFICATE_SEARCH, self._case.attempt, self._number
         rng = generator(study.seed, *key)
-        # They come first: where it failed before, a FAIL is soonest found.
+        # They come first: where it failed before, a FAIL is soonest reached.
         candidates: list[Context] = [*subject.earlier.contexts]
         failed_before = range(len(candidates))
         found_by: dict[str, list[int]] = {}

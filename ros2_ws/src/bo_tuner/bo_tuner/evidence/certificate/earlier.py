@@ -75,7 +75,7 @@ def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation])
     Parameters
     ----------
     told
-        As in `Refutation`.
+        Where, as a clause, such as ``certificate 0001 was a FAIL``.
     findings
         The findings of the certificate.
     evaluations
@@ -126,7 +126,7 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
 
 @dataclass(frozen=True)
 class _Certified:
-    """What a certificate failed on, if it did, its backend and runs, or why there are none."""
+    """What a certificate failed on, its backend and its runs, or why these are not read."""
 
     refutation: Refutation | None
     backend: str

@@ -72,7 +72,7 @@ def evaluations_csv(
             rows.append(
                 [
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
-                    # As JSON, a text is told from a number.
+                    # JSON keeps a text apart from a number.
                     *(json.dumps(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
                     outcome.reason,

@@ -37,7 +37,7 @@ class Refutation:
     reasons
         Why.
     contexts
-        The contexts in which it failed; empty if only the draws as a whole tell.
+        The contexts in which it failed; empty if only the draws as a whole show it.
     """
 
     told: str
@@ -114,7 +114,7 @@ class EarlierInBrief:
     Attributes
     ----------
     refutations
-        What the parameter set failed on, as in `Earlier`.
+        What the parameter set failed on.
     evaluations
         Number of all runs.
     unread
@@ -161,10 +161,10 @@ class Evidence:
     repeated
         For each context that the search found, evaluations there with fresh noise.
     unvisited
-        By the constraint whose search found them, numbers of more contexts in which nothing was
-        run, as another one had decided.
+        By constraint, how many contexts of its search were not run, because another context had
+        decided the verdict.
     unseen
-        Names of the constraints of whose own contexts none was run for that reason.
+        Names of the constraints that have no run in any context of their search for that reason.
     ranking
         By constraint, what a model over the contexts has of those in `repeated`; empty if each of
         them must show each limit by its own runs.
@@ -243,7 +243,7 @@ class ConstraintVerdict:
     Attributes
     ----------
     name, kind, metric, unit, limit
-        As in the study; the limit in `unit`.
+        Of the constraint in the study; the limit in `unit`.
     side
         Which limit it is: ``upper`` or ``lower``.
     allowed

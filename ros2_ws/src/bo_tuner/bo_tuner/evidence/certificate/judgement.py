@@ -145,7 +145,7 @@ def decide_draws(
     most
         Largest number of draws.
     confidence
-        As in `judge`.
+        Of all bounds, between 0 and 1.
     earlier
         What was known of the parameter set before.
     others
@@ -227,8 +227,10 @@ def decide_context(
         The evaluations so far, with one at least in the context.
     place
         Index of the context among those of ``evidence.repeated``.
-    most, confidence
-        As in `decide_draws`.
+    most
+        Largest number of draws.
+    confidence
+        Of all bounds, between 0 and 1.
 
     Returns
     -------

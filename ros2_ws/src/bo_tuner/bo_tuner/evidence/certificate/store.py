@@ -1,7 +1,7 @@
 """The certificates of a run, ``RUN/certificates/``: none is ever overwritten.
 
 Each is a pair of files, ``0001.json`` and ``0001_evaluations.csv``; the first has the digest of the
-second. The number tells the order.
+second. The numbers are in the order of making.
 """
 
 import hashlib
@@ -100,7 +100,7 @@ def read_certificate(path: Path, study: Study) -> Certificate:
     Raises
     ------
     RunRecordError
-        If it is none that `validate` has written for a study with these names. One line.
+        If it is not a certificate of `validate` for a study with these names. One line.
     """
     try:
         content = json.loads(read_text(path))

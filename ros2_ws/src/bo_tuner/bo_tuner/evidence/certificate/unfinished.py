@@ -54,8 +54,8 @@ def trial_begun(folder: Path, study: Study, trials: Iterable[Trial], backend: st
 def attempt_for(folder: Path, study: Study, parameters: Mapping[str, Value], backend: str) -> int:
     """Return the number of the attempt to certify a parameter set, from 1.
 
-    An unfinished one of the same goes on. One of anything else was given up, and counts if it has
-    an evaluation: whoever gives up what looks undecided, and tries another, would pass too often.
+    An unfinished one of the same parameter set goes on. One of another was given up, and counts if
+    it has an evaluation: giving up undecided attempts and trying others would pass too often.
     """
     begun, following = _begun(folder), next_attempt(folder)
     if begun is None:

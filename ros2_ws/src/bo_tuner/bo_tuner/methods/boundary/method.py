@@ -1,4 +1,4 @@
-"""The method `boundary`, whose parts are arguments."""
+"""The method `boundary`; its parts are arguments."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,7 +47,7 @@ from bo_tuner.trials import (
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 MOST_TO_SETTLE = 25
-"""It is settled what the answer is after so many repetitions, or when all are used up.
+"""Repetitions after which the answer is settled, if they are not used up before.
 
 How many it takes differs widely between runs, and hardly depends on how many are allowed.
 """
@@ -82,7 +82,7 @@ class Boundary(Method):
     repetitions
         How many there are.
     own_runs
-        Those that the answer must have.
+        Runs of its own that the answer must have.
     """
 
     title: str

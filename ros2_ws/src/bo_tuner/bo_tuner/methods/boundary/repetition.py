@@ -3,11 +3,11 @@
 A posterior that chooses among many parameter sets is too optimistic of the one that it chooses: the
 errors of the data and of the fit are part of the choice. So the answer must have runs of its own
 where its limits are most doubtful, made after it was chosen or while it was searched. Where the
-worst context is another one than of all parameter sets before, the posterior knows nothing of it:
-the answer must have been run in the corners of the contexts, too, if they are few. What is worth
-further runs is a parameter set that is better than the answer but not shown to be feasible: the one
-with the largest expected gain for each of the runs that are likely to show it. The gain alone would
-prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
+worst context differs from that of all earlier parameter sets, the posterior knows nothing of it:
+the answer must also have been run in the corners of the contexts, if they are few. Further runs go
+to a parameter set that is better than the answer but not shown to be feasible, the one with the
+largest expected gain for each of the runs that are likely to show it. The gain alone would prefer
+one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
 
 Challengers come before the own runs of the answer, which would be lost on one that is then
 replaced. As many runs as the answer lacks are kept in reserve, and no challenger is run that could
@@ -51,7 +51,7 @@ class OwnRuns:
     ----------
     doubtful
         Runs where each limit is most doubtful. Far from a limit that context moves with each run;
-        so many repetitions in such contexts are enough, too.
+        then as many repetitions in all such contexts together are enough.
     corners
         Largest number of corners of the contexts in all of which it must have been run. With more
         of them, the runs that they take are better spent where a limit is doubtful.
@@ -87,7 +87,7 @@ def next_repetition(
     left: int,
     required: OwnRuns,
 ) -> Repetition | None:
-    """Return the runs that tell most of what the answer is; None if that is settled.
+    """Return the runs that do most to settle the answer; None if it is settled.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def lacking(
     """Return the contexts of the runs of its own that a parameter set lacks to be the answer.
 
     They are made one at a time, since the first of them may show that another one is the answer,
-    and each may move the most doubtful context; so the number is an estimate. Arguments as in
-    `next_repetition`.
+    and each may move the most doubtful context; so the number is an estimate. `required` says how
+    many runs of its own the answer must have.
     """
     doubtful = _doubtful(study, surrogates, trial)
     contexts = [context for context in doubtful if context is not None]

@@ -1,4 +1,4 @@
-"""The stages of the paper, as a method whose parts are arguments."""
+"""The stages of the paper as a method; its parts are arguments."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

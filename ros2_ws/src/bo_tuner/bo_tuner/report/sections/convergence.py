@@ -43,7 +43,7 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.summary import continued
 
 MOST_INCUMBENTS = 40
-"""The incumbent of a run of up to `FITTED_EACH` trials is computed at about so many points."""
+"""Points at which the incumbent of a run of up to `FITTED_EACH` trials is computed, about."""
 GROWTH = 1.2
 """Ratio of the numbers of trials between two points of a longer run.
 
@@ -407,7 +407,7 @@ def _on_scale(values: Array, edge: float, sign: float) -> Array:
 def _off_scale(
     analysis: Analysis, places: Array, values: Array, edge: float, sign: float
 ) -> list[Element]:
-    """Return a mark at the edge for each trial whose value is beyond, named with the farthest."""
+    """Return a mark at the edge for each trial with a value beyond, named with the farthest."""
     far = np.flatnonzero(_beyond(values, edge, sign))
     if not len(far):
         return []

@@ -92,7 +92,7 @@ def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
     """Name the parameter that matters most for each response."""
     names, parameters = analysis.study.search_space().names, analysis.verdict.effects
     moved = {e.metric for item in parameters for e in item.effects if e.seen}
-    # Of a response that none was seen to move, the model has explained noise.
+    # Where no parameter was seen to move a response, the model has explained noise.
     still = {_mean(name) for name in analysis.study.metrics if parameters and name not in moved}
     return [
         f"{response}: no effect was seen."

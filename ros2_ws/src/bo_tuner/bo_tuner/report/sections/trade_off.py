@@ -189,8 +189,8 @@ def _moved_limits(
 ) -> dict[int, list[float]]:
     """Return the limits that lead to the same best trial, by its index; `NONE` if none keeps them.
 
-    A trial is within a limit as the verdicts of trials have it. Trials whose means differ by no
-    more than their noise are the same. A limit outside the declared range of its metric is none.
+    A trial is within a limit if its verdict says so. Trials with means that differ by no more than
+    their noise are the same. A limit outside the declared range of its metric is none.
     """
     study = analysis.study
     low, high = study.metrics[constraint.metric].range or (-np.inf, np.inf)

@@ -129,7 +129,7 @@ def response(analysis: Analysis) -> Figure | None:
         return None
     label = _main(signals.panels)
     panels = [panel for panel in signals.panels if panel.y.label == label][:2]
-    # Of a reference and what follows it, such as "setpoint and angle".
+    # A reference and what follows it share a panel, such as "setpoint and angle".
     verb = "do" if " and " in label else "does"
     return Figure(
         name="response",
