@@ -143,9 +143,9 @@ class Result:
             f"<tr><th>{html.escape(name)}</th><td>{html.escape(shown(value))}</td></tr>"
             for name, value in (self.best or {}).items()
         )
-        said = html.escape(" ".join(self.verdict.sentences))
+        sentences = html.escape(" ".join(self.verdict.sentences))
         headline = html.escape(self.verdict.headline)
-        return f"<p><b>{headline}</b></p><table>{rows}</table><p>{said}</p>"
+        return f"<p><b>{headline}</b></p><table>{rows}</table><p>{sentences}</p>"
 
 
 class Picture:

@@ -79,9 +79,9 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
             "of them: run more trials, or loosen this limit, which leaves the least to spare."
         )
     elif (elsewhere := _elsewhere(constraint, trial)) is not None and study.contexts:
-        there = f"{shown_beside(elsewhere, constraint.limit)} {unit}".rstrip()
+        mean = f"{shown_beside(elsewhere, constraint.limit)} {unit}".rstrip()
         sentences.append(
-            f"In the contexts that were drawn at random it is {there} on average, so the limit is "
+            f"In the contexts that were drawn at random it is {mean} on average, so the limit is "
             "lost in extreme contexts: narrow them if the machine cannot differ so much, or loosen "
             "the limit."
         )

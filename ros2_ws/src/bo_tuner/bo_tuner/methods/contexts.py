@@ -44,8 +44,8 @@ class DrawnContexts:
 
     def count(self, study: Study) -> int:
         """Return the number that the study says, or else `drawn`."""
-        said = study.budget.drawn_contexts
-        return self.drawn if said is None else said
+        declared = study.budget.drawn_contexts
+        return self.drawn if declared is None else declared
 
     def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Refuse trials with means over another distribution."""

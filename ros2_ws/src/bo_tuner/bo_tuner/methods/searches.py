@@ -100,5 +100,5 @@ def searches_of(
 
 def search_evaluations(study: Study, usual: int) -> int:
     """Return the evaluations of a search: what the study says, or else as `usual`."""
-    said = study.budget.search_evaluations
-    return usual if said is None else said
+    declared = study.budget.search_evaluations
+    return usual if declared is None else declared

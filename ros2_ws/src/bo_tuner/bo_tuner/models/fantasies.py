@@ -102,8 +102,8 @@ def _believed(
 ) -> Trial:
     space, contexts = study.search_space(), study.context_space()
     point = space.to_cube(pending.parameters)
-    there = contexts.cube_of([e.context for e in pending.evaluations])
-    values = {name: mean(point, there) for name, mean in means.items()}
+    points = contexts.cube_of([e.context for e in pending.evaluations])
+    values = {name: mean(point, points) for name, mean in means.items()}
     evaluations = tuple(
         replace(
             evaluation,

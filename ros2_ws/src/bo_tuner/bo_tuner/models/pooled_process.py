@@ -194,10 +194,10 @@ class PooledProcess:
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
         z = np.hstack([coding.encode(x), c])
-        some = _spread_over_values(y)
+        chosen = _spread_over_values(y)
         process = GaussianProcess.fit(
-            z[some],
-            y[some],
+            z[chosen],
+            y[chosen],
             rng=rng,
             priors=priors,
             minimum_length_scales=minimum,

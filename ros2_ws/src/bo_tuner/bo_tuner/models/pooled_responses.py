@@ -245,9 +245,9 @@ class EveryContext(PooledResponse):
 
     def log_kept_in(self, x: Array, contexts: Array) -> Array:
         """Return the log probability (k,) that the limit is kept by x (1, d) in contexts (k, e)."""
-        there = replace(self, contexts=contexts)
+        in_contexts = replace(self, contexts=contexts)
         points = np.tile(x, (len(contexts), 1))
-        return self.log_kept(*there.predict_in(points, np.arange(len(contexts))))
+        return self.log_kept(*in_contexts.predict_in(points, np.arange(len(contexts))))
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
@@ -315,9 +315,9 @@ class EveryContext(PooledResponse):
         noise, degrees = self.process.noise_everywhere(x, self.contexts)
         for row, (mean, *of_runs) in enumerate(zip(means.T, noise.T, degrees.T, strict=True)):
             quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean, *of_runs)
-            here = self.log_kept(quantile, variance)
-            rows[here < least] = row
-            least = np.minimum(least, here)
+            log_probability = self.log_kept(quantile, variance)
+            rows[log_probability < least] = row
+            least = np.minimum(least, log_probability)
         return rows, least
 
 

@@ -157,8 +157,8 @@ class Ranking(Generic[S_co]):
         weights = equal_weights(count) if count > 1 else None
         known = self.start(trials)
         if len(trials) > FITTED_EACH and not known:
-            some = trials[:: -(-len(trials) // FITTED_EACH)]
-            known = start or self.fit(study, some, rng=rng, weights=weights).warm_starts
+            subset = trials[:: -(-len(trials) // FITTED_EACH)]
+            known = start or self.fit(study, subset, rng=rng, weights=weights).warm_starts
         return self.fit(study, trials, rng=rng, start=known, weights=weights)
 
     def rank(self, study: Study, trials: Sequence[Trial]) -> list[Candidate]:
@@ -340,8 +340,8 @@ class _Estimates:
         if not len(owner):
             return np.zeros(len(trials))
         neighbours = np.vstack(around)
-        there = self._objective.predict_mean(neighbours)
-        loss = relative_loss(self._study, self._objective, there, cost[owner])
+        neighbour_cost = self._objective.predict_mean(neighbours)
+        loss = relative_loss(self._study, self._objective, neighbour_cost, cost[owner])
         lost = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
         lost = np.minimum(lost, LARGEST_PENALTY)
         count = np.bincount(owner, minlength=len(trials))

@@ -125,13 +125,17 @@ def _lines(
     """Return the lines of the signals of a panel; one that is the same in all runs is one line."""
     lines = []
     for name in group:
-        heard = {label: run for label, run in runs.items() if name in run.recording.signals}
-        values = [run.recording.signals[name].value for run in heard.values()]
+        with_signal = {label: run for label, run in runs.items() if name in run.recording.signals}
+        values = [run.recording.signals[name].value for run in with_signal.values()]
         if len(group) > 1 and len(values) > 1 and all(np.array_equal(v, values[0]) for v in values):
-            lines.append(_line(next(iter(heard.values())), name, name, Color.INK, Dash.DOTTED))
+            lines.append(
+                _line(next(iter(with_signal.values())), name, name, Color.INK, Dash.DOTTED)
+            )
             continue
         own = f", {name}" if len(group) > 1 and (len(group) > 2 or len(runs) == 1) else ""
-        lines += [_line(run, name, f"{label}{own}", *styles[label]) for label, run in heard.items()]
+        lines += [
+            _line(run, name, f"{label}{own}", *styles[label]) for label, run in with_signal.items()
+        ]
     return lines
 
 

@@ -130,8 +130,8 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
 
 def _state(item: Evaluation) -> str:
     state = item.outcome.ending
-    said = item.outcome.reason or item.outcome.note
-    return f"{state}: {said}" if said else state
+    remark = item.outcome.reason or item.outcome.note
+    return f"{state}: {remark}" if remark else state
 
 
 def _worst(analysis: Analysis, trial: Trial) -> Evaluation | None:

@@ -130,8 +130,8 @@ class PooledSearch:
         process = self._fit(rng)
         point = self._point[None]
         context, _ = self._maximize(lambda c: self._everywhere(process, c).limited(point)[0], rng)
-        there = self._everywhere(process, self._space.cube_of([context]))
-        _, mean, noise = there.worst_case(point)
+        in_context = self._everywhere(process, self._space.cube_of([context]))
+        _, mean, noise = in_context.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
 
     def _fit(self, rng: np.random.Generator) -> ContextProcess:

@@ -360,14 +360,14 @@ def _verdict(study: Study, entry: Record) -> str:
 
 def _step(study: Study, entry: Record, neighbour: Record) -> str:
     """Describe a step: its relative change of the objective and excess over the limit."""
-    there, here = neighbour["truth"], entry["truth"]
-    if there["objective"] is None or there["worst"] is None or here["objective"] is None:
+    moved, truth = neighbour["truth"], entry["truth"]
+    if moved["objective"] is None or moved["worst"] is None or truth["objective"] is None:
         return "fails"
-    change = there["objective"] / here["objective"] - 1.0
+    change = moved["objective"] / truth["objective"] - 1.0
     parts = [f"objective {change:+.0%}"]
     for worst in study.worst_case_constraints:
-        if worst.violations(there["worst"]):
-            parts.append(f"limit exceeded by {worst.excess(there['worst']):.0%}")
+        if worst.violations(moved["worst"]):
+            parts.append(f"limit exceeded by {worst.excess(moved['worst']):.0%}")
     return ", ".join(parts) + ("" if neighbour["tolerable"] else ": not tolerable")
 
 

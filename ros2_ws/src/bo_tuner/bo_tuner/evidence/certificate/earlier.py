@@ -91,14 +91,14 @@ def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation])
 def earlier_in_words(certificate: Certificate) -> Iterator[str]:
     """Yield sentences on what had failed before a certificate, and that a PASS covers it."""
     for failure in certificate.earlier.refutations:
-        said = f"{failure.told[:1].upper()}{failure.told[1:]} ({'; '.join(failure.reasons)})"
+        sentence = f"{failure.told[:1].upper()}{failure.told[1:]} ({'; '.join(failure.reasons)})"
         if not certificate.passed:
-            yield f"{said}."
+            yield f"{sentence}."
             continue
         contexts = " and ".join(f"({text.values(c)})" for c in failure.contexts if c)
         where = f"in the context {contexts}" if contexts else "by fresh evaluations"
         yield (
-            f"{said}. This PASS covers it: the limits were shown anew {where}, and the earlier "
+            f"{sentence}. This PASS covers it: the limits were shown anew {where}, and the earlier "
             "runs, which count against a PASS only, do not contradict."
         )
     for reason in certificate.earlier.unread:

@@ -320,8 +320,8 @@ def _judge(
             elsewhere = _values(others, constraint.metric)
             assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
         passed = shown and not against
-        said = rule.said_of_draws(counted, unit, confidence, passed=passed)
-        reason = against if shown and against else said
+        reason_of_draws = rule.said_of_draws(counted, unit, confidence, passed=passed)
+        reason = against if shown and against else reason_of_draws
     values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
         name=constraint.name,
@@ -466,19 +466,19 @@ def _said_of_ranking(
     clear = evidence.ranking.get(constraint.name, Ranking()).clear
     far = [w for w in modelled if w.context in clear]
     behind = [w for w in modelled if w.context not in clear]
-    said = []
+    sentences = []
     if far:
-        said.append(
+        sentences.append(
             f"in {text.counted(len(far), 'context')} the limit is kept by far by a model over the "
             f"contexts, which {sum(w.evaluations for w in far)} runs confirm"
         )
     if behind:
-        said.append(
+        sentences.append(
             f"in {text.counted(len(behind), 'context')}, by a model over the contexts not the "
             f"worst, {sum(w.evaluations for w in behind)} runs show the limit with a confidence of "
             f"{100.0 * BEHIND:g} %"
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _contradicted(

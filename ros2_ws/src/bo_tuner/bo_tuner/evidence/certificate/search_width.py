@@ -90,14 +90,14 @@ def distances(space: ContextSpace, contexts: Sequence[Context]) -> Array:
 
 def widths_in_words(widths: Iterable[SearchWidth]) -> str:
     """Say what the search would have found; empty if there is nothing to say."""
-    said = [
+    chances = [
         (w.width, f"with a probability of {100.0 * w.probability:.0f} %")
         for w in widths
         if w.width <= 1
     ]
-    if not said:
+    if not chances:
         return ""
-    (width, probability), *others = said
+    (width, probability), *others = chances
     rest = "".join(f", one of {other:.2g} {probably}" for other, probably in others)
     return (
         f"a violation of at least {width:.2g} of the box's edges in width would have been found "

@@ -130,8 +130,8 @@ def lacking(
     made = sum(e.stage is Stage.CHECK_WORST for e in trial.evaluations)
     most = required.doubtful * len(contexts) + int(corners.seen.sum())
     missing = (required.doubtful - _own_runs(study, trial, context) for context in contexts)
-    there = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
-    return there[: max(0, most - made)] + corners.unseen(surrogates, required.corners)
+    missing_contexts = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
+    return missing_contexts[: max(0, most - made)] + corners.unseen(surrogates, required.corners)
 
 
 def _challenger(

@@ -237,12 +237,12 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         worst = trial.worst_cases.get(constraint.name)
         if worst is None:
             continue
-        there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
-        holds = holds and not refuted(constraint, there) and samples[constraint.name].agrees
+        values = _values([e for e in repeated if e.context == worst.context], constraint.metric)
+        holds = holds and not refuted(constraint, values) and samples[constraint.name].agrees
         worst_cases[constraint.name] = replace(
             worst,
-            value=float(np.mean(there)),
-            observed=constraint.farthest([worst.observed, *there]),
+            value=float(np.mean(values)),
+            observed=constraint.farthest([worst.observed, *values]),
         )
     return replace(extended, worst_cases=worst_cases), holds
 

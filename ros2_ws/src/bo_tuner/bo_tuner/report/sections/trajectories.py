@@ -314,8 +314,10 @@ def _panel(
     bounds: list[Bound] = []
     for name in [name for name in names if is_zero_of(name)]:
         del names[name]
-        some = next(trace for trace in sides.values() if name in trace)
-        bounds += bounds_beside(constraints, is_zero_of(name), some[TIME].values, some[name].values)
+        sample = next(trace for trace in sides.values() if name in trace)
+        bounds += bounds_beside(
+            constraints, is_zero_of(name), sample[TIME].values, sample[name].values
+        )
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:
@@ -330,11 +332,11 @@ def _panel(
             for side, trace in sides.items()
             if name in trace
         ]
-    some = next(trace for trace in sides.values() if names.keys() & trace.keys())
-    unit = next(some[name].unit for name in names if name in some)
+    sample = next(trace for trace in sides.values() if names.keys() & trace.keys())
+    unit = next(sample[name].unit for name in names if name in sample)
     panel = Panel(
         title=title,
-        x=Axis(label=TIME, unit=some[TIME].unit),
+        x=Axis(label=TIME, unit=sample[TIME].unit),
         y=Axis(label=group, unit=unit),
         elements=lines,
     )
