@@ -185,7 +185,7 @@ def test_a_run_is_aborted_also_by_late_messages(backend, system, in_run, monkeyp
     assert failure(run(made)).startswith("aborted at ")
 
 
-def test_a_run_whose_messages_are_all_late_is_spoilt(backend, system, in_run):
+def test_a_run_whose_messages_are_all_late_is_unusable(backend, system, in_run):
     """It would count by what came before."""
     made = backend(run={"end": {"after": 5.0}})
     in_run(made, lambda: set_back(system))

@@ -63,8 +63,8 @@ DISTURBED, UNPREPARED = "disturbed", "unprepared"
 """Keys of an outcome's details: somebody else acted on the nodes during the evaluation, or it did
 not begin, because the steps before it failed with the safe parameters, or because the default
 failed, which a limit is relative to."""
-SPOILING = (DISTURBED, UNPREPARED)
-"""Why a failed evaluation says nothing about its parameters."""
+UNUSABLE = (DISTURBED, UNPREPARED)
+"""Keys that make a failed evaluation unusable; one that was lost is so without them."""
 
 STREAMS = "streams."
 """Begins the keys of an outcome's details on how the messages of a reference were published."""
@@ -142,13 +142,13 @@ class Outcome:
 
     @property
     def unusable(self) -> bool:
-        """Whether it says nothing about its parameters: it was lost, or is one of `SPOILING`."""
-        return self.ending in (EvaluationState.LOST, *SPOILING)
+        """Whether it says nothing about its parameters: it was lost, or is one of `UNUSABLE`."""
+        return self.ending in (EvaluationState.LOST, *UNUSABLE)
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or one of `SPOILING`."""
-        return next((key for key in SPOILING if key in self.details), str(self.state))
+        """How it ended, in a word: its state, or one of `UNUSABLE`."""
+        return next((key for key in UNUSABLE if key in self.details), str(self.state))
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class Trial:
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state; if it is unusable, lost or one of `SPOILING`."""
+        """How it ended, in a word: its state; if it is unusable, lost or one of `UNUSABLE`."""
         if not self.unusable:
             return str(self.state)
         endings = [e.outcome.ending for e in self.evaluations if e.outcome.unusable]
