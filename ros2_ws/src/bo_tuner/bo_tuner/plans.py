@@ -224,7 +224,7 @@ class BatchPlan(Plan[Run], Generic[R]):
         self._batches = batches
         self._ends = ends
         self._unplanned: list[Evaluation] | None = None
-        self._finished: list[Evaluation] = []
+        self._results: list[Evaluation] = []
         self._over = False
         self.result: R | None = None
 
@@ -236,7 +236,7 @@ class BatchPlan(Plan[Run], Generic[R]):
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation, which is a step."""
-        self._finished.append(task.evaluation)
+        self._results.append(task.evaluation)
         if self._ends(task.evaluation):
             self._unplanned = []
         return True
@@ -246,7 +246,7 @@ class BatchPlan(Plan[Run], Generic[R]):
             if self._unplanned is None:
                 self._unplanned = list(next(self._batches))
             else:
-                finished, self._finished = self._finished, []
-                self._unplanned = list(self._batches.send(finished))
+                results, self._results = self._results, []
+                self._unplanned = list(self._batches.send(results))
         except StopIteration as end:
             self._over, self.result = True, end.value

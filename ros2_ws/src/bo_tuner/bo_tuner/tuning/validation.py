@@ -98,7 +98,7 @@ class ValidationPlan(Plan[Run]):
         self._study = study
         self._candidates = candidates
         self._planned = self._evaluations()
-        self._finished: list[list[Evaluation]] = [[] for _ in candidates]
+        self._results: list[list[Evaluation]] = [[] for _ in candidates]
         self.steps = study.budget.validation_draws
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
@@ -108,14 +108,14 @@ class ValidationPlan(Plan[Run]):
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation; a draw of all parameter sets is a step."""
-        self._finished[task.evaluation.trial].append(task.evaluation)
-        return sum(map(len, self._finished)) % len(self._candidates) == 0
+        self._results[task.evaluation.trial].append(task.evaluation)
+        return sum(map(len, self._results)) % len(self._candidates) == 0
 
     @property
     def results(self) -> list[Validation]:
         """One for each parameter set, in their order."""
-        pairs = zip(self._candidates, self._finished, strict=True)
-        return [_judge(self._study, parameters, finished) for parameters, finished in pairs]
+        pairs = zip(self._candidates, self._results, strict=True)
+        return [_judge(self._study, parameters, evaluations) for parameters, evaluations in pairs]
 
     def _evaluations(self) -> Iterator[Evaluation]:
         study, contexts = self._study, self._study.context_space()
