@@ -8,8 +8,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
     DEFAULT_HAS,
-    SPOILING,
     UNPREPARED,
+    UNUSABLE,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -127,5 +127,5 @@ def _without_default(default: Outcome) -> Outcome:
     )
     if default.state is EvaluationState.LOST:
         return replace(default, reason=reason)
-    ending = next((key for key in SPOILING if key in default.details), UNPREPARED)
+    ending = next((key for key in UNUSABLE if key in default.details), UNPREPARED)
     return replace(default, reason=reason, details={**default.details, ending: reason})

@@ -73,7 +73,7 @@ def try_parameters(
             say(f"{done_so_far} of {counted(len(order), 'run')}")
             lines.told()
         evaluation = task.evaluation
-        if not evaluation.outcome.spoilt:
+        if not evaluation.outcome.unusable:
             place = places[evaluation.index]
             kept = tried.default if place is None else tried.varied.setdefault(place, [])
             kept.append(evaluation)

@@ -206,7 +206,7 @@ class _Taking:
         return f"{text}; left out: {self.left_out}" if self.left_out else text
 
     def _trial(self, trial: Trial, number: int) -> Trial:
-        if trial.spoilt:
+        if trial.unusable:
             raise _LeftOutError(trial.ending)
         self._check_parameters(trial)
         kept, reasons = [], []

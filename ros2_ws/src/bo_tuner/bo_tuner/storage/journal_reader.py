@@ -68,7 +68,7 @@ class JournalContent:
             item
             for item in self.evaluations
             if (item.stage not in TUNING or item.trial >= len(self.trials))
-            and not item.outcome.spoilt
+            and not item.outcome.unusable
         )
 
 

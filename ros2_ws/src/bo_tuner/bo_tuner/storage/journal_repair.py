@@ -76,7 +76,7 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
         If it cannot be written.
     """
     kept = len(content.trials)
-    while kept and content.trials[kept - 1].spoilt:
+    while kept and content.trials[kept - 1].unusable:
         kept -= 1
     if kept == len(content.trials):
         return content
