@@ -82,19 +82,19 @@ class Collector:
             if isinstance(metric, RelativeMetric):
                 continue
             try:
-                found: object
+                value: object
                 if isinstance(metric, CombinedMetric):
-                    found = metric.value(metrics)
+                    value = metric.value(metrics)
                 else:
-                    found = self._sources[name].value(results)
+                    value = self._sources[name].value(results)
             except MissingMetricError as error:
                 return Outcome(EvaluationState.FAILED, {}, brief(str(error)), details)
-            if problem := metric_problem(found):
+            if problem := metric_problem(value):
                 reason = f"metric {name} is {problem}"
                 if isinstance(metric, ReportedMetric):
                     reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
-            metrics[name] = float(found)  # type: ignore[arg-type]
+            metrics[name] = float(value)  # type: ignore[arg-type]
         metrics = {name: metrics[name] for name in self._study.metrics if name in metrics}
         return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
@@ -121,21 +121,21 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
     return outcome
 
 
-def metric_problem(found: object) -> str:
+def metric_problem(value: object) -> str:
     """Tell in a few words why this cannot be the value of a metric; empty if it can."""
-    shown = brief(_text(found)[:40]) or "empty"
-    if isinstance(found, bool):
+    shown = brief(_text(value)[:40]) or "empty"
+    if isinstance(value, bool):
         return shown
     try:
-        value = float(found)  # type: ignore[arg-type]
+        number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return shown
     except named_code.faults() as error:
         # An object's own conversion, which may raise anything.
-        return f"a {type(found).__name__} that is no number: {named_code.told(error)}"
-    if not isfinite(value):
+        return f"a {type(value).__name__} that is no number: {named_code.told(error)}"
+    if not isfinite(number):
         return shown
-    if abs(value) > LARGEST_METRIC:
+    if abs(number) > LARGEST_METRIC:
         return f"{shown}, beyond {LARGEST_METRIC:g}"
     return ""
 

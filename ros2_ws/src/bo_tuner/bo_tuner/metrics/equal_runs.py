@@ -34,13 +34,13 @@ def standing(recordings: Sequence[Recording], heard: Collection[str]) -> list[st
         Names of the signals that others publish. One of which a single message comes in a run, as
         of a result, may well be the same in each.
     """
-    found = []
+    constant = []
     for name in heard:
         seen = [recording.signals[name] for recording in recordings]
         values = np.concatenate([each.value for each in seen])
         if min(each.messages for each in seen) > 1 and np.ptp(values) == 0.0:
-            found.append(name)
-    return found
+            constant.append(name)
+    return constant
 
 
 def all_stand(recordings: Sequence[Recording], heard: Collection[str]) -> bool:
@@ -75,9 +75,9 @@ def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Itera
         if not response or not (of | to) - response:
             continue
         still = _frozen(recording, response)
-        found, frozen = (_value(metric, study, each) for each in (recording, still))
+        actual, frozen = (_value(metric, study, each) for each in (recording, still))
         # Without a step of the reference there is nothing to follow.
-        if frozen != 0.0 and abs(found - frozen) <= STILL * abs(frozen):
+        if frozen != 0.0 and abs(actual - frozen) <= STILL * abs(frozen):
             names = ", ".join(sorted(response))
             yield (
                 f"{name}: is what it would be if {names} stood still; see that the machine is "

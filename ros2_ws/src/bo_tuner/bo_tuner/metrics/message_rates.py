@@ -130,12 +130,12 @@ class MessageRates:
 
     def details(self, recording: Recording) -> dict[str, str]:
         """Return the rates of a run, for the details of its outcome."""
-        found = {
+        rates = {
             name: rate_of(recording.signals[name], recording.end)
             for name in self._signals
             if name in recording.signals
         }
-        return {f"{RATE}{name}": str(rate or FEW) for name, rate in found.items()}
+        return {f"{RATE}{name}": str(rate or FEW) for name, rate in rates.items()}
 
     @property
     def largest_gaps(self) -> dict[str, float]:
@@ -158,7 +158,7 @@ class MessageRates:
 
         In the first runs a signal is compared with itself.
         """
-        found = []
+        remarks = []
         for name, spec in self._signals.items():
             seen = recording.signals.get(name)
             rate = self._usual.get(name)
@@ -166,8 +166,8 @@ class MessageRates:
                 rate = rate_of(seen, recording.end)
                 rate = rate and replace(rate, messages=0.0, gap=0.0)
             if seen is not None and rate is not None:
-                found += _remarks(named(name, spec), seen, recording.end, rate)
-        return found
+                remarks += _remarks(named(name, spec), seen, recording.end, rate)
+        return remarks
 
     @property
     def _usual(self) -> dict[str, Rate]:
@@ -204,9 +204,9 @@ def _remarks(where: str, seen: RecordedSignal, end: float, usual: Rate) -> list[
 
 def used_signals(study: Study) -> Collection[str]:
     """Return the signals that a metric, or a condition on the end or abortion of a run, needs."""
-    found = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
+    used = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
     if study.run is not None:
         for text in (study.run.abort_when, study.run.end.when):
             if text:
-                found |= expression(without_contexts(text), study.signals).names
-    return found
+                used |= expression(without_contexts(text), study.signals).names
+    return used

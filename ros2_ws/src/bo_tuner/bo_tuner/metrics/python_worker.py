@@ -36,28 +36,28 @@ def serve(connection: Connection) -> None:
 def _loaded(path: str) -> tuple[None, str]:
     try:
         with named_code.kept_in_place():
-            found = named_code.load(path)
+            function = named_code.load(path)
     except named_code.faults() as error:
         return None, f"cannot import {path}: {named_code.told(error)}"
-    return None, "" if callable(found) else f"expected a function, found {checks.show(found)}"
+    return None, "" if callable(function) else f"expected a function, found {checks.show(function)}"
 
 
 def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
     try:
         with named_code.kept_in_place():
-            found = named_code.load(path)(
+            value = named_code.load(path)(
                 {name: (time, _read(said)) for name, (time, said) in signals.items()}
             )
     except named_code.MovedError as error:
         return None, str(error)
     except named_code.faults() as error:
         return None, f"raised {named_code.told(error)}"
-    if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
-        return None, f"returned {checks.show(found)}, expected a number"
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return None, f"returned {checks.show(value)}, expected a number"
     try:
-        return float(found), ""
+        return float(value), ""
     except named_code.faults() as error:
-        name = type(found).__name__
+        name = type(value).__name__
         return None, f"returned a {name} that is no number: {named_code.told(error)}"
 
 

@@ -235,8 +235,8 @@ class Recording:
             If a signal has no message.
         """
         time, values = self.held(expression.names - {TIME}, held, since)
-        found = expression(values | {TIME: time})
-        return time, np.broadcast_to(found, time.shape).astype(np.float64)
+        evaluated = expression(values | {TIME: time})
+        return time, np.broadcast_to(evaluated, time.shape).astype(np.float64)
 
     def held(
         self, names: Iterable[str], held: bool = True, since: float = 0.0

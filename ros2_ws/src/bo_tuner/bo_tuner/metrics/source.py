@@ -46,12 +46,12 @@ class ResultMessage:
     def value(self, results: Results) -> object:
         """Return the value as the node reported it."""
         said = results.get(self._node, {})
-        found = said.get(self._key)
-        if found is None:
+        value = said.get(self._key)
+        if value is None:
             meant = checks.meant(self._key, map(str, said))
             missing = f"{self._node}: metric {self._key} is missing"
             raise MissingMetricError(f"{missing}; {meant}" if meant else missing)
-        return found
+        return value
 
 
 def reported_sources(study: Study) -> dict[str, MetricSource]:

@@ -48,5 +48,5 @@ def log_wealth(values: ArrayLike, mean: float, high: float) -> Array:
         return np.where(np.logical_or.accumulate(x < high), np.inf, 0.0)
     with np.errstate(divide="ignore"):
         wealth = np.cumsum(np.log1p(BETS[:, None] * ((mean - x) / (high - mean))), axis=1)
-    found: Array = logsumexp(wealth, axis=0, b=(SHARES / SHARES.sum())[:, None])
-    return found
+    mixture: Array = logsumexp(wealth, axis=0, b=(SHARES / SHARES.sum())[:, None])
+    return mixture

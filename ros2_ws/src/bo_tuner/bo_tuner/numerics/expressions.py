@@ -151,14 +151,14 @@ class Expression:
         self.text = text
         calls = [node for node in ast.walk(self._tree) if isinstance(node, ast.Call)]
         called = {id(call.func) for call in calls}
-        found = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
-        for node in found:
+        name_nodes = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
+        for node in name_nodes:
             known = tuple(FUNCTIONS) if id(node) in called else names
             if node.id not in known:
                 raise UnknownNameError(node.id, known)
         for call in calls:
             _check_arguments(call)
-        self.names = frozenset(node.id for node in found if id(node) not in called)
+        self.names = frozenset(node.id for node in name_nodes if id(node) not in called)
         # Whatever else is wrong, such as a missing argument, shows with any numbers.
         self({name: np.ones(1) for name in self.names})
 
@@ -189,8 +189,8 @@ class Expression:
         }
         try:
             with np.errstate(all="ignore"):
-                found = evaluator.eval(self.text, previously_parsed=self._tree)
-                return np.asarray(found, dtype=np.float64)
+                value = evaluator.eval(self.text, previously_parsed=self._tree)
+                return np.asarray(value, dtype=np.float64)
         except simpleeval.InvalidExpression as error:
             raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
@@ -223,17 +223,17 @@ def _check_arguments(call: ast.Call) -> None:
     """Refuse another number of arguments: NumPy would write its result to a further one."""
     if not isinstance(call.func, ast.Name):
         return
-    expected, found = FUNCTIONS[call.func.id].nin, len(call.args)
-    if found != expected:
+    expected, given = FUNCTIONS[call.func.id].nin, len(call.args)
+    if given != expected:
         noun = "argument" if expected == 1 else "arguments"
-        raise ExpressionError(f"{call.func.id} takes {expected} {noun}, found {found}")
+        raise ExpressionError(f"{call.func.id} takes {expected} {noun}, found {given}")
 
 
 def _what_is_wrong(text: str, error: SyntaxError) -> str:
     """Tell where a text is no expression, and what other languages' operators are called here."""
-    if found := _FOREIGN.search(text):
-        place, known = found.start() + 1, _OURS[found[0].lower()]
-        return f"not an expression: expected {known} instead of {found[0]} at character {place}"
+    if foreign := _FOREIGN.search(text):
+        place, known = foreign.start() + 1, _OURS[foreign[0].lower()]
+        return f"not an expression: expected {known} instead of {foreign[0]} at character {place}"
     if (error.lineno or 1) > 1:
         return f"not an expression in its line {error.lineno}"
     if error.offset and error.offset <= len(text):

@@ -161,9 +161,9 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int 
 
 def _looks(least: int, most: int) -> list[int]:
     """Return numbers of values, each by `LOOK` larger than the one before, of those possible."""
-    found, n = [], FEWEST
+    sizes, n = [], FEWEST
     while n <= most:
         if n >= least:
-            found.append(n)
+            sizes.append(n)
         n = max(n + 1, round(n * LOOK))
-    return found
+    return sizes

@@ -154,8 +154,8 @@ def _identity(position: Array) -> Array:
 
 def _numbers(values: Array) -> Array:
     """Return values (m,), with -inf for NaN."""
-    found = np.asarray(values, dtype=np.float64)
-    return np.where(np.isnan(found), -np.inf, found)
+    numbers = np.asarray(values, dtype=np.float64)
+    return np.where(np.isnan(numbers), -np.inf, numbers)
 
 
 def _move(

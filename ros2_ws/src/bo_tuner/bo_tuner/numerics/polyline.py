@@ -24,12 +24,12 @@ def distances(points: Array, vertices: Array) -> Array:
     length = np.square(along).sum(axis=1)
     # A piece without length is its beginning.
     length[length == 0.0] = 1.0
-    found = np.empty(len(points))
+    nearest = np.empty(len(points))
     step = max(AT_ONCE // len(along), 1)
     for first in range(0, len(points), step):
         some = points[first : first + step]
         away = some[:, None, :] - begin  # (k, m - 1, d)
         share = np.clip((away * along).sum(axis=2) / length, 0.0, 1.0)
         rest = away - share[:, :, None] * along
-        found[first : first + step] = np.sqrt(np.square(rest).sum(axis=2)).min(axis=1)
-    return found
+        nearest[first : first + step] = np.sqrt(np.square(rest).sum(axis=2)).min(axis=1)
+    return nearest

@@ -137,8 +137,10 @@ def probability_bounds(events: ArrayLike, confidence: float) -> Array:
     happened = np.asarray(events, dtype=bool)
     n = np.arange(1.0, len(happened) + 1.0)
     share = np.cumsum(happened) / n
-    found = _largest(lambda p: log_evidence(happened, p), share, np.ones(len(happened)), confidence)
-    bounds: Array = np.maximum(np.minimum.accumulate(found), share)
+    largest = _largest(
+        lambda p: log_evidence(happened, p), share, np.ones(len(happened)), confidence
+    )
+    bounds: Array = np.maximum(np.minimum.accumulate(largest), share)
     return bounds
 
 
@@ -167,8 +169,8 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     far = mean + 1e6 * np.maximum(spread, 1e-9 * np.maximum(np.abs(mean), 1.0))
     never = log_mean_evidence(sample, far) < log(1.0 / (1.0 - confidence))
     never[: least - 1] = True
-    found = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
-    return np.maximum(np.minimum.accumulate(np.where(never, np.inf, found)), mean)
+    largest = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
+    return np.maximum(np.minimum.accumulate(np.where(never, np.inf, largest)), mean)
 
 
 def is_shown(events: Sequence[bool], allowed: float, confidence: float) -> bool:

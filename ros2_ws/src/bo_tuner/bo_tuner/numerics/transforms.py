@@ -194,12 +194,12 @@ class TransformTree:
         links = [self._links[child] for child in (*up, *down)]
         common = min((link.stamps[-1] for link in links if link.stamps), default=0)
         poses = [link.at(common) for link in links]
-        found = IDENTITY
+        composed = IDENTITY
         for pose, downward in zip(poses, [False] * len(up) + [True] * len(down), strict=True):
             if pose is None:
                 return None
-            found = found @ (pose if downward else pose.inverse)
-        return common, found
+            composed = composed @ (pose if downward else pose.inverse)
+        return common, composed
 
     def publishers(self, target: str, source: str) -> dict[str, set[str]]:
         """Return who has told of each frame on the way from `target` to `source`."""

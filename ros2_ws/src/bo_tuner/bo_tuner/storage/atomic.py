@@ -25,8 +25,8 @@ def remove_leftovers(paths: Iterable[Path]) -> None:
     What a process that runs may be writing is left alone, and so is what is no file or link.
     """
     for path in paths:
-        found = _TEMPORARY.fullmatch(path.name)
-        if found and not _runs(int(found[1])):
+        match = _TEMPORARY.fullmatch(path.name)
+        if match and not _runs(int(match[1])):
             with contextlib.suppress(OSError):
                 path.unlink()
 

@@ -145,13 +145,13 @@ def carry_over(
         If no trial is left.
     """
     taking = _Taking(record, study, method, measure)
-    found = list(taking.trials())
-    if not found:
+    taken = list(taking.trials())
+    if not taken:
         raise RunRecordError(
             f"{record.path}: none of its {counted(len(record.trials), 'trial')} can be used: "
             f"{taking.left_out}"
         )
-    trials = _with_worst_cases(study, method, found)
+    trials = _with_worst_cases(study, method, taken)
     run = str(record.path.resolve())
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
@@ -189,12 +189,12 @@ class _Taking:
     def left_out(self) -> str:
         """Counts and reasons."""
         kinds = ((self._trials, "trial"), (self._evaluations, "evaluation"))
-        found = [
+        counts = [
             f"{counted(n, kind)} {reason}"
             for reasons, kind in kinds
             for reason, n in reasons.most_common()
         ]
-        return "; ".join(found)
+        return "; ".join(counts)
 
     def summary(self, taken: Sequence[Trial]) -> str:
         """Return what is taken and what not, in a line."""
@@ -285,12 +285,12 @@ class _Taking:
         if not anew:
             metrics = {name: known[name] for name in self._study.metrics}
             return dataclasses.replace(outcome, metrics=metrics)
-        found = None if self._measure is None else self._measure(evaluation)
-        if found is None or (found.complete and not anew <= found.metrics.keys()):
+        measured = None if self._measure is None else self._measure(evaluation)
+        if measured is None or (measured.complete and not anew <= measured.metrics.keys()):
             raise _LeftOutError(f"without a record of {', '.join(sorted(anew))}")
-        if not found.complete:
-            return dataclasses.replace(found, details=outcome.details)
-        metrics = {name: known.get(name, found.metrics[name]) for name in self._study.metrics}
+        if not measured.complete:
+            return dataclasses.replace(measured, details=outcome.details)
+        metrics = {name: known.get(name, measured.metrics[name]) for name in self._study.metrics}
         return dataclasses.replace(outcome, metrics=metrics)
 
     def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:
@@ -307,11 +307,13 @@ class _Taking:
         """Return the estimates that hold under the study, by the names of its constraints."""
         if not trial.worst_cases:
             return {}
-        found = {
+        counterparts = {
             constraint.name: _searched(constraint, self._then, self._study)
             for constraint in self._study.worst_case_constraints
         }
-        return {name: trial.worst_cases[then] for name, then in found.items() if then is not None}
+        return {
+            name: trial.worst_cases[then] for name, then in counterparts.items() if then is not None
+        }
 
 
 def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> list[Trial]:
@@ -326,7 +328,7 @@ def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> 
         return list(trials)
     rng = generator(study.seed, Stream.SEARCH, len(trials))
     known = dict(method.hyperparameters(study, trials, rng))
-    found = list(trials)
+    updated = list(trials)
     for number in lacking:
         trial = trials[number]
         proposal = Proposal(dict(trial.parameters), trial.origin, hyperparameters=known)
@@ -335,8 +337,8 @@ def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> 
         for evaluation in trial.evaluations:
             searches.tell(evaluation.context, evaluation.outcome.metrics)
         rng = generator(study.seed, Stream.SEARCH, number, len(trial.evaluations))
-        found[number] = dataclasses.replace(trial, worst_cases=searches.worst_cases(rng))
-    return found
+        updated[number] = dataclasses.replace(trial, worst_cases=searches.worst_cases(rng))
+    return updated
 
 
 def _named(trial: Trial, run: str) -> Trial:

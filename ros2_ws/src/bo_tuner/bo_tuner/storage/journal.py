@@ -303,9 +303,9 @@ def check_schema(path: Path, db: sqlite3.Connection) -> None:
     with contextlib.closing(sqlite3.connect(":memory:")) as own:
         own.executescript(SCHEMA)
         expected = set(own.execute(_OBJECTS))
-    found = set(db.execute(_OBJECTS))
-    if found != expected:
-        kind, name, *_ = sorted(found ^ expected, key=repr)[0]
+    actual = set(db.execute(_OBJECTS))
+    if actual != expected:
+        kind, name, *_ = sorted(actual ^ expected, key=repr)[0]
         raise JournalError(f"{path}: {kind} {checks.quoted(str(name))} is not as in a journal")
 
 

@@ -172,21 +172,23 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     """Read a table as far as it is whole; returns the rows and what ended the reading."""
     columns = COLUMNS[table]
     query = f"SELECT {', '.join(columns)}, checksum FROM {table} ORDER BY rowid"
-    found: list[dict[str, object]] = []
+    intact: list[dict[str, object]] = []
     try:
         for *values, expected in db.execute(query):
             if checksum(values) != expected:
-                return found, f"{table} {len(found) + 1} is damaged"
-            found.append(dict(zip(columns, values, strict=True)))
+                return intact, f"{table} {len(intact) + 1} is damaged"
+            intact.append(dict(zip(columns, values, strict=True)))
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        return found, f"damaged after {table} {len(found)} ({error})"
-    return found, ""
+        return intact, f"damaged after {table} {len(intact)} ({error})"
+    return intact, ""
 
 
-def _trials(found: list[dict[str, object]], evaluations: Sequence[Evaluation]) -> Iterator[Trial]:
+def _trials(
+    trial_rows: list[dict[str, object]], evaluations: Sequence[Evaluation]
+) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial = latest_by_place(evaluations, TUNING)
-    for number, row in enumerate(sorted(found, key=rows.number_of)):
+    for number, row in enumerate(sorted(trial_rows, key=rows.number_of)):
         of_trial = by_trial.get(number, {})
         count = rows.evaluations_of(row)
         # Not more than there are, whatever the row says.

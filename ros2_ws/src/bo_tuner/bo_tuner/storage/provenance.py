@@ -152,11 +152,11 @@ def _digest(package: str, folder: str = "") -> str:
         return ""
     if spec is None:
         return ""
-    digest, found = hashlib.sha256(), False
+    digest, has_code = hashlib.sha256(), False
     for place in map(Path, spec.submodule_search_locations or ()):
         for path in sorted(place.rglob("*.py")):
             digest.update(path.relative_to(place).as_posix().encode() + path.read_bytes())
-            found = True
+            has_code = True
         if package == OWN_PACKAGE:
             # It ships studies, each of which has a digest of its own.
             continue
@@ -165,8 +165,8 @@ def _digest(package: str, folder: str = "") -> str:
             digest.update(path.relative_to(config).as_posix().encode() + path.read_bytes())
     if spec.submodule_search_locations is None and spec.origin and Path(spec.origin).is_file():
         digest.update(Path(spec.origin).read_bytes())
-        found = True
-    return digest.hexdigest() if found else ""
+        has_code = True
+    return digest.hexdigest() if has_code else ""
 
 
 def _config(package: Path, name: str) -> Path:

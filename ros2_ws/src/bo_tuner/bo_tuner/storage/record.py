@@ -99,8 +99,8 @@ class RunRecord:
 
     def is_result(self, trial: Trial) -> bool:
         """Whether a trial has the parameter set of the result."""
-        found = self.result
-        return found is not None and found.parameter_set == trial.parameter_set
+        result = self.result
+        return result is not None and result.parameter_set == trial.parameter_set
 
 
 def read_run(path: Path) -> RunRecord:
@@ -123,10 +123,10 @@ def read_run(path: Path) -> RunRecord:
         # First: of a journal of another version, the study may not be readable either.
         content = read_journal(path / JOURNAL)
         # Its programs and code lie where the study file did that the run was begun with.
-        found = parse_study(study_file.read_text(file, str(file)), str(file))
+        in_file = parse_study(study_file.read_text(file, str(file)), str(file))
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error
-    study = _study(path, found, content.sessions)
+    study = _study(path, in_file, content.sessions)
     try:
         check_study(study, content.evaluations, content.trials)
     except ValueError as error:
@@ -160,7 +160,7 @@ def _size(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() else None
 
 
-def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
+def _study(path: Path, in_file: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
     """Return the study of the last session after comparing its file with it."""
     if not sessions:
         raise RunRecordError(f"{path / JOURNAL}: no session can be read")
@@ -171,10 +171,10 @@ def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> S
         raise RunRecordError(f"{path / JOURNAL}: no study in its provenance: {error}") from error
     # The file may still be that of an earlier session: it is replaced once the session with more
     # trials is on record.
-    if found not in studies:
+    if in_file not in studies:
         raise RunRecordError(
             f"{path / STUDY}: is not the study on record: "
-            f"{summarized(changes(studies[-1], found))}; restore it, or start a new run with it"
+            f"{summarized(changes(studies[-1], in_file))}; restore it, or start a new run with it"
         )
     return studies[-1]
 

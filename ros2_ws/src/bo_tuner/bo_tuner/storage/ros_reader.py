@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.ros_sections import Found, Scalar, Section, Setting
+from bo_tuner.storage.ros_sections import Scalar, Section, Setting, WrittenValue
 from bo_tuner.storage.ros_values import read_value
 from bo_tuner.study.checks import quoted
 from bo_tuner.text import one_line
@@ -181,12 +181,12 @@ class _Reader:
     def _close_list(self, event: Any) -> None:
         section = self._section
         if section is not None and self._at < len(section.settings):
-            found = section.settings[self._at].found
+            written = section.settings[self._at].written
             if self._list_type is None:
-                found.setdefault((True, type(None)), Found(is_list=True))
+                written.setdefault((True, type(None)), WrittenValue(is_list=True))
             key = (True, self._list_type or type(None))
-            if self._list_in_brackets and key in found:
-                found[key].span = (self._list_start, event.end_mark.index)
+            if self._list_in_brackets and key in written:
+                written[key].span = (self._list_start, event.end_mark.index)
         self._in_list = False
         self._key_is_next = True
         if self._list_in_brackets:
@@ -252,18 +252,18 @@ class _Reader:
             raise _refused("a value that belongs to no parameter", event)
         value = read_value(text, style, event.tag)
         kind = type(value)
-        found = section.settings[self._at].found
+        written = section.settings[self._at].written
         if not self._in_list or self._list_type is None:
-            found[self._in_list, kind] = Found(is_list=self._in_list)
+            written[self._in_list, kind] = WrittenValue(is_list=self._in_list)
         elif self._list_type is not kind:
             raise _refused("a list of values of several types", event)
-        elif (True, kind) not in found:
+        elif (True, kind) not in written:
             raise _refused("a list that goes on in another parameter", event)
         self._list_type = kind
         end = event.end_mark.index
         start = self._starts.get(end, event.start_mark.index)
         line = event.start_mark.line + 1
-        found[self._in_list, kind].items.append(Scalar(value, start, end, line, style))
+        written[self._in_list, kind].items.append(Scalar(value, start, end, line, style))
         self._ends(event)
 
     def _ends(self, event: Any) -> None:

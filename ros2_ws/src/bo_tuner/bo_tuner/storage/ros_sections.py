@@ -33,8 +33,8 @@ class Scalar:
 
 
 @dataclass
-class Found:
-    """A value that a parameter has been given: of one type, single or a list.
+class WrittenValue:
+    """A value that a file has of a parameter: of one type, single or a list.
 
     Attributes
     ----------
@@ -65,20 +65,20 @@ class Setting:
     ----------
     name
         Of the parameter, dots between its levels.
-    found
-        What it was given, by whether it is a list and by type.
+    written
+        Its values in the file, by whether they are a list and by type.
     """
 
     name: str
-    found: dict[tuple[bool, type], Found] = field(default_factory=dict)
+    written: dict[tuple[bool, type], WrittenValue] = field(default_factory=dict)
 
     @property
-    def counts(self) -> Found | None:
+    def counts(self) -> WrittenValue | None:
         """What ROS takes; None if it has no value."""
         for is_list in (False, True):
             for kind in (*_KINDS, type(None)):
-                if (is_list, kind) in self.found:
-                    return self.found[is_list, kind]
+                if (is_list, kind) in self.written:
+                    return self.written[is_list, kind]
         return None
 
 
@@ -125,7 +125,7 @@ class Section:
     def values(self) -> dict[str, Single | list[Single]]:
         """The values by parameter."""
         every = ((setting.name, setting.counts) for setting in self.settings)
-        return {name: found.value for name, found in every if found is not None}
+        return {name: counts.value for name, counts in every if counts is not None}
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Source:
 
     section: Section
     setting: Setting
-    found: Found
+    found: WrittenValue
 
     @property
     def line(self) -> int | None:
@@ -179,11 +179,11 @@ def sources(sections: list[Section], node: str) -> dict[str, Source]:
     node
         The full name of the node, such as ``/arm/pid``.
     """
-    found: dict[str, Source] = {}
+    by_name: dict[str, Source] = {}
     for section in sections:
         if section.is_of(node):
             for setting in section.settings:
-                found.pop(setting.name, None)
+                by_name.pop(setting.name, None)
                 if (counts := setting.counts) is not None:
-                    found[setting.name] = Source(section, setting, counts)
-    return found
+                    by_name[setting.name] = Source(section, setting, counts)
+    return by_name

@@ -83,10 +83,10 @@ def check_files(folder: Path) -> None:
 def is_same_file(path: Path, known: os.stat_result) -> bool:
     """Whether a path still leads to the file or folder that it led to."""
     try:
-        found = path.stat(follow_symlinks=False)
+        status = path.stat(follow_symlinks=False)
     except OSError:
         return False
-    return (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino)
+    return (status.st_dev, status.st_ino) == (known.st_dev, known.st_ino)
 
 
 def open_file(path: Path, flags: int) -> int:
@@ -98,10 +98,10 @@ def open_file(path: Path, flags: int) -> int:
         If it cannot be opened, or is something else.
     """
     descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    found = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(found):
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
         os.close(descriptor)
-        raise OSError(0, f"is {_kind(found)}, no file", str(path))
+        raise OSError(0, f"is {_kind(mode)}, no file", str(path))
     return descriptor
 
 

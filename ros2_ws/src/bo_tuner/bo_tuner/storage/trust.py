@@ -64,10 +64,10 @@ def foreign_programs(study: Study) -> list[str]:
     """List the programs, objects and functions that a study names and no shipped study does."""
     named = [program for node in study.nodes.values() for program in _programs(node)]
     named += python_functions(study)
-    found = [program for program in dict.fromkeys(named) if program not in _shipped()]
+    foreign = [program for program in dict.fromkeys(named) if program not in _shipped()]
     # What lies there may stand in for a module of a shipped study that is not installed.
     is_code = study.folder and study.names_programs
-    return [*found, f"code in {study.folder}"] if is_code else found
+    return [*foreign, f"code in {study.folder}"] if is_code else foreign
 
 
 def python_functions(study: Study) -> list[str]:

@@ -21,14 +21,14 @@ _NULL = "null"
 
 def stands_for(null: float) -> float:
     """Return the default of a field of numbers for which null stands for this one, not for NaN."""
-    found: float = dataclasses.field(metadata={_NULL: null})
-    return found
+    default: float = dataclasses.field(metadata={_NULL: null})
+    return default
 
 
 def to_json(value: Any) -> dict[str, object]:
     """Return a dataclass as JSON has it."""
-    found = without_nan(dataclasses.asdict(value))
-    return cast(dict[str, object], found)
+    content = without_nan(dataclasses.asdict(value))
+    return cast(dict[str, object], content)
 
 
 def from_json(cls: type[T], content: object) -> T:
@@ -42,8 +42,8 @@ def from_json(cls: type[T], content: object) -> T:
     ValueError
         If it is none: with the place of the first wrong value, and what was expected there.
     """
-    found: T = _object(cls, content, "")
-    return found
+    value: T = _object(cls, content, "")
+    return value
 
 
 def _object(cls: Any, content: object, place: str) -> Any:
@@ -114,12 +114,12 @@ def _number(content: object, place: str) -> float:
     if not isinstance(content, int | float) or isinstance(content, bool):
         raise _wrong(place, "a number", content)
     try:
-        found = float(content)
+        number = float(content)
     except OverflowError:
-        found = math.inf
-    if not math.isfinite(found):
+        number = math.inf
+    if not math.isfinite(number):
         raise _wrong(place, "a finite number", content)
-    return found
+    return number
 
 
 def _text(content: object, place: str) -> str:

@@ -28,7 +28,7 @@ def start_names(
         If a name is of nothing that the study sets on the node, it sets nothing there, or a node
         passes a file on in which nothing would be.
     """
-    found: dict[str, frozenset[str]] = {}
+    by_node: dict[str, frozenset[str]] = {}
     for key, spec in nodes.items():
         if not spec.at_start:
             continue
@@ -46,14 +46,14 @@ def start_names(
             for index, name in enumerate(spec.at_start):
                 checks.reference(name, "parameter of the node", own, *path, index)
             own = {name: own[name] for name in spec.at_start}
-        found[key] = frozenset(own.values())
+        by_node[key] = frozenset(own.values())
     for key, spec in nodes.items():
-        if spec.passes_file and all(starter_of(nodes, other) != key for other in found):
+        if spec.passes_file and all(starter_of(nodes, other) != key for other in by_node):
             raise StudyError(
                 f"nothing would be in {PARAMETER_FILE}: add at_start: true to the node",
                 ("nodes", key, "launch" if spec.launch else "command"),
             )
-    return found
+    return by_node
 
 
 def starter_of(nodes: Mapping[str, NodeSpec], key: str) -> str | None:

@@ -40,10 +40,10 @@ def incomparable_changes(then: Study, now: Study) -> list[str]:
     return [text for path, text in _changes(then, now) if _is_incomparable(path)]
 
 
-def summarized(found: list[str]) -> str:
+def summarized(lines: list[str]) -> str:
     """Return changes as one line, the first few of them if there are many."""
-    more = len(found) - MOST_SHOWN
-    return "; ".join(found[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+    more = len(lines) - MOST_SHOWN
+    return "; ".join(lines[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _is_incomparable(path: Path) -> bool:

@@ -45,16 +45,16 @@ def same_value(one: object, other: object) -> bool:
     return one == other or repr(one) == repr(other)
 
 
-def holds(found: object, told: object) -> bool:
+def holds(actual: object, told: object) -> bool:
     """Return whether a node has a value that it was told: the same, or that rounded to 32 bits.
 
     Devices behind a parameter keep many a double as a float.
     """
-    if same_value(found, told):
+    if same_value(actual, told):
         return True
-    if isinstance(found, (list, tuple)) and isinstance(told, (list, tuple)):
-        return len(found) == len(told) and all(map(holds, found, told))
-    if not isinstance(found, float) or not isinstance(told, float):
+    if isinstance(actual, (list, tuple)) and isinstance(told, (list, tuple)):
+        return len(actual) == len(told) and all(map(holds, actual, told))
+    if not isinstance(actual, float) or not isinstance(told, float):
         return False
     try:
         rounded: float
@@ -62,7 +62,7 @@ def holds(found: object, told: object) -> bool:
     except OverflowError:
         return False
     # What becomes 0 is lost, and not rounded.
-    return found == rounded != 0.0
+    return actual == rounded != 0.0
 
 
 def show(value: object) -> str:
@@ -100,8 +100,8 @@ def meant(value: str, allowed: Iterable[str]) -> str:
 def suggestion(value: str, allowed: Iterable[str]) -> str:
     """Return "did you mean ..." for a likely typo, otherwise the allowed names."""
     names = list(allowed)
-    if found := meant(value, names):
-        return found
+    if hint := meant(value, names):
+        return hint
     return f"expected one of {', '.join(names)}" if names else "there are none"
 
 

@@ -99,7 +99,7 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             )
     indices = range(len(conditions))
     sizes = (1, 2, len(conditions))
-    for chosen in (found for size in sizes for found in combinations(indices, size)):
+    for chosen in (group for size in sizes for group in combinations(indices, size)):
         share = float(holds[list(chosen)].all(axis=0).mean())
         if share >= FEWEST:
             continue
@@ -153,7 +153,7 @@ class _Positions(ast.NodeTransformer):
 def _expression(text: str, parameters: Mapping[str, Parameter]) -> Expression:
     """Return the expression of a condition between parameters, of which texts are positions."""
     levels = {name: _levels(item, parameters) for name, item in parameters.items()}
-    texts = {name: found for name, found in levels.items() if found}
+    texts = {name: positions for name, positions in levels.items() if positions}
     tree: ast.Expression | None = None
     # What is no expression at all is told by the expression.
     with contextlib.suppress(SyntaxError, ValueError, RecursionError, MemoryError):

@@ -53,9 +53,9 @@ class Conforming:
         wrong = ~self._holds(values)
         if not wrong.any():
             return values
-        found = values.copy()
-        found[wrong] = self.towards(self._nearest(values[wrong]), values[wrong])
-        return found
+        rows = values.copy()
+        rows[wrong] = self.towards(self._nearest(values[wrong]), values[wrong])
+        return rows
 
     def towards(self, inside: Array, outside: Array) -> Array:
         """Return rows (n, d) between some that satisfy the conditions and others that do not.
@@ -64,15 +64,15 @@ class Conforming:
         """
         start = self._to_unit(inside)
         way = self._to_unit(outside) - start
-        found = inside.copy()
+        rows = inside.copy()
         near, far = np.zeros(len(inside)), np.ones(len(inside))
         for _ in range(BISECTIONS):
             middle = 0.5 * (near + far)
             tried = self._to_values(start + middle[:, None] * way)
             good = self._holds(tried)
-            found[good] = tried[good]
+            rows[good] = tried[good]
             near, far = np.where(good, middle, near), np.where(good, far, middle)
-        return found
+        return rows
 
     def _nearest(self, values: Array) -> Array:
         """Return the anchors (n, d) that are the nearest to rows (n, d)."""

@@ -76,10 +76,10 @@ class ContextSpace:
     @property
     def columns(self) -> list[str]:
         """Names of the columns of the unit cube."""
-        found = []
+        columns = []
         for name, levels in zip(self.names, self._levels, strict=True):
-            found += [f"{name}.{level}" for level in range(levels)] if levels else [name]
-        return found
+            columns += [f"{name}.{level}" for level in range(levels)] if levels else [name]
+        return columns
 
     @property
     def ordered(self) -> tuple[str, ...]:
@@ -201,7 +201,7 @@ class ContextSpace:
         else:
             count = max(len(ends), *map(len, levels))
             pairs = [
-                (*ends[k % len(ends)], *(found[k % len(found)] for found in levels))
+                (*ends[k % len(ends)], *(support[k % len(support)] for support in levels))
                 for k in range(count)
             ]
         rows = np.tile(0.5 * (self.lower + self.upper), (len(pairs), 1))
@@ -215,18 +215,18 @@ class ContextSpace:
         as far as they differ from all before.
         """
         inside = latin_hypercube(CANDIDATES, self.dimension, np.random.default_rng(0))
-        found = self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
+        candidates = self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
         for row in self.cube_of(known):
-            if (np.abs(found - row) > DISTINCT).any(axis=1).all():
-                found = np.vstack([found, row])
-        return found
+            if (np.abs(candidates - row) > DISTINCT).any(axis=1).all():
+                candidates = np.vstack([candidates, row])
+        return candidates
 
     def _at_quantiles(self, probability: Array) -> Array:
         """Return the contexts at the quantiles of each variable, both of shape (n, v)."""
         contexts = np.empty_like(probability)
         for column, item in enumerate(self.distributions):
-            found = item.integers if self._integer[column] else item.ppf
-            contexts[:, column] = found(probability[:, column])
+            quantile = item.integers if self._integer[column] else item.ppf
+            contexts[:, column] = quantile(probability[:, column])
         return contexts
 
     def _decoded(self, points: Array) -> Iterator[Array]:

@@ -69,7 +69,7 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
     dict from str to list
         By the node's key the names of its parameters in the study.
     """
-    found: dict[str, list[str]] = {}
+    lacking: dict[str, list[str]] = {}
     for name, item in _parameters(mapping).items():
         if not isinstance(item, dict) or not isinstance(item.get("node"), str):
             continue
@@ -80,8 +80,8 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
         array, _ = array_and_item(str(item.get("parameter", name)))
         has_array = not array or array in _constants(mapping, item["node"])
         if needed - item.keys() or not has_array:
-            found.setdefault(str(item["node"]), []).append(name)
-    return found
+            lacking.setdefault(str(item["node"]), []).append(name)
+    return lacking
 
 
 def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
@@ -153,20 +153,20 @@ def node_problems(
     declared
         Whether to tell of these only: a node may take others that it has not declared.
     """
-    found = []
+    problems = []
     for name, item in study.parameters.items():
         if item.node != key or (declared and (item.array or item.parameter) not in known):
             continue
         leader = study.parameters[item.tied_to] if item.tied_to is not None else None
         if text := problem(item, known, leader):
-            found.append(StudyError(text, ("parameters", name)))
+            problems.append(StudyError(text, ("parameters", name)))
     for path, node, name in _further_parameters(study):
         if node == key and name not in known and not declared:
-            found.append(StudyError(_undeclared(name, known), path))
+            problems.append(StudyError(_undeclared(name, known), path))
     for name, value in study.nodes[key].parameters.items():
         described = known.get(name)
         if described is not None and (text := _integer_for_double(name, value, described)):
-            found.append(StudyError(text, ("nodes", key, "parameters")))
+            problems.append(StudyError(text, ("nodes", key, "parameters")))
     for name, variable in study.contexts.items():
         described = known.get(variable.parameter)
         if variable.node != key or described is None:
@@ -176,16 +176,16 @@ def node_problems(
         if not variable.distribution.labels:
             text = text or _outside(ends, variable.parameter, described)
         if text:
-            found.append(StudyError(text, ("contexts", name)))
+            problems.append(StudyError(text, ("contexts", name)))
     for path, setting in () if study.run is None else study.run.settings:
         if setting.node == key and (text := _setting_problem(setting, known)):
-            found.append(StudyError(text, path))
+            problems.append(StudyError(text, path))
     seed = study.seed_parameter
     described = known.get(seed.parameter) if seed is not None and seed.node == key else None
     if seed is not None and described is not None:
         text = _unsettable(seed.parameter, described, "integer")
-        found += [StudyError(text, ("seed_parameter",))] if text else []
-    return found
+        problems += [StudyError(text, ("seed_parameter",))] if text else []
+    return problems
 
 
 def _setting_problem(setting: SetParameter, known: Mapping[str, Described]) -> str:
@@ -312,8 +312,8 @@ def _undeclared(name: str, known: Mapping[str, Described]) -> str:
 
 
 def _parameters(mapping: object) -> dict[str, dict[str, object]]:
-    found = mapping.get("parameters") if isinstance(mapping, dict) else None
-    return found if isinstance(found, dict) else {}
+    section = mapping.get("parameters") if isinstance(mapping, dict) else None
+    return section if isinstance(section, dict) else {}
 
 
 def _node(mapping: object, node: object) -> dict[str, object]:

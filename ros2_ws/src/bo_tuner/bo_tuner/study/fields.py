@@ -70,19 +70,19 @@ def parsed_field(text: str) -> Field:
     """
     if len(text) > LONGEST:
         raise StudyError(f"expected at most {LONGEST} characters", ("field",))
-    found = _parsed(text.strip(), text)
-    if isinstance(found, float):
+    parsed = _parsed(text.strip(), text)
+    if isinstance(parsed, float):
         raise StudyError(f"expected a field, found {checks.show(text)}", ("field",))
-    if isinstance(found, FieldCall) and found.function in FILTERS:
+    if isinstance(parsed, FieldCall) and parsed.function in FILTERS:
         raise StudyError(
-            f"{found.function} leaves an array; expected one number of it, such as min({text})",
+            f"{parsed.function} leaves an array; expected one number of it, such as min({text})",
             ("field",),
         )
-    if isinstance(found, tuple) and any(isinstance(part.item, slice) for part in found):
+    if isinstance(parsed, tuple) and any(isinstance(part.item, slice) for part in parsed):
         raise StudyError(
             f"several items are no number; expected one of them, such as min({text})", ("field",)
         )
-    return found
+    return parsed
 
 
 def field_path(text: str) -> FieldPath:
@@ -137,7 +137,7 @@ def _parsed(text: str, whole: str) -> Argument:
 
 def _split(text: str, whole: str) -> list[str]:
     """Split arguments at the commas that stand in no brackets of their own."""
-    found, depth, in_item, begin = [], 0, False, 0
+    arguments, depth, in_item, begin = [], 0, False, 0
     for place, letter in enumerate(text):
         # The name of an item may have any other character.
         if in_item or letter == "[":
@@ -147,11 +147,11 @@ def _split(text: str, whole: str) -> list[str]:
             if depth < 0:
                 raise _no_field(whole)
         elif letter == "," and depth == 0:
-            found.append(text[begin:place])
+            arguments.append(text[begin:place])
             begin = place + 1
     if depth != 0 or in_item:
         raise _no_field(whole)
-    return [*found, text[begin:]]
+    return [*arguments, text[begin:]]
 
 
 def _path(text: str, whole: str) -> FieldPath:

@@ -75,14 +75,14 @@ def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = Fal
     With `alone` there is no context but that of the draws: they are of the worst one, and estimate
     whether a worst-case limit holds there.
     """
-    found = np.asarray(values, dtype=np.float64)
-    agrees = len(found) > 0 and constraint.rule.agrees(found, alone=alone)
+    sample = np.asarray(values, dtype=np.float64)
+    agrees = len(sample) > 0 and constraint.rule.agrees(sample, alone=alone)
     return Sample(
         name=constraint.name,
-        worst=constraint.farthest(found),
-        count=len(found),
-        violations=int(np.sum(constraint.violations(found))),
-        permitted=constraint.rule.permitted(len(found)),
+        worst=constraint.farthest(sample),
+        count=len(sample),
+        violations=int(np.sum(constraint.violations(sample))),
+        permitted=constraint.rule.permitted(len(sample)),
         standing=Standing.OPEN if agrees else Standing.VIOLATED,
     )
 
@@ -93,7 +93,7 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
     Draws that are all complete, and enough, show a limit on single runs over the contexts.
     """
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
-    found = {
+    samples = {
         name: judge_sample(
             constraint,
             [metrics[constraint.metric] for metrics in complete],
@@ -102,10 +102,10 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
         for name, constraint in study.constraints.items()
     }
     if len(complete) < len(evaluations):
-        return found
+        return samples
     return {
         name: replace(sample, standing=Standing.SHOWN) if is_shown(study, sample) else sample
-        for name, sample in found.items()
+        for name, sample in samples.items()
     }
 
 
@@ -155,10 +155,10 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
         Values (n,) of its metric in that context, n ≥ 2.
     """
     # From the limit, as the mean of equal values may differ from them by rounding.
-    found = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
-    mean, noise = float(found.mean()), float(found.std(ddof=1))
+    beyond = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
+    mean, noise = float(beyond.mean()), float(beyond.std(ddof=1))
     z = constraint.deviations
-    error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(found))
+    error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(beyond))
     return mean + z * noise - error > 0.0
 
 
@@ -171,8 +171,8 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
         if values and not judge_sample(drawn, values).agrees:
             broken.append(drawn.name)
     for worst in study.worst_case_constraints:
-        found = trial.worst_cases.get(worst.name)
-        if found is not None and worst.violations(found.value):
+        worst_case = trial.worst_cases.get(worst.name)
+        if worst_case is not None and worst.violations(worst_case.value):
             broken.append(worst.name)
     return tuple(broken)
 
@@ -186,9 +186,9 @@ def uncertain(study: Study, trial: Trial) -> tuple[str, ...]:
     return tuple(
         worst.name
         for worst in study.worst_case_constraints
-        if (found := trial.worst_cases.get(worst.name)) is not None
-        and not worst.violations(found.value)
-        and not worst_case_holds(worst, found)
+        if (worst_case := trial.worst_cases.get(worst.name)) is not None
+        and not worst.violations(worst_case.value)
+        and not worst_case_holds(worst, worst_case)
     )
 
 
@@ -197,12 +197,12 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
 
     None without any, or if the trial is not complete.
     """
-    found = [
+    pairs = [
         (constraint, trial.worst_cases[constraint.name])
         for constraint in study.worst_case_constraints
         if constraint.name in trial.worst_cases
     ]
-    return max(found, key=lambda pair: excess(*pair), default=None)
+    return max(pairs, key=lambda pair: excess(*pair), default=None)
 
 
 def outcome_in_words(study: Study, trial: Trial) -> str:
@@ -213,5 +213,5 @@ def outcome_in_words(study: Study, trial: Trial) -> str:
     if trial.state is TrialState.FAILED:
         return trial.ending
     kinds = {"violates": violated(study, trial), "may violate": uncertain(study, trial)}
-    found = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
-    return "; ".join(found) or WITHIN
+    parts = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
+    return "; ".join(parts) or WITHIN

@@ -100,10 +100,10 @@ def seen_in_words(
     metrics: Mapping[str, StudyMetric], seen: Mapping[str, SeenRange]
 ) -> Iterator[str]:
     """Yield a sentence on each measured context: its range, and that nothing is claimed beyond."""
-    for name, found in seen.items():
-        ends = f"{shown(found.low)} and {shown(found.high)} {metrics[name].unit}".rstrip()
+    for name, seen_range in seen.items():
+        ends = f"{shown(seen_range.low)} and {shown(seen_range.high)} {metrics[name].unit}".rstrip()
         yield (
-            f"{name} was between {ends} in these runs (mean {shown(found.mean)}); nothing is "
+            f"{name} was between {ends} in these runs (mean {shown(seen_range.mean)}); nothing is "
             "claimed beyond."
         )
 

@@ -154,10 +154,10 @@ class SignalMetric:
 
     def check_signals(self, signals: Iterable[str]) -> None:
         """Refuse expressions with signals that the study does not have."""
-        found = expression(self.of, signals, "of").names
-        if not found - {TIME}:
+        names = expression(self.of, signals, "of").names
+        if not names - {TIME}:
             raise StudyError("expected an expression with a signal", ("of",))
-        if self.measure == "largest_rate" and len(found) > 1:
+        if self.measure == "largest_rate" and len(names) > 1:
             raise StudyError(
                 "the largest_rate of several signals depends on when their messages come; "
                 "expected one signal",
@@ -276,11 +276,11 @@ class CombinedMetric:
         measured = {k: m for k, m in metrics.items() if not isinstance(m, COMPUTED)}
         of = metric_expression(self.expression, measured, "expression")
         parts = {name: measured[name] for name in sorted(of.names)}
-        found = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
+        joined = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
         # These are no keys of a study file.
-        object.__setattr__(found, "_of", of)
-        object.__setattr__(found, "parts", tuple(parts.values()))
-        return found
+        object.__setattr__(joined, "_of", of)
+        object.__setattr__(joined, "parts", tuple(parts.values()))
+        return joined
 
     def value(self, metrics: Mapping[str, float]) -> float:
         """Return its value where its parts have these; NaN or infinite where it is undefined."""
@@ -355,9 +355,9 @@ class RelativeMetric:
         if declared is None and part.range is not None:
             low, high = part.range
             declared = low - self.factor * high, high - self.factor * low
-        found = dataclasses.replace(self, unit=self.unit or part.unit, range=declared)
-        object.__setattr__(found, "parts", (part,))
-        return found
+        joined = dataclasses.replace(self, unit=self.unit or part.unit, range=declared)
+        object.__setattr__(joined, "parts", (part,))
+        return joined
 
     def value(self, metrics: Mapping[str, float], default: Mapping[str, float]) -> float:
         """Return its value by the metrics of an evaluation and those of the default beside it."""
@@ -386,10 +386,10 @@ def metric_expression(text: object, metrics: Iterable[str], *path: str | int) ->
     StudyError
         If it is none, has other names than those of `metrics`, or no name.
     """
-    found = named_expression(text, tuple(metrics), "metric", *path)
-    if not found.names:
+    parsed = named_expression(text, tuple(metrics), "metric", *path)
+    if not parsed.names:
         raise StudyError("expected an expression with a metric", path)
-    return found
+    return parsed
 
 
 def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:

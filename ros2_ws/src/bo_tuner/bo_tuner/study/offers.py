@@ -85,7 +85,7 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
     """
     offers: list[ParameterOffer] = []
     others: dict[str, str] = {}
-    found = _kinds(node)
+    kinds = _kinds(node)
     for name, described in node.parameters.items():
         if name in OF_EVERY_NODE or name.startswith("qos_overrides."):
             continue
@@ -95,13 +95,13 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
             others[name] = "read-only"
         elif described.type in ("double", "integer", "boolean"):
             try:
-                offers.append(_offer(node.name, name, described, found[name]))
+                offers.append(_offer(node.name, name, described, kinds[name]))
             except StudyError as error:
                 others[name] = error.problem
         elif described.type == "double_array" and isinstance(described.value, (list, tuple)):
             if len(described.value) > MOST_ITEMS:
                 others[name] = f"an array of {len(described.value)}; write its items as {name}[0]"
-            offers += _items(node.name, name, described, found[name])
+            offers += _items(node.name, name, described, kinds[name])
         elif described.type == "string":
             others[name] = "a text; write choices: [...] to tune it"
         else:
@@ -114,11 +114,11 @@ def context_offers(node: SeenNode) -> list[ContextOffer]:
 
     Their bounds are a guess around the present value, within the range of the node.
     """
-    found = _kinds(node)
+    kinds = _kinds(node)
     offers = []
     for name, described in node.parameters.items():
         is_free = not described.read_only and name not in node.changing
-        if found[name] is Kind.PLANT and described.type == "double" and is_free:
+        if kinds[name] is Kind.PLANT and described.type == "double" and is_free:
             with contextlib.suppress(StudyError):
                 offers.append(_context(name, described))
     return offers
@@ -141,11 +141,9 @@ def suggested_nodes(offers: Mapping[str, Sequence[ParameterOffer]]) -> list[str]
     These have a parameter whose name tells of tuning, as a controller or an estimator does; without
     any such node, all that have one whose name tells nothing.
     """
-    possible = {node: [o for o in found if o.suggested] for node, found in offers.items()}
-    telling = [
-        node for node, found in possible.items() if any(o.kind is Kind.TUNING for o in found)
-    ]
-    return telling or [node for node, found in possible.items() if found]
+    possible = {node: [o for o in own if o.suggested] for node, own in offers.items()}
+    telling = [node for node, own in possible.items() if any(o.kind is Kind.TUNING for o in own)]
+    return telling or [node for node, own in possible.items() if own]
 
 
 def _kinds(node: SeenNode) -> dict[str, Kind]:

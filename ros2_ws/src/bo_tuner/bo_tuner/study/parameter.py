@@ -279,9 +279,9 @@ def study_name(name: str) -> str:
         return name
     array, item = array_and_item(name)
     groups = [re.sub(r"\W+", "_", part, flags=re.ASCII) for part in (array or name).split(".")]
-    found = ".".join(group for group in groups if group) or "_"
-    found = found if re.match(r"[A-Za-z_]", found) else f"_{found}"
-    return f"{found}[{item}]" if array else found
+    joined = ".".join(group for group in groups if group) or "_"
+    joined = joined if re.match(r"[A-Za-z_]", joined) else f"_{joined}"
+    return f"{joined}[{item}]" if array else joined
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:

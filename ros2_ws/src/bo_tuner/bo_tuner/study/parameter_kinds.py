@@ -110,16 +110,16 @@ def kinds(node: str, parameters: Mapping[str, str]) -> dict[str, Kind]:
     texts = [of_node, *(_words(name) for name in parameters)]
     is_estimator = any(_ESTIMATOR.search(text) for text in texts)
     noise = Kind.TUNING if is_estimator else Kind.PLANT
-    found = {
+    by_name = {
         name: _kind(name, said, noise, is_compliant=bool(_COMPLIANT.search(of_node)))
         for name, said in parameters.items()
     }
-    known = set(found.values())
+    known = set(by_name.values())
     # A time constant beside a mass is the plant's, beside a gain that of a filter.
     meant = Kind.PLANT if Kind.PLANT in known else Kind.TUNING
     if {Kind.PLANT, Kind.TUNING} <= known:
         meant = Kind.UNKNOWN
-    return {name: meant if kind is None else kind for name, kind in found.items()}
+    return {name: meant if kind is None else kind for name, kind in by_name.items()}
 
 
 def _kind(name: str, said: str, noise: Kind, *, is_compliant: bool) -> Kind | None:

@@ -73,13 +73,13 @@ class ContextVariable:
     def _check_type(self) -> None:
         """Find the type, or refuse one that the distribution's values do not have."""
         labels = self.distribution.labels
-        found = DOUBLE
+        type_of_values = DOUBLE
         if labels:
-            found = "boolean" if isinstance(labels[0], bool) else "string"
+            type_of_values = "boolean" if isinstance(labels[0], bool) else "string"
         if self.type == "":
-            object.__setattr__(self, "type", found)
+            object.__setattr__(self, "type", type_of_values)
         checks.choice(self.type, TYPES, "type")
-        if self.type == INTEGER and found == DOUBLE:
+        if self.type == INTEGER and type_of_values == DOUBLE:
             item = self.distribution
             numbers = item.support if isinstance(item, Discrete) else [item.lower, item.upper]
             for number in numbers:
@@ -89,9 +89,9 @@ class ContextVariable:
                         f"{number:g}",
                         ("type",),
                     )
-        elif self.type != found:
+        elif self.type != type_of_values:
             raise StudyError(
-                f"expected {found}, as its values are, found {self.type}; numbers are of "
+                f"expected {type_of_values}, as its values are, found {self.type}; numbers are of "
                 f"{DOUBLE} or {INTEGER}, truth values and texts of discrete",
                 ("type",),
             )

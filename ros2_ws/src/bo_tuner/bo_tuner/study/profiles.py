@@ -163,8 +163,8 @@ class ChirpProfile:
         _duration(self)
         checks.choice(self.sweep, (LINEAR, LOGARITHMIC), "sweep")
         pair = checks.pair(self.frequencies, "[first, last] frequency", "frequencies")
-        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
-        object.__setattr__(self, "frequencies", found)
+        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
+        object.__setattr__(self, "frequencies", frequencies)
 
     @property
     def highest_frequency(self) -> float:
@@ -214,8 +214,8 @@ class MultisineProfile:
         checks.at_most(items, maxima.SINES, "frequencies")
         if not items:
             raise StudyError("expected at least one", ("frequencies",))
-        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
-        object.__setattr__(self, "frequencies", found)
+        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
+        object.__setattr__(self, "frequencies", frequencies)
         if (self.amplitude is None) == (not self.amplitudes):
             raise StudyError("expected one of amplitude and amplitudes")
         if self.amplitude is not None:
@@ -231,8 +231,8 @@ class MultisineProfile:
                 f"{len(values)}",
                 (key,),
             )
-        found = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
-        object.__setattr__(self, key, found)
+        magnitudes = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
+        object.__setattr__(self, key, magnitudes)
 
     @property
     def highest_frequency(self) -> float:
@@ -366,8 +366,8 @@ class Profile:
             If its file is not as it should be.
         """
         if self.expression:
-            found = Expression(self.expression, (TIME, PI))
-            return lambda time: np.broadcast_to(found({TIME: time, PI: np.pi}), time.shape)
+            expression = Expression(self.expression, (TIME, PI))
+            return lambda time: np.broadcast_to(expression({TIME: time, PI: np.pi}), time.shape)
         if self.csv is not None:
             with under("csv"):
                 return partial(self.csv.read(folder).at, hold=self.csv.between == HOLD)

@@ -57,9 +57,9 @@ class Topic:
             )
         for key in ("profile", "follow"):
             if not isinstance(getattr(self, key), Mapping):
-                found = checks.show(getattr(self, key))
+                given = checks.show(getattr(self, key))
                 example = "{data: angle}" if key == "follow" else '{data: "sin(t)"}'
-                raise StudyError(f"expected fields such as {example}, found {found}", (key,))
+                raise StudyError(f"expected fields such as {example}, found {given}", (key,))
         for name in self.profile:
             with under("profile", str(name)):
                 try:
@@ -263,12 +263,12 @@ def _with_profiles(fields: dict[str, Any]) -> dict[str, Any]:
     given = fields.get("profile")
     if isinstance(given, dict):
         findings = Findings()
-        found = {}
+        profiles = {}
         for name, item in given.items():
             with findings.under("profile", str(name)):
-                found[name] = build_profile(item)
+                profiles[name] = build_profile(item)
         findings.check()
-        fields["profile"] = found
+        fields["profile"] = profiles
     return fields
 
 

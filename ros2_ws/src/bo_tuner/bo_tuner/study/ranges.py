@@ -25,8 +25,8 @@ def check_range(metric: Any) -> None:
     """
     if metric.range is None:
         return
-    found = checks.pair(metric.range, "two numbers, as [low, high]", "range")
-    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(found))
+    pair = checks.pair(metric.range, "two numbers, as [low, high]", "range")
+    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(pair))
     if not low < high:
         raise StudyError(f"expected low < high, found [{low:g}, {high:g}]", ("range",))
     object.__setattr__(metric, "range", (low, high))

@@ -196,8 +196,10 @@ def check_names(
     """
     named = {key: parts.get(key, {}) for key in ("parameters", "contexts", "metrics")}
     if "nodes" in names:
-        found = node_references(named.items(), parts.get("trigger"), parts.get("seed_parameter"))
-        for path, node in found:
+        references = node_references(
+            named.items(), parts.get("trigger"), parts.get("seed_parameter")
+        )
+        for path, node in references:
             with findings.under():
                 checks.reference(node, "node", names["nodes"], *path, "node")
     if {"signals", "nodes"} <= names.keys():

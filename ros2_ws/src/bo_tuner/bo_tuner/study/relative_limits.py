@@ -93,7 +93,7 @@ def _plain(
     if len(on) == 1:
         plain = {side: limit for side, (_, limit) in limits.items()}
         return {name: {**item, **plain, "metric": on.pop()}}
-    found = {}
+    split = {}
     for one in whole.sides():
         if one.name in others:
             raise StudyError(
@@ -101,8 +101,8 @@ def _plain(
             )
         metric, limit = limits[one.side]
         fields = dataclasses.asdict(one) | {"metric": metric, one.side: limit}
-        found[one.name] = {k: v for k, v in fields.items() if k != "name" and v is not None}
-    return found
+        split[one.name] = {k: v for k, v in fields.items() if k != "name" and v is not None}
+    return split
 
 
 def _relative(metric: str, factor: float, metrics: dict[str, Any], path: KeyPath) -> str:

@@ -146,8 +146,8 @@ class Run:
                     read = replace(step, publish=step.publish.read_files(folder, self.longest))
             phases[str(phase)].append(read)
         findings.check()
-        found: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
-        return replace(self, **found)
+        by_phase: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
+        return replace(self, **by_phase)
 
     @property
     def settings(self) -> Iterator[tuple[KeyPath, SetParameter]]:

@@ -215,11 +215,11 @@ class SearchSpace:
         )
         near = np.where(self.discrete, 0.0, RESOLUTION) * self._scaled_width
         scaled = self._scaled(row)
-        found: dict[str, str] = {}
+        sides: dict[str, str] = {}
         for side, bound in ((LOWER, self.lower), (UPPER, last)):
             at = np.abs(scaled - self._scaled(bound)) <= near
-            found |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
-        return {name: found[name] for name in self.numbers if name in found}
+            sides |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
+        return {name: sides[name] for name in self.numbers if name in sides}
 
     def latin_hypercube(
         self,
@@ -278,16 +278,16 @@ class SearchSpace:
 
         Where hardly any holds, some still break one after all draws.
         """
-        found = values.copy()
-        wrong = np.flatnonzero(~self._space.holds(found))
+        drawn = values.copy()
+        wrong = np.flatnonzero(~self._space.holds(drawn))
         for _ in range(ROUNDS):
             if not len(wrong):
                 break
             fresh = self._drawn(BATCH, rng)
             fresh = fresh[self._space.holds(fresh)][: len(wrong)]
-            found[wrong[: len(fresh)]] = fresh
+            drawn[wrong[: len(fresh)]] = fresh
             wrong = wrong[len(fresh) :]
-        return found
+        return drawn
 
     def minimum_length_scales(self) -> Array:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
@@ -349,7 +349,7 @@ class SearchSpace:
         The integer neighbours, then for each tuned double one below and one above, repaired to
         bounds and order; a step that breaks a condition ends where that begins.
         """
-        found = self.integer_neighbours(parameters)
+        neighbours = self.integer_neighbours(parameters)
         row = self._space.row(parameters)
         at = self._to_unit(self._free_values(self.to_cube(parameters)[None]))
         for column in np.flatnonzero(~self.discrete):
@@ -368,8 +368,8 @@ class SearchSpace:
                     if np.abs(self._to_unit(values) - at).max() <= RESOLUTION:
                         continue
                 if np.any(values != row):
-                    found.append(self._space.complete(values[0]))
-        return found
+                    neighbours.append(self._space.complete(values[0]))
+        return neighbours
 
     def _values(self, positions: Array) -> Array:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
@@ -425,10 +425,10 @@ class SearchSpace:
 
     def _scaled(self, values: Array) -> Array:
         """Return s(v) for values of shape (..., d)."""
-        found = values.copy()
+        transformed = values.copy()
         for scale, there in self._on_scale.items():
-            found[..., there] = scaled(scale, values[..., there], self.upper[there])
-        return found
+            transformed[..., there] = scaled(scale, values[..., there], self.upper[there])
+        return transformed
 
     def _unscaled(self, positions: Array) -> Array:
         """Return v for s(v) of shape (n, d)."""

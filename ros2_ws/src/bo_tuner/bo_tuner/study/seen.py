@@ -104,7 +104,7 @@ def with_joints(
         if name.startswith("position[")
     }
     known = (_joints(node) for node in nodes if node.name in topic.listeners)
-    joints = next((found for found in known if found), tuple(positions))
+    joints = next((names for names in known if names), tuple(positions))
     fields = {
         f"points[0].positions[{i}]": positions.get(joint, 0.0) for i, joint in enumerate(joints)
     }

@@ -116,7 +116,7 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
     # What is silent may be published in runs only, or never.
     pools = ([t for t in near if not t.is_silent], [t for t in single if not t.is_silent], near)
-    usual = next((found for pool in pools if (found := [o for t in pool for o in _usual(t)])), [])
+    usual = next((offers for pool in pools if (offers := [o for t in pool for o in _usual(t)])), [])
     heard = [topic for topic in topics if set(topic.listeners) & set(nodes)]
     wanted = reference([o for t in heard if REFERENCE.search(t.name) for o in _usual(t)], nodes)
     measured = None
@@ -223,8 +223,8 @@ def _usual(topic: SeenTopic) -> list[SignalOffer]:
     if len(topic.fields) == 1:
         return offers
     for pattern in USUAL:
-        if found := [offer for offer in offers if pattern.search(offer.field)]:
-            return found
+        if matching := [offer for offer in offers if pattern.search(offer.field)]:
+            return matching
     # Integers and truth values beside other fields count, or tell of a state.
     numbers = [o for o in offers if type(topic.fields[o.field]) is float]
     return [o for o in numbers if not UNUSUAL.search(o.field)][:MOST_OF_TOPIC]

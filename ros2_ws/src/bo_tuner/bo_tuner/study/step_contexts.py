@@ -56,18 +56,18 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
             if in_condition and variable is not None and variable.type == "string":
                 raise StudyError(f"'{name}' is a text, which no condition on signals has", path)
     for path, text in () if run is None else _without_context(run):
-        for found in names_in(text):
+        for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{found}': it must hold whatever an evaluation "
+                    f"expected no context, found '{name}': it must hold whatever an evaluation "
                     "is, also without the tuner",
                     path,
                 )
     for path, text in () if run is None else _in_streams(run):
-        for found in names_in(text):
+        for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{found}': a stream has none in it", path
+                    f"expected no context, found '{name}': a stream has none in it", path
                 )
     for name, variable in contexts.items():
         if variable is not None and not variable.node and name not in used:

@@ -365,17 +365,17 @@ class Study:
         """
         space = self.search_space()
         try:
-            found = space.permitted({**space.defaults, **given})
+            complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
         for name, value in given.items():
-            if found[name] != value:
+            if complete[name] != value:
                 raise StudyError(
-                    f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
+                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
                     (name,),
                 )
             self.parameters[name].check_grid(value, name)
-        return found
+        return complete
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
@@ -389,10 +389,10 @@ class Study:
         sets: dict[object, dict[str, Value]] = {}
         for index, given in enumerate(self.start):
             try:
-                found = self.complete_set({} if isinstance(given, str) else given)
+                complete = self.complete_set({} if isinstance(given, str) else given)
             except StudyError as error:
                 raise error.under("start", index) from None
-            sets.setdefault(space.key(found), found)
+            sets.setdefault(space.key(complete), complete)
         if len(sets) > self.budget.trials:
             raise StudyError(
                 f"{len(sets)} parameter sets are more than the {self.budget.trials} trials",
@@ -598,21 +598,21 @@ class Study:
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:
     """Return the metrics, those that are computed from others with these."""
-    found = dict(metrics)
+    joined = dict(metrics)
     # One that is relative may be to a combined one.
     for kind in (CombinedMetric, RelativeMetric):
         for name, item in metrics.items():
             if isinstance(item, kind):
                 with findings.under("metrics", name):
-                    found[name] = item.joined(found)
-    return found
+                    joined[name] = item.joined(joined)
+    return joined
 
 
 def _one_limit_each(
     constraints: Mapping[str, Constraint], taken: Collection[str]
 ) -> dict[str, Constraint]:
     """Return the constraints by name, those with two limits as two; some names are taken."""
-    found: dict[str, Constraint] = {}
+    limits: dict[str, Constraint] = {}
     for name, item in constraints.items():
         if item.name != name:
             raise StudyError(f"is called '{item.name}' in itself", ("constraints", name))
@@ -622,13 +622,13 @@ def _one_limit_each(
                     f"the models call another one '{side.name}'; choose another name",
                     ("constraints", name),
                 )
-            if side.name in found or (side is not item and side.name in constraints):
+            if side.name in limits or (side is not item and side.name in constraints):
                 raise StudyError(
                     f"is split into '{side.name}' and another, but there is such a constraint",
                     ("constraints", name),
                 )
-            found[side.name] = side
-    return found
+            limits[side.name] = side
+    return limits
 
 
 def _order(order: object) -> tuple[tuple[str, str], ...]:

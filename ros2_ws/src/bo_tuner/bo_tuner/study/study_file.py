@@ -132,8 +132,8 @@ def _in_folder(study: Study, folder: Path, source: str) -> Study:
         with under("run"):
             run = study.run and study.run.read_files(own)
     except StudyError as error:
-        found = [each.located(source, None) for each in (error, *error.others)]
-        raise found[0].with_others(found[1:]) from None
+        problems = [each.located(source, None) for each in (error, *error.others)]
+        raise problems[0].with_others(problems[1:]) from None
     return dataclasses.replace(study, folder=own, run=run)
 
 
@@ -174,9 +174,9 @@ def parse_study(
         completed = with_function(document.value) if of_function else document.value
         return study_from_mapping(completed)
     except StudyError as error:
-        found = [located(each) for each in (error, *error.others)]
+        problems = [located(each) for each in (error, *error.others)]
         # What is missing altogether stands nowhere.
-        first, *others = sorted(found, key=lambda each: each.line or math.inf)
+        first, *others = sorted(problems, key=lambda each: each.line or math.inf)
         raise first.with_others(others) from None
 
 
@@ -225,12 +225,12 @@ def study_from_mapping(mapping: object) -> Study:
 def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
     """Return by section the names of the parts in a study file, as far as it has such a section."""
     optional = {field.name for field in dataclasses.fields(Study) if not is_required(field)}
-    found = {}
+    by_section = {}
     for key in _NAMED:
         section = values.get(key, {} if key in optional else None)
         if isinstance(section, dict):
-            found[key] = [name for name in section if isinstance(name, str)]
-    return found
+            by_section[key] = [name for name in section if isinstance(name, str)]
+    return by_section
 
 
 def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -251,13 +251,13 @@ def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _build_objectives(value: object) -> tuple[Objective, ...]:
-    found = []
+    objectives = []
     for index, item in enumerate(
         checks.sequence(value, "a list of objectives", "further_objectives")
     ):
         with under("further_objectives", index):
-            found.append(build(Objective, item))
-    return tuple(found)
+            objectives.append(build(Objective, item))
+    return tuple(objectives)
 
 
 def study_to_mapping(study: Study) -> dict[str, object]:
@@ -329,8 +329,8 @@ def _build_named(section: str, cls: type[Any], value: object, findings: Findings
     items: dict[str, Any] = {}
     with findings.under(section):
         if not isinstance(value, dict):
-            found = checks.show(value)
-            raise StudyError(f"expected a mapping of names, {{}} for none, found {found}")
+            shown = checks.show(value)
+            raise StudyError(f"expected a mapping of names, {{}} for none, found {shown}")
         for name, fields in value.items():
             if not isinstance(name, str):
                 raise StudyError(f"expected a name, found {checks.show(name)}")
@@ -372,14 +372,14 @@ def _plain_part(part: Any) -> dict[str, object]:
 
 def _plain_fields(settings: Any) -> dict[str, Any]:
     """Return the fields that are not empty, with lists for tuples."""
-    found = {}
+    plain = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         # An empty text may be one of the choices of a parameter.
         if value is None or value in ((), {}) or (value == "" and field.default == ""):
             continue
-        found[field.name] = _plain(value)
-    return found
+        plain[field.name] = _plain(value)
+    return plain
 
 
 def _plain(value: object) -> object:

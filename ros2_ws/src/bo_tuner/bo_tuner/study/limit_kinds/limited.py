@@ -70,8 +70,8 @@ class Limited:
 
     def violations(self, values: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each of the values (...) of its metric violates the limit."""
-        found: NDArray[np.bool_] = self.sign * np.asarray(values) > self.sign * self.limit
-        return found
+        violated: NDArray[np.bool_] = self.sign * np.asarray(values) > self.sign * self.limit
+        return violated
 
     def excess(self, value: float) -> float:
         """Return how far a value of its metric is beyond the limit, relative to the limit's size.
@@ -82,5 +82,5 @@ class Limited:
 
     def farthest(self, values: ArrayLike) -> float:
         """Return the extreme of the values (n,) of its metric, in its unit; NaN of none."""
-        found = self.sign * np.asarray(values, dtype=np.float64)
-        return self.sign * float(found.max()) if found.size else float("nan")
+        signed = self.sign * np.asarray(values, dtype=np.float64)
+        return self.sign * float(signed.max()) if signed.size else float("nan")

@@ -127,8 +127,8 @@ class OnMean(LimitKind):
         beyond = self.limited.beyond
         if not agrees:
             return f"the mean over {runs} is {beyond} the limit"
-        found = f"{violations} of {runs} {beyond} the limit"
-        return f"{found}, which is on the mean" if violations else found
+        text = f"{violations} of {runs} {beyond} the limit"
+        return f"{text}, which is on the mean" if violations else text
 
     def said_of_draws(  # noqa: D102
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
