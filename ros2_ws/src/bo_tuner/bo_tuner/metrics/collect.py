@@ -49,8 +49,8 @@ class Collector:
             Without metrics that are relative to the default, which `backends.paired` adds. Failed
             if a node ran with another parameter, if it says so or sends more than `maxima.ANSWER`
             values, if a metric is missing, no number, not finite or beyond `LARGEST_METRIC`, or if
-            an objective has no logarithm, see `judged`. With the status `DISTURBED` a node says
-            that somebody else had a hand in the evaluation.
+            a metric with a logarithmic scale is not positive. With the status `DISTURBED` a node
+            says that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -74,7 +74,7 @@ class Collector:
                 disturbed = {DISTURBED: reason} if pairs.get("status") == DISTURBED else {}
                 return Outcome(EvaluationState.FAILED, {}, reason, details | disturbed)
         metrics: dict[str, float] = {}
-        # Those that are computed from others come after these.
+        # Metrics that are computed from others come after these.
         ordered = sorted(
             self._study.metrics.items(), key=lambda item: isinstance(item[1], CombinedMetric)
         )
@@ -99,7 +99,7 @@ class Collector:
         return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
     def _mismatch(self, results: Results, assigned: Results) -> str:
-        """Name a parameter that a node ran with another value of than it was given."""
+        """Return in words a parameter for which a node reports another value than it was given."""
         reported = [m for m in self._study.metrics.values() if isinstance(m, ReportedMetric)]
         metrics = {(metric.node, metric.key) for metric in reported}
         for node, pairs in results.items():
@@ -122,7 +122,7 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
 
 
 def metric_problem(value: object) -> str:
-    """Tell in a few words why this cannot be the value of a metric; empty if it can."""
+    """Return in a few words why this cannot be the value of a metric; empty if it can."""
     shown = brief(_text(value)[:40]) or "empty"
     if isinstance(value, bool):
         return shown
@@ -131,7 +131,7 @@ def metric_problem(value: object) -> str:
     except (TypeError, ValueError, OverflowError):
         return shown
     except named_code.faults() as error:
-        # An object's own conversion, which may raise anything.
+        # The object's own conversion to a number may raise anything.
         return f"a {type(value).__name__} that is no number: {named_code.told(error)}"
     if not isfinite(number):
         return shown

@@ -5,8 +5,8 @@ operators, and nothing else: no attributes, no items, no statements. Its own ope
 single numbers; ours work item by item on arrays, ``and``, ``or``, ``not`` and chains such as
 ``0 < x < 1`` included.
 
-What a comparison says of NaN is not known, and stays so through ``not``; ``and`` and ``or`` are
-known where the other side decides (Kleene 1952, §64, the strong three-valued logic).
+A comparison with NaN is neither true nor false but unknown, and so is its ``not``; ``and`` and
+``or`` are known where the other side decides (Kleene 1952, §64, the strong three-valued logic).
 """
 
 import ast
@@ -93,7 +93,7 @@ _OURS = {
 _FOREIGN = re.compile(
     r"=>|=<|<>|(?<![<>=!])=(?!=)|&&|\|\||!(?!=)|\b(?!and\b|or\b|not\b)(?i:and|or|not)\b"
 )
-"""Operators of other languages, where Python's grammar does not go on."""
+"""Operators of other languages, as they stand where Python refuses the text."""
 
 
 class ExpressionError(ValueError):
@@ -159,7 +159,7 @@ class Expression:
         for call in calls:
             _check_arguments(call)
         self.names = frozenset(node.id for node in name_nodes if id(node) not in called)
-        # Whatever else is wrong, such as a missing argument, shows with any numbers.
+        # Any other error, such as a missing argument, is raised by evaluating it with any numbers.
         self({name: np.ones(1) for name in self.names})
 
     def __call__(self, values: Mapping[str, ArrayLike]) -> Array:
@@ -198,7 +198,7 @@ class Expression:
 
 
 class _Joined(ast.NodeTransformer):
-    """Makes one name of the levels and the item that a known name has."""
+    """Joins levels and items, such as ``gains.kp`` or ``gains[2]``, to one name if it is known."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
@@ -230,7 +230,7 @@ def _check_arguments(call: ast.Call) -> None:
 
 
 def _what_is_wrong(text: str, error: SyntaxError) -> str:
-    """Tell where a text is no expression, and what other languages' operators are called here."""
+    """Return where a text is no expression, with Python's operator for one of another language."""
     if foreign := _FOREIGN.search(text):
         place, known = foreign.start() + 1, _OURS[foreign[0].lower()]
         return f"not an expression: expected {known} instead of {foreign[0]} at character {place}"

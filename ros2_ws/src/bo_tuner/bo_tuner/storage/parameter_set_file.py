@@ -23,7 +23,7 @@ def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[st
     study
         The study.
     namespace
-        Of its nodes; empty if none is named, see `full_names`.
+        Of its nodes; empty if none is named: then the namespaces that the file has.
 
     Raises
     ------

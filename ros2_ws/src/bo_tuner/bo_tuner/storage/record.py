@@ -1,4 +1,4 @@
-"""A run as it stands in its folder, for whoever wants to know of it; nothing is written."""
+"""A run as it is recorded in its folder; it is only read."""
 
 import json
 import os
@@ -40,7 +40,7 @@ class RunRecord:
     study
         The study of the last session.
     algorithm, backend
-        What it is run by; keys of `METHODS` and of the command line.
+        The method, a key of `METHODS`, and the backend, as the command line names it.
     stop_early
         Whether its last session follows the advice to stop.
     attached
@@ -88,7 +88,7 @@ class RunRecord:
 
     @property
     def method(self) -> Method:
-        """What it is run by."""
+        """The method, by its key `algorithm`."""
         return METHODS[self.algorithm]
 
     @property
@@ -120,9 +120,9 @@ def read_run(path: Path) -> RunRecord:
     if not file.is_file():
         raise RunRecordError(f"{path}: no run folder: it has no {STUDY}")
     try:
-        # First: of a journal of another version, the study may not be readable either.
+        # First, as its error is the clearer one: of another version, the study may be unreadable.
         content = read_journal(path / JOURNAL)
-        # Its programs and code lie where the study file did that the run was begun with.
+        # The study keeps its folder: programs and code lie beside the file that the run began with.
         in_file = parse_study(study_file.read_text(file, str(file)), str(file))
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error

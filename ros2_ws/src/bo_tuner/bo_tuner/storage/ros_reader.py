@@ -2,9 +2,9 @@
 
 ROS does not read such a file as a tree: rcl_yaml_param_parser goes from one event of the YAML
 parser to the next and keeps two names, of the node and of the parameter, to which keys are added
-and from which they are removed. What looks alike can therefore mean different things, and this
-reader goes the same way, event by event; tests hold it against that parser with generated files.
-That parser itself is not asked, since it does not tell where a value stands.
+and from which they are removed. The same lines can therefore mean different things in two places.
+This reader goes the same way, event by event; tests compare it with that parser on generated files.
+That parser itself is not used, since it does not say where in the file a value stands.
 """
 
 import re
@@ -22,16 +22,16 @@ from bo_tuner.text import one_line
 SECTION = "ros__parameters"
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""Where it can be, the YAML library that ROS itself uses."""
+"""The YAML library that ROS itself uses, where PyYAML is built with it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WILD = ("*", "**")
 _LONGEST_NAMESPACE, _LONGEST_NAME = 245, 255
-"""Of a level of the namespace with its slash, and of the name of a node, in characters."""
+"""Characters of a level of the namespace with its slash, and of the name of a node."""
 
 
 def is_parameter_file(text: str) -> bool:
-    """Return whether a text is YAML with a section for nodes, however it may be refused."""
+    """Return whether a text is YAML with a section for nodes, even if ROS refuses it otherwise."""
     try:
         return any(
             isinstance(event, yaml.ScalarEvent) and event.value.startswith(SECTION)
@@ -139,7 +139,7 @@ class _Reader:
             raise _refused("ROS takes no aliases (*), such as those of merge keys (<<)", event)
 
     def _check_plain(self, event: Any) -> None:
-        # The YAML library of the ROS wheels is older than Python's.
+        # The YAML library in the ROS wheels, older than PyYAML's, refuses these in brackets.
         if self._is_in_brackets and not event.style and re.search("[:?]", event.value):
             raise _refused(
                 f"text with : or ? in brackets needs quotes: {quoted(event.value)}", event
@@ -282,7 +282,7 @@ def _spans(text: str) -> Iterator[tuple[int, int]]:
             if isinstance(token, yaml.ScalarToken):
                 yield token.end_mark.index, token.start_mark.index
     except (yaml.YAMLError, UnicodeEncodeError):
-        # Which the parser tells, too.
+        # The parser, which comes next, raises this error with its line.
         return
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from bo_tuner.storage.ros_values import Single
 
 _KINDS = (bool, int, float, str)
-"""Where a parameter has been given values of several types, the first of these counts."""
+"""Types in the order in which they count where a parameter has values of several types."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Setting:
 
     @property
     def counts(self) -> WrittenValue | None:
-        """What ROS takes; None if it has no value."""
+        """The value that ROS takes of several; None if there is none."""
         for is_list in (False, True):
             for kind in (*_KINDS, type(None)):
                 if (is_list, kind) in self.written:
@@ -159,8 +159,8 @@ def full_names(sections: list[Section], node: str, namespace: str = "") -> list[
     node
         The name of the node in a study.
     namespace
-        Of the nodes of the study. Where none is named, and the file says nothing of a node in the
-        root, the node counts in the namespaces that the file has it in.
+        Of the nodes of the study. If it is empty, and the file has no such node in the root
+        namespace, these are its names in all namespaces in which the file has it.
     """
     name = full_name(node, namespace)
     if node.startswith("/") or namespace or any(section.is_of(name) for section in sections):

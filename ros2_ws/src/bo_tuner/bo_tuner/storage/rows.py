@@ -1,6 +1,6 @@
 """From rows of a journal to evaluations and trials, or a refusal of what this program never writes.
 
-A checksum tells of damage by a disk, and not of rows that somebody else has written.
+A checksum shows damage by a disk, but not that another program has written the row.
 """
 
 import json
@@ -34,7 +34,7 @@ def provenance_of(row: Row) -> dict[str, str]:
     Raises
     ------
     ValueError
-        If the row is not one of a journal; as in the functions below.
+        If the row is not one that this program writes to a journal.
     """
     return _texts(row, "provenance")
 
@@ -45,7 +45,7 @@ def evaluation_of(row: Row) -> Evaluation:
     metrics = {name: float(value) for name, value in _numbers(row, "metrics").items()}
     problems = {name: problem for name in metrics if (problem := metric_problem(metrics[name]))}
     if problems:
-        # An earlier version recorded what is refused today.
+        # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
     return Evaluation(

@@ -1,4 +1,4 @@
-"""Files of a run folder, which may be anybody's: opened and listed without following links."""
+"""Files of a run folder, opened and listed without following links, as it may be from anybody."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ BAGS = "bags"
 HELD_PARAMETERS = "held_parameters.json"
 """File beside the logs: parameters of attached nodes that a run holds."""
 GUARD_RECORD = "guard.jsonl"
-"""File beside the logs: what guards have done, see `guard_record`."""
+"""File beside the logs: the acts of guards, a line of JSON each."""
 PREVIOUS_PARAMETERS = "previous_parameters.json"
 """File beside the logs: what attached nodes had, of what a run sets, before it set anything."""
 

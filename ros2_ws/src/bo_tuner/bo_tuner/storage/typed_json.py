@@ -1,8 +1,8 @@
 """Frozen dataclasses as JSON, and back, by the types of their fields.
 
-JSON has no word for numbers that are not finite: null stands for them. Read back it is NaN, or what
-`stands_for` says of the field. Values that follow from others can be written beside the fields for
-readers in other languages; this one leaves them aside.
+JSON has no word for numbers that are not finite: null stands for them. It is read as NaN, or as the
+number that `stands_for` gives the field. Values that follow from the fields can be written beside
+them for readers in other languages; `from_json` ignores them.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ _NULL = "null"
 
 
 def stands_for(null: float) -> float:
-    """Return the default of a field of numbers for which null stands for this one, not for NaN."""
+    """Return the default of a field of numbers in which JSON's null is read as `null`, not NaN."""
     default: float = dataclasses.field(metadata={_NULL: null})
     return default
 
@@ -32,7 +32,7 @@ def to_json(value: Any) -> dict[str, object]:
 
 
 def from_json(cls: type[T], content: object) -> T:
-    """Return the dataclass that `to_json` has written.
+    """Return the dataclass that `to_json` has made this content of.
 
     Its fields may be dataclasses, text, numbers, truth values, enumerations of text, tuples of
     these or mappings from text to them, each or None.
@@ -40,7 +40,7 @@ def from_json(cls: type[T], content: object) -> T:
     Raises
     ------
     ValueError
-        If it is none: with the place of the first wrong value, and what was expected there.
+        If it is no such content, with the place of the first wrong value and what was expected.
     """
     value: T = _object(cls, content, "")
     return value

@@ -20,13 +20,13 @@ def start_names(
 ) -> dict[str, frozenset[str]]:
     """Return what the nodes with ``at_start`` take at their start, by their keys.
 
-    Of an array all items are, as a node takes it as a whole.
+    An array is taken with all of its items, as the node takes it as a whole.
 
     Raises
     ------
     StudyError
-        If a name is of nothing that the study sets on the node, it sets nothing there, or a node
-        passes a file on in which nothing would be.
+        If a name is of no parameter that the study sets on the node, the study sets none there, or
+        a node passes on a parameter file that would be empty.
     """
     by_node: dict[str, frozenset[str]] = {}
     for key, spec in nodes.items():
@@ -57,10 +57,10 @@ def start_names(
 
 
 def starter_of(nodes: Mapping[str, NodeSpec], key: str) -> str | None:
-    """Return the key of the node whose start brings the values of a node; None if there is none.
+    """Return the key of the node that brings a node its values when it starts; None without any.
 
-    A node that says how to start it is its own; others start along with the one that passes the
-    file on.
+    It is the node itself if the study says how to start it, and otherwise the node that passes the
+    parameter file on.
     """
     if nodes[key].is_started:
         return key

@@ -62,5 +62,5 @@ def names_in(content: Any) -> Iterator[str]:
 
 
 def _text(value: Value) -> str:
-    """Return a value as it stands in a text: a truth value as in YAML, a number in full."""
+    """Return a value as text: a truth value as ``true`` or ``false``, a number in full."""
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -21,7 +21,7 @@ def under(*keys: str | int) -> Iterator[None]:
 
 
 class Findings:
-    """Collects errors of parts that are checked one after the other, to tell them together."""
+    """Collects errors of parts that are checked one after the other, to report them together."""
 
     def __init__(self) -> None:
         self._problems: list[StudyError] = []
@@ -72,7 +72,7 @@ def arguments(
                 raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
     for field in fields:
         if is_required(field) and field.name not in value:
-            # Of a key that is misspelt it is told already which one is meant.
+            # The error on a misspelt key names this field already.
             unknown = [key for key in value.keys() - names if isinstance(key, str)]
             if any(checks.meant(key, [field.name]) for key in unknown):
                 continue

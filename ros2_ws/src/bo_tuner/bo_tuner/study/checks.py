@@ -45,23 +45,23 @@ def same_value(one: object, other: object) -> bool:
     return one == other or repr(one) == repr(other)
 
 
-def holds(actual: object, told: object) -> bool:
-    """Return whether a node has a value that it was told: the same, or that rounded to 32 bits.
+def holds(actual: object, sent: object) -> bool:
+    """Return whether a node has a value that it was sent: the same, or that rounded to 32 bits.
 
-    Devices behind a parameter keep many a double as a float.
+    Some devices behind a parameter keep a double as a float.
     """
-    if same_value(actual, told):
+    if same_value(actual, sent):
         return True
-    if isinstance(actual, (list, tuple)) and isinstance(told, (list, tuple)):
-        return len(actual) == len(told) and all(map(holds, actual, told))
-    if not isinstance(actual, float) or not isinstance(told, float):
+    if isinstance(actual, (list, tuple)) and isinstance(sent, (list, tuple)):
+        return len(actual) == len(sent) and all(map(holds, actual, sent))
+    if not isinstance(actual, float) or not isinstance(sent, float):
         return False
     try:
         rounded: float
-        (rounded,) = struct.unpack("f", struct.pack("f", told))
+        (rounded,) = struct.unpack("f", struct.pack("f", sent))
     except OverflowError:
         return False
-    # What becomes 0 is lost, and not rounded.
+    # A number that becomes 0 is lost, not rounded.
     return actual == rounded != 0.0
 
 
@@ -141,9 +141,9 @@ def number(value: object, *path: str | int) -> float:
 
 
 def magnitude(value: object, *path: str | int) -> float:
-    """Return `value` as a float if it is a number that can be computed with, and so can its square.
+    """Return `value` as a float if it and its square are numbers that can be computed with.
 
-    It is 0, or `maxima.MAGNITUDE` in size at most, and not below the inverse of that.
+    Its size is 0, or from the inverse of `maxima.MAGNITUDE` to `maxima.MAGNITUDE`.
     """
     checked = number(value, *path)
     if checked != 0.0 and not 1.0 / maxima.MAGNITUDE <= abs(checked) <= maxima.MAGNITUDE:
@@ -220,7 +220,7 @@ def parameter_or_item(value: object, *path: str | int) -> str:
 
 
 def is_in_node(name: object) -> bool:
-    """Whether a parameter can be addressed by its name in a node, which ROS leaves much to."""
+    """Whether a parameter can be addressed by its name in a node; ROS permits many characters."""
     return isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable()
 
 
@@ -277,7 +277,7 @@ def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]
 def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
     """Refuse bounds that are equal or reversed.
 
-    `instead` tells the user what to write for a value that does not vary.
+    `instead` says to the user what to write for a value that does not vary.
     """
     if lower > upper:
         raise StudyError(f"lower bound {lower} is not below upper bound {upper}", path)

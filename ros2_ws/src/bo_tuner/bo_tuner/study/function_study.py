@@ -65,7 +65,7 @@ def returned_metrics(study: Study) -> dict[str, ReportedMetric]:
 
 
 def problem_of_returned(metrics: Mapping[str, object], returned: object) -> str:
-    """Tell in a line why this is not what a function is to return; empty if it is.
+    """Return in a line why this is not what a function is to return; empty if it is.
 
     Whether the values can be those of metrics is judged elsewhere: a run may have diverged.
 

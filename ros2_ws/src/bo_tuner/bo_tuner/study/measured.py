@@ -1,4 +1,4 @@
-"""Measured contexts: metrics that tell in what surroundings a run was, and that nobody sets."""
+"""Measured contexts: metrics of the surroundings of a run, such as wind, that nobody sets."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -65,14 +65,14 @@ def check_measured(
 
 
 def _of(metrics: Mapping[str, StudyMetric], name: str) -> str:
-    """Return the metric that one relative to the default is of, or else itself."""
+    """Return the metric that a relative one is computed from; any other metric itself."""
     metric = metrics.get(name)
     return metric.relative if isinstance(metric, RelativeMetric) else name
 
 
 @dataclass(frozen=True)
 class SeenRange:
-    """What runs have seen of a measured context.
+    """Range of a measured context in some runs.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class SeenRange:
 
 
 def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[str, SeenRange]:
-    """Return by name what the complete evaluations have seen; empty if there are none."""
+    """Return by name the ranges in the complete evaluations; empty if there are none."""
     rows = values_in(measured, evaluations)
     if not len(rows):
         return {}

@@ -72,7 +72,7 @@ class ParameterSpace:
         self._check_ties()
         self.names = tuple(item.name for item in self.tuned)
         self._column = {name: column for column, name in enumerate(self.names)}
-        # Of what is no number, a column holds the position among its levels.
+        # Of a parameter that is no number, a column holds the position among its levels.
         bounds = np.array(
             [item.bounds or (0, len(item.levels) - 1) for item in self.tuned], dtype=np.float64
         )
@@ -142,9 +142,9 @@ class ParameterSpace:
                 )
 
     def held(self, values: Array) -> Array:
-        """Return what each condition says of rows of tuned values (n, d), see `Condition.values`.
+        """Return whether each condition holds in rows of tuned values (n, d): 1, 0, or NaN.
 
-        The shape is (number of conditions, n).
+        NaN is for a condition that is not defined there. The shape is (number of conditions, n).
         """
         columns = {item.name: self._column_of(item, values) for item in self.parameters}
         held = np.empty((len(self.conditions), len(values)))
@@ -169,7 +169,7 @@ class ParameterSpace:
         """
         for condition, value in zip(self.conditions, self.held(row[None])[:, 0], strict=True):
             if value != 1.0:
-                shown = condition.found(self.complete(row))
+                shown = condition.values_in_words(self.complete(row))
                 if np.isnan(value):
                     shown = f"it is not defined for {shown}"
                 raise ConditionError(condition.text, shown)
@@ -195,7 +195,7 @@ class ParameterSpace:
             tuned: Array = values[:, column]
             return tuned
         fixed = self.defaults[item.name]
-        # A text that is fixed has the only position.
+        # A fixed text has one level only, at position 0.
         return np.array([0.0 if isinstance(fixed, str) else float(fixed)])
 
     def _leader(self, name: str) -> Parameter:

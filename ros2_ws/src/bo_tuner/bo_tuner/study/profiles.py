@@ -135,7 +135,7 @@ class SineProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class ChirpProfile:
-    """A sine whose frequency goes from one to another; then it stays at the value it ends with.
+    """A sine with a frequency that goes from one to another; then it keeps the value it ends with.
 
     Attributes
     ----------
@@ -346,14 +346,14 @@ class Profile:
         return max((wave.highest_frequency for wave in waves if wave is not None), default=0.0)
 
     def read_files(self, folder: str) -> "Profile":
-        """Return it with the digest of its file, if it has one; raises as `function`."""
+        """Return it with the digest of its file, if any; raises `StudyError` on a bad file."""
         if self.csv is None:
             return self
         with under("csv"):
             return replace(self, csv=replace(self.csv, digest=self.csv.read(folder).digest))
 
     def function(self, folder: str) -> Callable[[Array], Array]:
-        """Return what gives its values (n,) at times (n,) [s] since the stream began.
+        """Return a function from times (n,) [s] since the stream began to its values (n,).
 
         Parameters
         ----------
@@ -363,7 +363,7 @@ class Profile:
         Raises
         ------
         StudyError
-            If its file is not as it should be.
+            If its file cannot be read, has no such columns, or has changed.
         """
         if self.expression:
             expression = Expression(self.expression, (TIME, PI))

@@ -26,9 +26,9 @@ def set_by_steps(study: Study) -> dict[str, dict[str, list[object]]]:
 
 
 def _left_by_steps(study: Study) -> dict[str, dict[str, object]]:
-    """Return by node key what a study says of parameters that steps set, for between two runs.
+    """Return by node key the values between two runs of the parameters that steps set.
 
-    That is what the last step of `after` leaves, or a constant.
+    A value is that of the last step of `after`, or else a constant of the node.
     """
     by_node: dict[str, dict[str, object]] = {}
     settings = [] if study.run is None else list(study.run.settings)
@@ -45,14 +45,14 @@ def _left_by_steps(study: Study) -> dict[str, dict[str, object]]:
 def named_safe(
     study: Study, previous: Mapping[str, Mapping[str, object]]
 ) -> dict[str, dict[str, object]]:
-    """Return by node key the values that ``park`` names and nodes do not have already.
+    """Return by node key the values of ``park`` that the nodes do not have yet.
 
     Parameters
     ----------
     study
         The study.
     previous
-        What the nodes have, by key. Of an array the items that are not named stay as they are.
+        Present values of the nodes, by key. Items of an array that ``park`` does not name are kept.
     """
     safe, whole = study.safe_parameters, _whole(study)
     by_node: dict[str, dict[str, object]] = {}

@@ -157,7 +157,7 @@ def _object(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
             required.append(field.name)
     result: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
     if cls is Parameter:
-        # Where its node runs, this says what is left out.
+        # A running node can be asked for its type.
         required.remove("type")
     if cls is Constraint:
         result["anyOf"] = [{"required": ["upper"]}, {"required": ["lower"]}]
@@ -174,14 +174,14 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
         return {"enum": list(DISTRIBUTIONS)}
     schema = _type(typing.get_type_hints(cls)[field.name], definitions)
     if (cls, field.name) == (Study, "objective"):
-        # Text alone is minimized.
+        # A text is a metric, or an expression of metrics, that is minimized.
         return {"anyOf": [schema, {"type": "string"}]}
     if cls is Constraint and field.name in (UPPER, LOWER):
-        # Text is relative to the default.
+        # A text is a limit relative to the default.
         return {"anyOf": [schema, {"type": "string"}]}
     for part, alone in ((End, {"const": "result"}), (Guarding, {"type": "boolean"})):
         if schema.get("$ref") == f"#/$defs/{part.__name__}":
-            # The word alone is one, too.
+            # A single word can stand for the mapping.
             return {"anyOf": [schema, alone]}
     return schema
 
@@ -190,7 +190,7 @@ def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
     if hint in SCALARS:
         return dict(SCALARS[hint])
     if hint is Profile:
-        # Text alone is an expression.
+        # A text is an expression.
         return {"anyOf": [_reference(hint, definitions), {"type": "string"}]}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return _reference(hint, definitions)
@@ -220,7 +220,7 @@ def _reference(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
 
 
 def _with_distributions(schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """Add the keys of each distribution to those of a context, as they are on one level."""
+    """Add the keys of each distribution to those of a context: both are on one level."""
     kinds = []
     for kind, cls in DISTRIBUTIONS.items():
         own = _object(cls, definitions)

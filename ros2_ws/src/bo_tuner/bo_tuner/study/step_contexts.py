@@ -14,7 +14,7 @@ from bo_tuner.study.steps import Step
 from bo_tuner.trials import Context
 
 _CONTENTS = {"publish": "message", "call": "request", "send_goal": "goal"}
-"""Kinds of steps that send something, and which of their keys has what."""
+"""Kinds of steps that send something, each with the key of its content."""
 
 
 def filled_step(step: Step, context: Context) -> Step:
@@ -80,7 +80,7 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
 
 
 def _all_names(run: Run) -> Iterator[tuple[KeyPath, str, bool]]:
-    """Yield each name in braces with its place, and whether that is a condition."""
+    """Yield each name in braces with its place, and whether it is in a condition."""
     for path, step in run.steps:
         for below, name in _names(step):
             yield (*path, *below), name, step.wait_until is not None
@@ -89,7 +89,7 @@ def _all_names(run: Run) -> Iterator[tuple[KeyPath, str, bool]]:
 
 
 def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield what stops the machine, which a guard does, too, with its place."""
+    """Yield the contents, with their places, of steps to rest, which a guard sends, too."""
     yield ("run", "abort_when"), run.abort_when
     for index, step in enumerate(run.after):
         if step.publish is None:
@@ -98,7 +98,7 @@ def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def _in_streams(run: Run) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield what streams, with its place."""
+    """Yield the contents of streams, with their places."""
     for path, step in run.steps:
         if step.publish is None or not step.publish.streams:
             continue

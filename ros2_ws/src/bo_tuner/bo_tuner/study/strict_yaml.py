@@ -18,7 +18,7 @@ from bo_tuner.text import one_line
 
 MAX_DEPTH = 20
 LONGEST_LINE = 10**9
-"""Where none is to be broken."""
+"""Width of lines that are not to be broken."""
 
 Scalar = None | bool | int | float | str
 
@@ -172,8 +172,8 @@ def dump(value: object) -> str:
 
 
 def dump_line(value: object) -> str:
-    """Return the same on one line, in braces and brackets."""
-    # In a list, since what is in brackets is written so itself.
+    """Return a value as `dump` does, but on one line, in braces and brackets."""
+    # As the item of a list in brackets: what is inside is written in this style, too.
     text = yaml.serialize(
         _represent([value]), Dumper=yaml.SafeDumper, allow_unicode=True, width=LONGEST_LINE
     )

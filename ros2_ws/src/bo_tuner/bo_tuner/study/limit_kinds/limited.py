@@ -10,7 +10,7 @@ UPPER, LOWER = "upper", "lower"
 
 @dataclass(frozen=True, kw_only=True)
 class Limited:
-    """A limit of a study, without what its kind makes of it.
+    """A limit of a study, without the rules of its kind.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Limited:
 
     @property
     def extreme(self) -> str:
-        """What the value farthest on the side of the limit is: the ``largest`` or ``smallest``."""
+        """Which value is farthest on the side of the limit: the ``largest`` or ``smallest``."""
         return "largest" if self.sign > 0.0 else "smallest"
 
     @property
