@@ -27,8 +27,8 @@ def distances(points: Array, vertices: Array) -> Array:
     nearest = np.empty(len(points))
     step = max(AT_ONCE // len(along), 1)
     for first in range(0, len(points), step):
-        some = points[first : first + step]
-        away = some[:, None, :] - begin  # (k, m - 1, d)
+        batch = points[first : first + step]
+        away = batch[:, None, :] - begin  # (k, m - 1, d)
         share = np.clip((away * along).sum(axis=2) / length, 0.0, 1.0)
         rest = away - share[:, :, None] * along
         nearest[first : first + step] = np.sqrt(np.square(rest).sum(axis=2)).min(axis=1)

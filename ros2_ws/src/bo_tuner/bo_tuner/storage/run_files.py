@@ -55,10 +55,10 @@ def check_files(folder: Path) -> None:
     """
     pending = [folder]
     while pending:
-        here = pending.pop()
-        is_log = here.name == LOGS
+        current = pending.pop()
+        is_log = current.name == LOGS
         try:
-            with os.scandir(here) as entries:
+            with os.scandir(current) as entries:
                 for entry in entries:
                     if entry.is_dir(follow_symlinks=False):
                         if not is_log:
@@ -77,7 +77,7 @@ def check_files(folder: Path) -> None:
         except OSError as error:
             if isinstance(error, RunRecordError):
                 raise
-            raise RunRecordError(f"{here}: cannot be read: {error.strerror}") from error
+            raise RunRecordError(f"{current}: cannot be read: {error.strerror}") from error
 
 
 def is_same_file(path: Path, known: os.stat_result) -> bool:

@@ -293,14 +293,14 @@ def parameter_values(values: object, *path: str | int) -> dict[str, ParameterVal
     checked: dict[str, ParameterValue] = {}
     for name, value in values.items():
         name_in_node(name, *path)
-        here = (*path, name)
+        key_path = (*path, name)
         if not isinstance(value, (list, tuple)):
-            checked[name] = _scalar(value, *here)
+            checked[name] = _scalar(value, *key_path)
             continue
-        at_most(value, maxima.CONSTANTS, *here)
-        items = tuple(_scalar(item, *here, index) for index, item in enumerate(value))
+        at_most(value, maxima.CONSTANTS, *key_path)
+        items = tuple(_scalar(item, *key_path, index) for index, item in enumerate(value))
         if len({type(item) for item in items}) != 1:
-            raise StudyError("expected a list of values of one type, at least one", here)
+            raise StudyError("expected a list of values of one type, at least one", key_path)
         checked[name] = items
     return checked
 

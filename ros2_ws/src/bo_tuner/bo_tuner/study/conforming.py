@@ -62,12 +62,12 @@ class Conforming:
         They satisfy the conditions, as near to `outside` as a bisection of the way gets.
         """
         start = self._to_unit(inside)
-        way = self._to_unit(outside) - start
+        direction = self._to_unit(outside) - start
         rows = inside.copy()
         near, far = np.zeros(len(inside)), np.ones(len(inside))
         for _ in range(BISECTIONS):
             middle = 0.5 * (near + far)
-            tried = self._to_values(start + middle[:, None] * way)
+            tried = self._to_values(start + middle[:, None] * direction)
             good = self._holds(tried)
             rows[good] = tried[good]
             near, far = np.where(good, middle, near), np.where(good, far, middle)

@@ -157,16 +157,16 @@ def check_run(
         raise StudyError("a study has either trigger or run; leave one out", ("run",))
     reporting = {}
     for name, metric in metrics.items():
-        here = ("metrics", name)
+        key_path = ("metrics", name)
         if isinstance(metric, COMPUTED):
             continue
         if not isinstance(metric, ReportedMetric):
             if run is None:
-                raise StudyError("signals are recorded in a run; add run", here)
+                raise StudyError("signals are recorded in a run; add run", key_path)
         elif run is not None:
             raise StudyError(
                 "is reported by a node that is triggered; with run, write of and measure",
-                (*here, "node"),
+                (*key_path, "node"),
             )
         else:
             reporting[metric.node] = f"metric '{name}'"
@@ -251,9 +251,9 @@ def check_targets(
         targets.append((("seed_parameter",), seed.node, seed.parameter))
     for path, node_key, parameter in targets:
         _refuse_unwatched(nodes[node_key], array_and_item(parameter)[0] or parameter)
-        here = ".".join(map(str, path))
-        other = sources.setdefault((node_key, parameter), here)
-        if other != here:
+        place = ".".join(map(str, path))
+        other = sources.setdefault((node_key, parameter), place)
+        if other != place:
             raise StudyError(
                 f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
             )

@@ -215,9 +215,9 @@ class Run:
             if step.publish is not None:
                 for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
                     for name, signal in topic.follow.items():
-                        here = (*path, "publish", *below, "follow", name)
+                        key_path = (*path, "publish", *below, "follow", name)
                         with findings.under():
-                            checks.reference(signal, "signal", signals, *here)
+                            checks.reference(signal, "signal", signals, *key_path)
             if step.restart:
                 with findings.under():
                     checks.reference(step.restart, "node", nodes, *path, "restart")

@@ -426,15 +426,15 @@ class SearchSpace:
     def _scaled(self, values: Array) -> Array:
         """Return s(v) for values of shape (..., d)."""
         transformed = values.copy()
-        for scale, there in self._on_scale.items():
-            transformed[..., there] = scaled(scale, values[..., there], self.upper[there])
+        for scale, columns in self._on_scale.items():
+            transformed[..., columns] = scaled(scale, values[..., columns], self.upper[columns])
         return transformed
 
     def _unscaled(self, positions: Array) -> Array:
         """Return v for s(v) of shape (n, d)."""
         values = positions.copy()
-        for scale, there in self._on_scale.items():
-            values[:, there] = unscaled(scale, positions[:, there], self.upper[there])
+        for scale, columns in self._on_scale.items():
+            values[:, columns] = unscaled(scale, positions[:, columns], self.upper[columns])
         return values
 
     def _distinct(self, points: Array, seen: set[tuple[Value, ...]]) -> Array:

@@ -175,13 +175,13 @@ def partner(
     """
 
     def rank(offer: SignalOffer) -> tuple[bool, ...]:
-        both = set(wanted.topic.listeners) & set(offer.topic.listeners)
+        shared = set(wanted.topic.listeners) & set(offer.topic.listeners)
         return (
             not _is_same(wanted, offer),
             not _subject(wanted) & _subject(offer),
             offer.quantity != (wanted.quantity or "position"),
             bool(set(offer.topic.publishers) & set(nodes)),
-            not both,
+            not shared,
             offer.topic.is_silent,
         )
 
@@ -197,9 +197,9 @@ def is_sure(wanted: SignalOffer, measured: SignalOffer) -> bool:
     if wanted.quantity or subject:
         return bool(wanted.quantity) and wanted.quantity == measured.quantity
     # A plain "setpoint" is of a position, or of the plain number that its listener measures.
-    both = set(wanted.topic.listeners) & set(measured.topic.listeners)
+    shared = set(wanted.topic.listeners) & set(measured.topic.listeners)
     is_plain = len(measured.topic.fields) == 1 and measured.quantity not in ("velocity", "effort")
-    return measured.quantity == "position" or (bool(both) and is_plain)
+    return measured.quantity == "position" or (bool(shared) and is_plain)
 
 
 def _is_same(wanted: SignalOffer, offer: SignalOffer) -> bool:

@@ -103,10 +103,10 @@ def _in_streams(run: Run) -> Iterator[tuple[KeyPath, Any]]:
         if step.publish is None or not step.publish.streams:
             continue
         for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
-            here = (*path, "publish", *below)
-            yield (*here, "message"), topic.message
+            key_path = (*path, "publish", *below)
+            yield (*key_path, "message"), topic.message
             for name, profile in topic.profile.items():
-                yield (*here, "profile", name), profile.expression
+                yield (*key_path, "profile", name), profile.expression
 
 
 def _names(step: Step) -> Iterator[tuple[KeyPath, str]]:

@@ -111,9 +111,9 @@ class _Reader:
     def _sequence(self, path: KeyPath) -> list[object]:
         items: list[object] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
-            here = (*path, len(items))
-            self._document.lines[here] = _line(event)
-            items.append(self._node(event, here))
+            key_path = (*path, len(items))
+            self._document.lines[key_path] = _line(event)
+            items.append(self._node(event, key_path))
         return items
 
     def _mapping(self, path: KeyPath) -> dict[str, object]:
@@ -124,12 +124,12 @@ class _Reader:
             key = self._node(event, path)
             if not isinstance(key, str):
                 raise self._error(f"expected text as a key, found {show(key)}", event, path)
-            here = (*path, key)
+            key_path = (*path, key)
             if key in items:
-                first = self._document.lines[here]
-                raise self._error(f"given twice, first in line {first}", event, here)
-            self._document.lines[here] = _line(event)
-            items[key] = self._node(next(self._events), here)
+                first = self._document.lines[key_path]
+                raise self._error(f"given twice, first in line {first}", event, key_path)
+            self._document.lines[key_path] = _line(event)
+            items[key] = self._node(next(self._events), key_path)
         return items
 
     def _plain(self, event: Any, path: KeyPath) -> Scalar:
