@@ -25,12 +25,12 @@ class ConditionError(ParameterError):
     ----------
     condition : str
         The condition.
-    found : str
+    values : str
         The values that the set has in it.
     """
 
-    def __init__(self, condition: str, found: str) -> None:
-        super().__init__(f"breaks the condition '{condition}': {found}")
+    def __init__(self, condition: str, values: str) -> None:
+        super().__init__(f"breaks the condition '{condition}': {values}")
         self.condition = condition
 
 

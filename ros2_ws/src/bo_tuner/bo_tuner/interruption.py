@@ -98,8 +98,8 @@ def breaking_off(check: Callable[[], None]) -> Iterator[None]:
         # Python hands signals to the main thread alone.
         yield
         return
-    found = {signum: signal.getsignal(signum) for signum in SIGNALS}
-    handlers = {signum: handler for signum, handler in found.items() if callable(handler)}
+    previous = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    handlers = {signum: handler for signum, handler in previous.items() if callable(handler)}
     again: list[threading.Timer] = []
 
     def take(signum: int, frame: FrameType | None) -> None:

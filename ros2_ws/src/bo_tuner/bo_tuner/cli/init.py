@@ -140,8 +140,8 @@ def write_first_study(
                 file.write(text)
         except FileExistsError:
             _check_path(path)
-    found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
-    say(f"{path}: {found}; now review it and")
+    contents = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
+    say(f"{path}: {contents}; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  {shlex.join(['check', str(path), *ros_arguments])}")
     return EXIT_OK

@@ -190,9 +190,9 @@ def _after_earlier(
     """Plan a run that begins with the trials of an earlier one."""
     backend = recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
-    for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
-        if getattr(arguments, name) not in (None, found):
-            parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
+    for name, recorded in (("backend", record.backend), ("algorithm", record.algorithm)):
+        if getattr(arguments, name) not in (None, recorded):
+            parser.error(f"--{name}: expected {recorded}, as in the run of --from; leave it out")
     if arguments.study is not None:
         study = _given(arguments.study, attach, arguments, ros_arguments, interruption)
     else:
@@ -293,10 +293,10 @@ def _resumed_in(
 ) -> list[str]:
     """Return the ``--ros-args`` of the rest of a run, which is on the same nodes."""
     arguments, recorded = in_namespace_of(record, ros_arguments), record.namespace
-    found = namespace_of(arguments)
-    if attach and record.attached and recorded and found != recorded:
+    namespace = namespace_of(arguments)
+    if attach and record.attached and recorded and namespace != recorded:
         parser.error(
-            f"--resume: the run is of nodes in the namespace {recorded}, not {found}; --from "
+            f"--resume: the run is of nodes in the namespace {recorded}, not {namespace}; --from "
             "begins a new run with its trials"
         )
     return arguments

@@ -139,10 +139,10 @@ def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:
 
 def _read_back(nodes: Nodes, node: str, values: Mapping[str, object]) -> None:
     """Raise `NodeError` if a node does not have the values that it was told."""
-    found = nodes.get(node, list(values))
+    actual = nodes.get(node, list(values))
     for name, value in values.items():
-        if not checks.holds(found[name], value):
-            shown = brief(str(found[name]))
+        if not checks.holds(actual[name], value):
+            shown = brief(str(actual[name]))
             raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
 
 

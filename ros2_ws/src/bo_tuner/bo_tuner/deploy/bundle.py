@@ -179,13 +179,13 @@ def before_run(record: RunRecord) -> NodeValues | None:
     try:
         noted = json.loads(read_text(record.path / LOGS / PREVIOUS_PARAMETERS))
         nodes = {record.study.nodes[key].node: values for key, values in noted.items()}
-        found = {
+        previous = {
             node: {name: nodes[node][name] for name in values} for node, values in default.items()
         }
-        _check_like(found, default)
+        _check_like(previous, default)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return found
+    return previous
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:

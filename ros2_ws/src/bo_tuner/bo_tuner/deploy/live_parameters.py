@@ -87,15 +87,15 @@ class LiveParameters:
         """Read parameters of a node, as `Nodes.get`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            (found,) = self._tuner.complete([self._clients[node].values(names)])
+            (values,) = self._tuner.complete([self._clients[node].values(names)])
         except SilentError as error:
             raise NodeError(str(error)) from error
-        if missing := [name for name, value in found.items() if value is None]:
+        if missing := [name for name, value in values.items() if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
-        for name, value in found.items():
+        for name, value in values.items():
             if isinstance(value, UnknownType):
                 raise NodeError(f"{node}: {name} is {value}")
-        return dict(found)
+        return dict(values)
 
     def set(self, node: str, values: Mapping[str, object]) -> None:
         """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""

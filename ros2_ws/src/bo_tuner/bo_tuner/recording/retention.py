@@ -66,8 +66,8 @@ class RecordOptions:
 
 def badness(study: Study, trial: Trial) -> float:
     """How bad a complete trial is: its worst case, or its mean cost if the study has none."""
-    if (found := tightest(study, trial)) is not None:
-        return excess(*found)
+    if (tightest_constraint := tightest(study, trial)) is not None:
+        return excess(*tightest_constraint)
     mean = trial.mean(study.objective.metric)
     return -math.inf if mean is None else float(study.objective.sign * mean)
 

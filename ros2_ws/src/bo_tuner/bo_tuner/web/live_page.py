@@ -82,7 +82,7 @@ class LivePage(RunObserver):
         self._lock = threading.Lock()
         self._pipe = -1
         self._process: subprocess.Popen[bytes] | None = None
-        self._told = 0.0
+        self._sent = 0.0
         self._trial = ""
         self._running = 0
         self._ended = False
@@ -129,7 +129,7 @@ class LivePage(RunObserver):
         """Show the result to whoever looks, and end the process."""
         self._running = 0
         self._ended = True
-        self._tell()
+        self._send_state()
         with self._lock:
             self._hang_up()
         if self._process is not None:
@@ -142,39 +142,39 @@ class LivePage(RunObserver):
     def begin(self, phase: str, total: int) -> None:
         """Tell of a phase."""
         self._running = 0
-        self._tell()
+        self._send_state()
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Tell of the recorded trials."""
         self._trial = describe(trials[-1], self._study)
-        self._tell()
+        self._send_state()
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Tell of an evaluation, unless the page was told of something just now."""
         self._forget_what_has_come()
         self._running += 1
-        if time.monotonic() - self._told >= PERIOD:
-            self._tell()
+        if time.monotonic() - self._sent >= PERIOD:
+            self._send_state()
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Tell of a trial."""
         self._forget_what_has_come()
         self._trial = describe(trial, self._study)
         self._running = 0
-        self._tell()
+        self._send_state()
 
     def advance(self) -> None:
         """Tell of a step."""
-        self._tell()
+        self._send_state()
 
     def advise(self, advice: StopAdvice) -> None:
         """Tell of the advice to stop."""
-        self._tell()
+        self._send_state()
 
     def pause(self, paused: bool) -> None:
         """Tell of a pause."""
         self._forget_what_has_come()
-        self._tell()
+        self._send_state()
 
     @property
     def _log(self) -> Path:
@@ -198,9 +198,9 @@ class LivePage(RunObserver):
                     self._asked = control.finish()
                 else:
                     self._asked = control.pause(request is Request.PAUSE)
-                self._tell()
+                self._send_state()
 
-    def _tell(self) -> None:
+    def _send_state(self) -> None:
         now, ended = self._status.now, self._ended
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
@@ -208,7 +208,7 @@ class LivePage(RunObserver):
             "asked": "" if ended else self._asked,
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
         }
-        self._told = time.monotonic()
+        self._sent = time.monotonic()
         self._send(
             {
                 "phase": now.phase,

@@ -80,7 +80,8 @@ class LiveSections:
         stamp = f"As of {counted(count, 'trial')}, {when}"
         parts = [Part(ANSWER, "Result", answer_html(analysis))]
         parts += [
-            Part(found.name, found.title, chapter_html(found)) for found in chapters(analysis)
+            Part(chapter.name, chapter.title, chapter_html(chapter))
+            for chapter in chapters(analysis)
         ]
         return Made(tuple(parts), stamp)
 

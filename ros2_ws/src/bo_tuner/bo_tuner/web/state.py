@@ -142,10 +142,12 @@ class LiveState:
         try:
             made = await self.call(self.models, partial(self.sections.made, ended=ended))
         except BoTunerError as error:
-            self._tell(f"The page cannot be brought up to date: {error}")
+            self._show_problem(f"The page cannot be brought up to date: {error}")
         except Exception as error:
             # Unexpected, but the result is to be shown all the same.
-            self._tell(f"The page cannot be brought up to date: {type(error).__name__}: {error}")
+            self._show_problem(
+                f"The page cannot be brought up to date: {type(error).__name__}: {error}"
+            )
         else:
             if ended or not self._over.is_set():
                 self._show(made)
@@ -160,7 +162,7 @@ class LiveState:
         self.stamp, self.problem = made.stamp, ""
         self._publish()
 
-    def _tell(self, problem: str) -> None:
+    def _show_problem(self, problem: str) -> None:
         """Tell of a problem."""
         if problem != self.problem:
             self.problem = problem

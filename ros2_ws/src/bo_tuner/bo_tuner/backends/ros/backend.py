@@ -378,7 +378,7 @@ class RosBackend(SequentialBackend):
                 # It has acted after the last evaluation, such as while a node was waited for.
                 raise self._guard.unheeded
             if self._previous is not None:
-                self._previous.tell(wanted)
+                self._previous.announce(wanted)
             run = None
             if self._procedure is not None:
                 self._procedure.forget()

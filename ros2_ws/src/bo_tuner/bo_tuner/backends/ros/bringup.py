@@ -112,7 +112,7 @@ class Bringup:
             raise LostError(f"{key} is not started anew: {error}") from error
         # Others may run in the same process.
         for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
-            self._client.tell_again(anew)
+            self._client.assign_again(anew)
         self._client.start_values.after()
 
     def get_back(self) -> None:

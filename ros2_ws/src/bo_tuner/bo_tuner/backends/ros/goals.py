@@ -204,5 +204,5 @@ def _reason(result: Any) -> str:
     """Tell what an action says of its end, if it has one of the usual fields."""
     fields = ("error_msg", "error_string", "message", "error_code")
     said = [brief(str(getattr(result, name, ""))) for name in fields]
-    found = [text for text in said if text and text != "0"]
-    return f": {found[0]}" if found else ""
+    reasons = [text for text in said if text and text != "0"]
+    return f": {reasons[0]}" if reasons else ""

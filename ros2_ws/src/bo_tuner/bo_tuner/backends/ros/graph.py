@@ -102,14 +102,14 @@ def describe(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, 
     Those that a tuner which was killed has left on it have the values from before. Arguments and
     errors as of `describe_now`.
     """
-    found = describe_now(tuner, node, own)
+    described = describe_now(tuner, node, own)
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
-    left = note.left_behind(node, {name: item.value for name, item in found.items()})
+    left = note.left_behind(node, {name: item.value for name, item in described.items()})
     for name, value in left.items():
-        of_killed = said_of_killed(node, name, found[name].value)
+        of_killed = said_of_killed(node, name, described[name].value)
         tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
-        found[name] = replace(found[name], value=value)
-    return found
+        described[name] = replace(described[name], value=value)
+    return described
 
 
 def describe_now(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
@@ -169,8 +169,8 @@ def values_now(tuner: TunerNode, node: str, names: Sequence[str]) -> dict[str, o
     client = ParameterClient(tuner, node)
     try:
         tuner.wait_until(client.is_ready, ANSWER)
-        (found,) = tuner.complete([client.values(names)], ANSWER)
-        return dict(found)
+        (values,) = tuner.complete([client.values(names)], ANSWER)
+        return dict(values)
     except SilentError as error:
         raise BackendError(str(error)) from error
     finally:
@@ -199,11 +199,11 @@ def signal_problems(tuner: TunerNode, signals: Mapping[str, Signal]) -> Iterator
 
 def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
     kind = TYPES.get(value.type, "")
-    found = to_value(value)
+    current = to_value(value)
     ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
     if not ranges:
         return Described(
-            kind, found, read_only=descriptor.read_only, description=descriptor.description
+            kind, current, read_only=descriptor.read_only, description=descriptor.description
         )
     (given,) = ranges[:1]
     lower, upper = float(given.from_value), float(given.to_value)
@@ -211,7 +211,7 @@ def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
     # there is: nobody means to try it.
     return Described(
         kind,
-        found,
+        current,
         -math.inf if lower <= -LARGEST[kind == "integer"] else lower,
         math.inf if upper >= LARGEST[kind == "integer"] else upper,
         float(given.step),

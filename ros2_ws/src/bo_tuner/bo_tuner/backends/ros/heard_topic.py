@@ -41,7 +41,7 @@ class HeardTopic:
         Class of its messages.
     offered
         Its publishers, at least one, whose quality of service it takes.
-    tells_publisher
+    knows_publisher
         Whether it matters of whom a message is.
 
     Attributes
@@ -49,7 +49,7 @@ class HeardTopic:
     problem : str
         In a line, what was wrong with a message that could not be read; to be emptied by who tells
         it.
-    tells_publisher : bool
+    knows_publisher : bool
         Whether it can tell of whom a message is.
     unidentified : int
         Messages since `begin` of which it could not.
@@ -61,7 +61,7 @@ class HeardTopic:
         name: str,
         cls: Any,
         offered: Sequence[TopicEndpointInfo],
-        tells_publisher: bool = False,
+        knows_publisher: bool = False,
     ) -> None:
         self.name = name
         self.cls = cls
@@ -74,8 +74,8 @@ class HeardTopic:
         )
         # It is in no executor, which would call this.
         self.subscription = node.create_subscription(cls, name, lambda message: None, qos, raw=True)
-        self._taker = taker(self.subscription, tells_publisher)
-        self.tells_publisher = isinstance(self._taker, PublisherTaker)
+        self._taker = taker(self.subscription, knows_publisher)
+        self.knows_publisher = isinstance(self._taker, PublisherTaker)
         self.unidentified = 0
         self._lost: dict[bytes, LostMessages] = {}
 

@@ -56,14 +56,14 @@ class Presence:
 
     def missing(self) -> list[str]:
         """Return the keys of nodes that are `absent`, or do not answer: one may just have died."""
-        found = self.absent()
+        keys = self.absent()
         for key, client in self._parameters.clients.items():
-            if key not in found:
+            if key not in keys:
                 try:
                     client.expect_answers(time.monotonic())
                 except LostError:
-                    found.append(key)
-        return found
+                    keys.append(key)
+        return keys
 
     def wait_for_nodes(self, timeout: float) -> list[str]:
         """Wait until every node is discovered and answers.
@@ -106,14 +106,14 @@ class Presence:
         Such a node has forgotten its parameters, and is to be told them again.
         """
         self._wait_for_names()
-        found = []
+        keys = []
         for key in self._study.nodes:
             present = self._publishers_of(key)
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
-                found.append(key)
+                keys.append(key)
             self._publishers[key] = present
-        return found
+        return keys
 
     def twins(self, timeout: float) -> str:
         """Tell in a line of nodes that run more than once; empty if none does.
@@ -132,14 +132,14 @@ class Presence:
 
     def _repeated(self) -> list[str]:
         """Name the nodes and services that more than one process gives."""
-        found = [
+        names = [
             spec.node
             for key, spec in self._study.nodes.items()
             if self._parameters.clients[key].servers() > 1
         ]
         if self._trigger and self._node.count_services(self._trigger.srv_name) > 1:
-            found.append(self._trigger.srv_name)
-        return found
+            names.append(self._trigger.srv_name)
+        return names
 
     def _publishers_of(self, key: str) -> set[bytes]:
         """Find the publishers of a node's sign of life that the graph says are of the node."""

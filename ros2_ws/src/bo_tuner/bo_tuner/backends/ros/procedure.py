@@ -493,14 +493,14 @@ class Procedure:
 
         if self._is_recording:
             self._watch.wait_until(began + wait.timeout, held)
-            found = held()
+            holds = held()
         else:
             poll = self._poll(path)
-            while not (found := held()) and watch.seconds <= wait.timeout:
+            while not (holds := held()) and watch.seconds <= wait.timeout:
                 self._tuner.spin_once(POLL_PERIOD)
                 self._clock.look()
                 poll()
-        if not found:
+        if not holds:
             if unpublished := self._recorder.unpublished_of(used):
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
@@ -530,13 +530,13 @@ class Procedure:
         for path, step in self._run.steps:
             if not varies(step):
                 continue
-            found = filled_step(step, context)
+            filled = filled_step(step, context)
             with under(*path):
                 if path in self._steps:
-                    self._steps[path] = self._steps[path].filled(found)
-                elif path in self._goals and found.send_goal is not None:
+                    self._steps[path] = self._steps[path].filled(filled)
+                elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
-                        self._goals[path].fill(found.send_goal)
+                        self._goals[path].fill(filled.send_goal)
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)

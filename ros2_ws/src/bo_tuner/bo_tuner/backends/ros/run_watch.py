@@ -238,5 +238,5 @@ class RunWatch:
         """Whether a condition holds by what came last, of late messages by each since the last."""
         if condition is None:
             return False
-        found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
-        return any(bool(known(values).any()) for values in found)
+        results = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
+        return any(bool(known(values).any()) for values in results)

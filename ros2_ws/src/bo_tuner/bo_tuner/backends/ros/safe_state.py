@@ -106,8 +106,8 @@ class SafeState:
 
     def take_unfinished(self) -> list[str]:
         """Return, and forget, what went wrong in an evaluation that was to be left safe."""
-        found, self._unfinished = self._unfinished, []
-        return found
+        problems, self._unfinished = self._unfinished, []
+        return problems
 
     def _park(self, start_anew: bool = True) -> list[str]:
         parameters, anew = self._client.parameters, self._client.start_values

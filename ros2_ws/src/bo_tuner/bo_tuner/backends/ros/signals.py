@@ -276,7 +276,7 @@ class SignalRecorder:
 
     def take(self) -> str:
         """Take what came in; returns in a line what `poll` would raise, or an empty one."""
-        found = ""
+        problem = ""
         for topic in self._topics.values():
             for heard in topic.heard.take():
                 topic.has_message = True
@@ -287,14 +287,14 @@ class SignalRecorder:
                         for stamp, value in reader(heard):
                             track.add(stamp, value, heard.received)
                     except ItemMissingError as error:
-                        found = f"a message on {topic.heard.name} {error}"
+                        problem = f"a message on {topic.heard.name} {error}"
                     if track.size > maxima.MESSAGES_BYTES:
-                        found = (
+                        problem = (
                             f"signal {name} has {track.size} bytes of messages, expected at most "
                             f"{maxima.MESSAGES_BYTES} in a run"
                         )
-            found, topic.heard.problem = topic.heard.problem or found, ""
-        return found
+            problem, topic.heard.problem = topic.heard.problem or problem, ""
+        return problem
 
     def take_late(self) -> Iterator[dict[str, Array]]:
         """Yield the late messages of a topic that came since the last call, and what came last.
@@ -352,8 +352,8 @@ class SignalRecorder:
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
-        found = expected_publishers(self.node, topic, spec, wait)
-        if len(kinds := sorted({info.topic_type for info in found})) > 1:
+        publishers = expected_publishers(self.node, topic, spec, wait)
+        if len(kinds := sorted({info.topic_type for info in publishers})) > 1:
             raise StudyError(f"{topic} carries {' and '.join(kinds)}; expected one", ("topic",))
         (kind,) = kinds
         if spec.type not in ("", kind):
@@ -369,7 +369,7 @@ class SignalRecorder:
             self._frames[name] = reader
             self._topic(f"{topic}{STATIC}", cls).readers[name] = reader.still
         here = self._topic(topic, cls)
-        if spec.publisher and not here.heard.tells_publisher:
+        if spec.publisher and not here.heard.knows_publisher:
             raise StudyError(
                 f"{middleware()} does not tell of which publisher a message is; expected one "
                 "publisher, or merge: true",
@@ -383,7 +383,7 @@ class SignalRecorder:
         if name not in self._topics:
             offered = Publishers(self.node, name).now()
             several = several_on(self.node, name, self._signals.values())
-            heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
+            heard = HeardTopic(self.node, name, cls, offered, knows_publisher=several)
             self._topics[name] = _Topic(
                 heard,
                 frozenset(i.node_name for i in offered if i.node_name != UNKNOWN_NODE),
@@ -475,8 +475,8 @@ class _Topic:
     @property
     def publishers(self) -> int:
         """How many publishers are known here, without that of a guard."""
-        found: int = self.heard.subscription.handle.get_publisher_count()
+        count: int = self.heard.subscription.handle.get_publisher_count()
         if not self.is_guarded:
-            return found
+            return count
         # Whose the only one is takes a look at the graph: it may be the guard that is gone.
-        return found - 1 if found > 1 else len(self.heard.publishers.now())
+        return count - 1 if count > 1 else len(self.heard.publishers.now())

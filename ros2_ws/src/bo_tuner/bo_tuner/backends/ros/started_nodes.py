@@ -129,10 +129,10 @@ class StartedNodes:
             program, *arguments = shlex.split(spec.command)
             # One with a folder is no name to be searched for, and relative to the study's.
             place = str(Path(self._study.folder, program)) if os.sep in program else program
-            found = shutil.which(place, path=search_path())
-            if found is None:
+            executable = shutil.which(place, path=search_path())
+            if executable is None:
                 raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
-            command = [found, *arguments]
+            command = [executable, *arguments]
         else:
             return []
         return self._with_values(key, command)

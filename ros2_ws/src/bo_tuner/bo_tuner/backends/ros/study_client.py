@@ -66,12 +66,12 @@ class StudyClient:
 
         They are told their parameters again in the next evaluation.
         """
-        found = self.presence.restarted()
-        for key in found:
+        keys = self.presence.restarted()
+        for key in keys:
             self._renewed.add(key)
             self.parameters.forget(key)
             self.start_values.forget(key)
-        return found
+        return keys
 
     def renew(self, keys: Iterable[str]) -> None:
         """Read anew what nodes have that were started anew, ahead of all that they are told.
@@ -140,12 +140,12 @@ class StudyClient:
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise (disturbance or error) from None
-            found = self.parameters.found()
+            readback = self.parameters.read_back()
             leave()
             # A node that was killed is looked for as long as its lease.
             self._refuse_other_nodes()
-            found.check()
-            self.rounded = list(found.rounded())
+            readback.check()
+            self.rounded = list(readback.rounded())
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
@@ -156,7 +156,7 @@ class StudyClient:
         finally:
             self.results.end()
 
-    def tell_again(self, key: str) -> None:
+    def assign_again(self, key: str) -> None:
         """Tell a node that the tuner has started anew what it was told for this evaluation.
 
         Raises

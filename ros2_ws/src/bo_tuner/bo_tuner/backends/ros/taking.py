@@ -101,10 +101,10 @@ class PublisherTaker:
     def take(self) -> Taken | None:
         """Take the next message that waits; None if there is none."""
         message, info = self._message, self._info
-        found = self._rcl.rcl_take_serialized_message(
+        status = self._rcl.rcl_take_serialized_message(
             self._subscription.handle.pointer, ctypes.byref(message), ctypes.byref(info), None
         )
-        if found != OK:
+        if status != OK:
             # As rclpy does, which has no other message then either.
             self._rcutils.rcutils_reset_error()
             return None
@@ -129,12 +129,12 @@ def _libraries() -> tuple[Any, Any]:
     return rcl, rcutils
 
 
-def taker(subscription: Subscription, tells_publisher: bool) -> Taker | PublisherTaker:
+def taker(subscription: Subscription, knows_publisher: bool) -> Taker | PublisherTaker:
     """Return what takes the messages of a subscription, with their publishers if that is possible.
 
     Without them each message is of an unknown publisher.
     """
-    if not tells_publisher:
+    if not knows_publisher:
         return Taker(subscription)
     try:
         return PublisherTaker(subscription)

@@ -135,8 +135,8 @@ class TunerNode:
             If one has been discovered.
         """
         namespace = self.node.get_namespace()
-        found = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
-        if found > (self.node.get_name() == NODE_NAME):
+        count = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
+        if count > (self.node.get_name() == NODE_NAME):
             raise BackendError(
                 f"another tuner is running as {full_name(namespace, NODE_NAME)}; wait for it, or "
                 "use another namespace or ROS_DOMAIN_ID"
@@ -236,7 +236,7 @@ class TunerNode:
             Time [s] that all of them have together; `CALL_TIMEOUT` for each call unless given.
         """
         begun = time.monotonic()
-        found: list[Any] = [None] * len(works)
+        results: list[Any] = [None] * len(works)
         pending: dict[int, PendingCall | None] = dict.fromkeys(range(len(works)))
         try:
             while True:
@@ -252,10 +252,10 @@ class TunerNode:
                         if time.monotonic() > since + limit:
                             pending[index] = works[index].throw(call.silence(limit))
                     except StopIteration as end:
-                        found[index] = end.value
+                        results[index] = end.value
                         del pending[index]
                 if not pending:
-                    return found
+                    return results
                 self.spin_once()
         finally:
             for index in pending:

@@ -113,7 +113,7 @@ class AbortCondition:
             # Of whom a message is has to be known of a topic from its beginning.
             several = several_on(self._node, topic, self._wanted.values())
             offered = Publishers(self._node, topic).now()
-            heard = HeardTopic(self._node, topic, cls, offered, tells_publisher=several)
+            heard = HeardTopic(self._node, topic, cls, offered, knows_publisher=several)
             self._topics[topic] = _Topic(heard)
         return self._topics[topic]
 
@@ -121,13 +121,13 @@ class AbortCondition:
 def _take(topic: _Topic) -> Iterator[tuple[int, dict[str, Value]]]:
     """Yield when [ns] what waits on a topic came, and its values by the names of signals."""
     for heard in topic.heard.take():
-        found: dict[str, list[Value]] = {}
+        values_of: dict[str, list[Value]] = {}
         for name, reader in topic.readers.items():
             # The tuner fails the run for what is missing.
             with contextlib.suppress(ItemMissingError):
-                found[name] = [value for _, value in reader(heard)]
-        for index in range(max(map(len, found.values()), default=0)):
+                values_of[name] = [value for _, value in reader(heard)]
+        for index in range(max(map(len, values_of.values()), default=0)):
             yield (
                 heard.received,
-                {name: values[index] for name, values in found.items() if index < len(values)},
+                {name: values[index] for name, values in values_of.items() if index < len(values)},
             )

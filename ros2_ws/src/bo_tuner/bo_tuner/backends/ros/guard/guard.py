@@ -160,7 +160,7 @@ class Guard:
         self._ending = False
         self._held = 0.0
         # Who waits for it is to know that it is there, also while it waits for a node.
-        self._tuner = TunerNode(None, ros_arguments, self._tell_again, GUARD)
+        self._tuner = TunerNode(None, ros_arguments, self._publish_state_if_due, GUARD)
         self._state = State(
             self._name,
             plan.digest,
@@ -171,7 +171,7 @@ class Guard:
         )
         self._listener: Node | None = None
         self._publisher: Publisher | None = None
-        self._told = -1.0
+        self._published = -1.0
         self._was_in_run = False
 
     @property
@@ -203,7 +203,7 @@ class Guard:
         if alone:
             self._refuse_others()
         self._state = replace(self._state, settled=True)
-        self._tell()
+        self._publish_state()
         self._parameters = NodeParameters(tuner, plan.nodes, plan.safe)
         clients = self._parameters.clients
 
@@ -289,25 +289,25 @@ class Guard:
 
         Of two that start at the same time one stays.
         """
-        found: dict[str, State] = {}
+        others: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
             if state is None or not set(state.nodes) & set(self._state.nodes):
                 return
             if state.guard != self._name and (state.settled or state.guard < self._name):
-                found[state.guard] = state
+                others[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
         deadline = time.monotonic() + CONNECT
         while True:
-            found.clear()
+            others.clear()
             self._tuner.spin_for(LOOK_AROUND)
-            stand = any(state.stands for state in found.values())
-            if not found or stand or time.monotonic() > deadline:
+            stand = any(state.stands for state in others.values())
+            if not others or stand or time.monotonic() > deadline:
                 break
         self._tuner.node.destroy_subscription(subscription)
-        for state in found.values():
+        for state in others.values():
             shared = sorted(set(state.nodes) & set(self._state.nodes))
             raise BackendError(
                 f"{shared[0]} has a guard already, of study {state.study}; end that one first"
@@ -355,7 +355,7 @@ class Guard:
             on_condition=cause.on_condition,
             ends=is_last,
         )
-        self._tell()
+        self._publish_state()
         self._say(f"acts: {cause.reason}")
         problems = self._set_safe() or self._configure_anew()
         patience = GIVE_UP if self._attached else GONE
@@ -374,7 +374,7 @@ class Guard:
             else f"safe values set and read back after {safe * 1e3:.0f} ms"
         )
         self._state = replace(self._state, outcome=outcome)
-        self._tell()
+        self._publish_state()
         self._say(outcome)
         self._note(cause.reason, stopped, safe, problems)
         self._held = time.monotonic()
@@ -415,16 +415,16 @@ class Guard:
                 problems.append(f"{name} is not safe: {error}")
         return problems
 
-    def _tell(self) -> None:
+    def _publish_state(self) -> None:
         if self._publisher is None:
             return
         watches = self._watch.is_watching and self._watch.is_known
         self._publisher.publish(String(data=str(replace(self._state, watches=watches))))
-        self._told = time.monotonic()
+        self._published = time.monotonic()
 
-    def _tell_again(self) -> None:
-        if time.monotonic() - self._told >= PERIOD:
-            self._tell()
+    def _publish_state_if_due(self) -> None:
+        if time.monotonic() - self._published >= PERIOD:
+            self._publish_state()
 
     def _say(self, text: str) -> None:
         """Say something; a full disk, or a terminal that is gone, keeps it from nothing."""

@@ -7,8 +7,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomi
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.parameters.events import (
-    Found,
     ParameterWatch,
+    Readback,
     Values,
     differences,
     disturbed,
@@ -64,7 +64,7 @@ class NodeParameters:
         services = (SetParametersAtomically, GetParameters, ListParameters)
         self.clients = {key: ParameterClient(tuner, node, *services) for key, node in nodes.items()}
         for key, client in self.clients.items():
-            client.on_telling = partial(self._watch.tell, key)
+            client.on_request = partial(self._watch.expect_event, key)
             client.on_refusal = partial(self._watch.take_back, key)
 
     def forget(self, key: str) -> None:
@@ -79,10 +79,10 @@ class NodeParameters:
 
     def read_anew(self, key: str) -> dict[str, object]:
         """Read what a node has that was started anew, and forget what it said of it meanwhile."""
-        (found,) = self._tuner.complete([self._reading_all(key)])
-        self._known[key] = dict(found)
+        (values,) = self._tuner.complete([self._reading_all(key)])
+        self._known[key] = dict(values)
         self._watch.forget(key)
-        return dict(found)
+        return dict(values)
 
     def known(self, key: str) -> Mapping[str, object]:
         """Return what a node has for sure; it may have more, of what it was told or had before."""
@@ -224,8 +224,10 @@ class NodeParameters:
         """
         changed = {key: {**v, **self._changed.get(key, {})} for key, v in wanted.items()}
         self.expect(changed)
-        told = {key: self._tell(key, values, kept[key]) for key, values in changed.items()}
-        self.found().check(told)
+        assigned = {
+            key: self._assign_held(key, values, kept[key]) for key, values in changed.items()
+        }
+        self.read_back().check(assigned)
 
     def hold_again(self, key: str) -> None:
         """Set what a node that was started anew must have, and read it back.
@@ -259,8 +261,8 @@ class NodeParameters:
         for key, values in before.items():
             self._change(key, {name: v for name, v in values.items() if v is not None})
 
-    def found(self) -> Found:
-        """Find out what nodes have that are held, and had since this was last asked.
+    def read_back(self) -> Readback:
+        """Read what nodes have that are held, and what they had since this was last called.
 
         Raises
         ------
@@ -268,9 +270,9 @@ class NodeParameters:
             If one does not answer.
         """
         values = self._read(self._expected)
-        self._known |= {key: dict(found) for key, found in values.items()}
+        self._known |= {key: dict(of_node) for key, of_node in values.items()}
         seen, problem = self._watch.take_seen(), self._watch.problem
-        return Found(self._expected, values, seen, problem, self._own)
+        return Readback(self._expected, values, seen, problem, self._own)
 
     def disturbance(self) -> DisturbedError | None:
         """Return what somebody else changed, as far as the nodes told since this was last asked."""
@@ -305,7 +307,9 @@ class NodeParameters:
         self._expected = values
         self._watch.expect(values)
 
-    def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
+    def _assign_held(
+        self, key: str, values: Mapping[str, object], kept: Collection[str]
+    ) -> list[str]:
         before = dict(self._known.get(key, {}))
         try:
             return self.assign(key, values)
@@ -384,14 +388,14 @@ class NodeParameters:
         return (yield from self._reading(key))
 
     def _reading(self, key: str) -> Calls:
-        found = yield from self.clients[key].values(self._names[key])
-        return {name: value for name, value in found.items() if value is not None}
+        values = yield from self.clients[key].values(self._names[key])
+        return {name: value for name, value in values.items() if value is not None}
 
     def _read(self, keys: Iterable[str]) -> dict[str, dict[str, object]]:
         """Read the parameters of nodes side by side, by key."""
         keys = list(keys)
-        found = self._tuner.complete([self._reading(key) for key in keys])
-        return dict(zip(keys, found, strict=True))
+        readings = self._tuner.complete([self._reading(key) for key in keys])
+        return dict(zip(keys, readings, strict=True))
 
 
 def _differs(known: Mapping[str, object], name: str, value: object) -> bool:

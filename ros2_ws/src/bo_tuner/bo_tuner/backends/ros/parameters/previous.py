@@ -45,7 +45,7 @@ class PreviousParameters:
         self._undeclared: dict[str, set[str]] = {}
         self._safe: Values = {}
 
-    def undo_killed(self, found: dict[str, dict[str, object]]) -> None:
+    def undo_killed(self, current: dict[str, dict[str, object]]) -> None:
         """Set back what a killed tuner has left on the nodes.
 
         A parameter that has another value by now, since the node was started anew or somebody has
@@ -53,7 +53,7 @@ class PreviousParameters:
 
         Parameters
         ----------
-        found
+        current
             What nodes have, by key; changed along with them.
 
         Raises
@@ -63,14 +63,14 @@ class PreviousParameters:
         LostError
             If it does not answer.
         """
-        for key in found:
+        for key in current:
             spec = self._study.nodes[key]
-            left = self._note.left_behind(spec.node, found[key])
-            unset = self._note.left_set(spec.node, found[key])
+            left = self._note.left_behind(spec.node, current[key])
+            unset = self._note.left_set(spec.node, current[key])
             if not left and not unset:
                 continue
             changes = ", ".join(
-                f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
+                f"{name} {brief(str(current[key][name]))} -> {brief(str(value))}"
                 for name, value in (left | dict.fromkeys(unset, "not set")).items()
             )
             self._tuner.warn(f"{spec.node} is restored after a killed run: {changes}")
@@ -81,7 +81,7 @@ class PreviousParameters:
             undeclared = self._note.undeclared(spec.node)
             safe = safe_values(self._study).get(key, {})
             self._unset_again({key: unset}, {key: undeclared}, {key: safe}, CALL_TIMEOUT)
-            found[key] = self._parameters.read_anew(key)
+            current[key] = self._parameters.read_anew(key)
             self._note.settle(spec.node)
             self._write()
 
@@ -98,14 +98,14 @@ class PreviousParameters:
         self._undeclared = {key: self._parameters.undeclared(key) for key in previous}
         self._safe = safe
         # The constants are set next.
-        self.tell({key: spec.parameters for key, spec in self._study.nodes.items()})
+        self.announce({key: spec.parameters for key, spec in self._study.nodes.items()})
 
     @property
     def before_tuning(self) -> Values:
         """What nodes had, by key, before this tuner, or an earlier one that left them parked."""
         return {key: values | self._original[key] for key, values in self._previous.items()}
 
-    def tell(self, told: Values) -> None:
+    def announce(self, wanted: Values) -> None:
         """Note what nodes, by key, are about to have, ahead of telling them.
 
         What a node was told before stays noted until it is known what it has.
@@ -113,11 +113,11 @@ class PreviousParameters:
         steps = set_by_steps(self._study)
         for key, values in self._previous.items():
             node, known = self._study.nodes[key].node, self._parameters.known(key)
-            earlier = self._note.told(node)
+            earlier = self._note.assigned(node)
             by_name = {}
             had = values | dict.fromkeys(self._unset[key])
             for name in had:
-                sets = (self._safe.get(key, {}), known, told.get(key, {}))
+                sets = (self._safe.get(key, {}), known, wanted.get(key, {}))
                 by_name[name] = [s[name] for s in sets if name in s]
                 # A step may set it at any time.
                 by_name[name] += steps.get(key, {}).get(name, [])

@@ -76,13 +76,13 @@ class ParameterClient:
 
     Attributes
     ----------
-    on_telling, on_refusal : callable
+    on_request, on_refusal : callable
         Called with the values of each request to set some, ahead of it, and if it is refused.
     """
 
     def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
         self.node = node
-        self.on_telling: Callable[[Values], None] = lambda values: None
+        self.on_request: Callable[[Values], None] = lambda values: None
         self.on_refusal: Callable[[Values], None] = lambda values: None
         self._tuner = tuner
         self._types: dict[str, int] = {}
@@ -127,10 +127,10 @@ class ParameterClient:
     def take_remarks(self) -> list[str]:
         """Tell in lines, each of them once, what the node does not offer and is done instead."""
         missing = self._clients.keys() - self._ready
-        found = [text for kind, text in WITHOUT.items() if kind in missing]
+        remarks = [text for kind, text in WITHOUT.items() if kind in missing]
         if self._is_atomic is False and SetParametersAtomically not in missing:
-            found.append(NOT_ATOMIC)
-        new = [text for text in found if text not in self._remarked]
+            remarks.append(NOT_ATOMIC)
+        new = [text for text in remarks if text not in self._remarked]
         self._remarked += new
         return [f"{self.node}: {text}" for text in new]
 
@@ -162,20 +162,22 @@ class ParameterClient:
         """Describe parameters; without a word where the node does not."""
         if not self.offers(DescribeParameters):
             return [ParameterDescriptor(name=name) for name in names]
-        found = yield from self._asking(DescribeParameters, names)
-        return [item or ParameterDescriptor(name=n) for n, item in zip(names, found, strict=True)]
+        descriptors = yield from self._asking(DescribeParameters, names)
+        return [
+            item or ParameterDescriptor(name=n) for n, item in zip(names, descriptors, strict=True)
+        ]
 
     def messages(self, names: Sequence[str]) -> Calls:
         """Read parameters as messages, not set where the node does not have one."""
-        found = yield from self._asking(GetParameters, names)
-        found = [item or ParameterValue() for item in found]
-        self._types |= {name: item.type for name, item in zip(names, found, strict=True)}
-        return found
+        messages = yield from self._asking(GetParameters, names)
+        messages = [item or ParameterValue() for item in messages]
+        self._types |= {name: item.type for name, item in zip(names, messages, strict=True)}
+        return messages
 
     def values(self, names: Sequence[str]) -> Calls:
         """Read parameters, by name; None where the node does not have one."""
-        found = yield from self.messages(names)
-        return dict(zip(names, map(to_value, found), strict=True))
+        messages = yield from self.messages(names)
+        return dict(zip(names, map(to_value, messages), strict=True))
 
     def set(self, values: Values) -> Calls:
         """Set parameters, all of them or none; returns the result.
@@ -205,7 +207,7 @@ class ParameterClient:
 
     def _set_atomically(self, messages: Sequence[ParameterMessage]) -> Calls:
         values = named_values(messages)
-        self.on_telling(values)
+        self.on_request(values)
         request = SetParametersAtomically.Request(parameters=messages)
         result = (yield from self._calling(SetParametersAtomically, request)).result
         if not result.successful:
@@ -241,9 +243,9 @@ class ParameterClient:
         done = [name for name in reversed(names) if name not in refused]
         back = [ParameterMessage(name=name, value=before[name]) for name in done]
         stuck = yield from self._set_in_any_order(back)
-        found = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
-        found += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
-        result = SetParametersResult(successful=False, reason="; ".join(found))
+        reasons = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
+        reasons += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
+        result = SetParametersResult(successful=False, reason="; ".join(reasons))
         return result, set() if done else set(refused.values())
 
     def _set_in_any_order(self, messages: Sequence[ParameterMessage]) -> Calls:
@@ -269,7 +271,7 @@ class ParameterClient:
     def _set_several(self, messages: Sequence[ParameterMessage]) -> Calls:
         """Set parameters one after the other; returns a result for each."""
         for item in messages:
-            self.on_telling(named_values([item]))
+            self.on_request(named_values([item]))
         results = yield from self._asking(SetParameters, messages)
         results = [result or SetParametersResult() for result in results]
         for item, result in zip(messages, results, strict=True):
@@ -286,11 +288,11 @@ class ParameterClient:
         many = len(items) > 1
         if not many or not self._one_by_one:
             try:
-                answer = yield from self._calling(kind, kind.Request(**{asked: items}))
-                found = list(getattr(answer, answered))
-                if len(found) == len(items):
+                response = yield from self._calling(kind, kind.Request(**{asked: items}))
+                answers = list(getattr(response, answered))
+                if len(answers) == len(items):
                     self._one_by_one = False if many else self._one_by_one
-                    return found
+                    return answers
             except SilentError:
                 if not many or self._one_by_one is False:
                     raise
@@ -300,10 +302,10 @@ class ParameterClient:
                 return first + (yield from self._asking(kind, items[1:]))
         if not many:
             return [None for _ in items]
-        found = []
+        answers = []
         for item in items:
-            found += yield from self._asking(kind, [item])
-        return found
+            answers += yield from self._asking(kind, [item])
+        return answers
 
     def _calling(self, kind: Any, request: Any) -> Calls:
         return self._tuner.calling(self._clients[kind], request, self.node)
