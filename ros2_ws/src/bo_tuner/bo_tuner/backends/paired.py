@@ -57,7 +57,7 @@ class DefaultBeside:
         Returns
         -------
         Outcome
-            As `runs` returns it.
+            With the relative metrics; lost or not prepared where the default fails.
         """
         runs = self.runs(planned)
         due = next(runs)

@@ -51,7 +51,7 @@ class Certifier:
     interruption
         Ends the evaluations.
     console
-        Is told how far they are.
+        Shows how far they are.
     with_default
         Whether the default is certified, too, in the same draws.
     more

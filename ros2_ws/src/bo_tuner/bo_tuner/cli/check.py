@@ -283,13 +283,13 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
         done.append(task.evaluation)
         recordings.append(backend.recording)
         if len(done) == RUNS - 1:
-            # As for each other parameter set.
+            # Each other parameter set restarts such nodes, too.
             backend.start_anew()
     return done, recordings
 
 
 def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
-    """Tell what the signals of complete runs look wrong in; returns whether anything moves."""
+    """Show what may be wrong with the signals of complete runs; returns whether any moves."""
     if all_stand(recordings, heard):
         say_error(
             f"error: nothing moves: {', '.join(standing(recordings, heard))} did not change in "
@@ -328,7 +328,7 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
-    """Tell how long tuning and certificate will take, by test runs that completed."""
+    """Show how long tuning and certificate will take, by test runs that completed."""
     starting = sum(e.outcome.starts[1] for e in complete)
     seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")

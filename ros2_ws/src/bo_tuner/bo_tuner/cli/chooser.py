@@ -1,4 +1,4 @@
-"""Choose some of what was found on running nodes: by an option, or on a terminal."""
+"""Choose some of what running nodes offer: by an option, or on a terminal."""
 
 import re
 import sys
@@ -21,7 +21,7 @@ Row = Callable[[Offer], Sequence[str]]
 
 
 class Chooser:
-    """Lets the user choose of what was found: by an option, on a terminal, or else as suggested.
+    """Lets the user choose: by an option, on a terminal, or else as suggested.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ class Chooser:
         Parameters
         ----------
         what
-            Their name in the plural, which is that of the option too.
+            Their name in the plural, which is also that of the option.
         given
             The option.
         offers, suggested
             All of them, and those to take unless the user says otherwise.
         names
-            Names of an offer, one of which the option holds.
+            Names of an offer; the option may hold any of them.
         row
             What to show of an offer.
 

@@ -83,17 +83,17 @@ def try_parameters(
 def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_range: bool) -> bool:
     """Show what each parameter moves; returns whether the study has something to tune.
 
-    It has not if over their whole range none of the parameters was seen to move a metric. That none
-    did in small steps may be for the noise.
+    It has nothing to tune if no parameter was seen to move a metric over its whole range. In small
+    steps the noise may hide an effect.
 
     Parameters
     ----------
     study
         The study.
     planned, runs
-        As from `try_parameters`.
+        Returned by `try_parameters`.
     whole_range
-        As there.
+        Whether each parameter was tried over its whole range.
     """
     judged = judge(study, planned, runs)
     moves = [(name, move) for name, item in judged.items() for move in item.moves]

@@ -163,7 +163,7 @@ class Session:
         )
 
     def _halt(self, reason: str) -> None:
-        """Let the run wait: the guard has taken over, and somebody is to look at the machine."""
+        """Let the run wait: the guard has taken over, and somebody must see to the machine."""
         self._gate.halt(reason)
         self._display.warn(f"{reason}; the run waits until you have looked at the machine")
 
@@ -326,7 +326,7 @@ class Session:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
                 observers.recall(tuning.trials, self._best(tuning))
-                # What others have made of them took its time, which is none of a trial.
+                # The time that observers took for these trials is none of the next trial's.
                 self._status.restart()
             for trial in self._trials(tuning):
                 best = self._best(tuning)
@@ -381,7 +381,7 @@ class Session:
     def _show_on_ros(
         self, context: Context, park: Callable[[], list[str]], stack: contextlib.ExitStack
     ) -> None:
-        """Let a node tell of the run and take requests, and have the machine parked in a pause."""
+        """Let a node publish the run and take requests, and have the machine parked in a pause."""
         live = LiveNode(context, self._study, self._folder.path, self._status, self._control)
         self._observers.add(stack.enter_context(contextlib.closing(live)))
         self._observers.add(ParkInPause(park, self._display.warn))
@@ -415,7 +415,7 @@ class Session:
 
     @property
     def _ways_to_continue(self) -> Iterator[str]:
-        """In which a run that is paused can be told to go on."""
+        """Ways in which a paused run can be continued, in words."""
         options = self._options
         if options.web is not None and options.web_control:
             yield "on the live page"
@@ -430,7 +430,7 @@ class Session:
         return namespace_of(options.ros_arguments) if options.backend == ROS else ""
 
     def _verdict(self, summary: Mapping[str, object] | None) -> Verdict:
-        """Return what is known of the result; of one that has a certificate this is its verdict."""
+        """Return the verdict on the result: that of its certificate, if it has one."""
         content = read_journal(self._folder.journal)
         return run_verdict(
             RunRecord(

@@ -55,7 +55,7 @@ class Plan:
     Attributes
     ----------
     study, algorithm, backend, attach, stop_early
-        As in `RunOptions`.
+        Passed on in the options of the run.
     resumed
         The run that it continues.
     carried
@@ -246,7 +246,7 @@ def _new(
 
 
 def _check_installed(study: Study, backend: str) -> None:
-    """Refuse a shipped study whose nodes are not installed, and say what to do instead.
+    """Refuse a shipped study if its nodes are not installed, and say what to do instead.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def _check_options(
 
 
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:
-    """Refuse to continue a run to what it has already, or to what it was to have anyway."""
+    """Refuse a budget that a run has used up already, or was to have anyway."""
     trials, evaluations = record.study.budget.trials, record.study.budget.evaluations
     done = count_evaluations(record.trials)
     if evaluations is not None or record.finished is not None:
@@ -337,7 +337,7 @@ def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser
 
 
 def _check_budget(study: Study, carried: Carried, parser: Parser) -> None:
-    """Refuse to begin with as many trials as there are to be in all."""
+    """Refuse a budget that the trials taken from an earlier run use up."""
     trials, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
     budget = study.budget
     if not budget.is_spent(trials, evaluations):

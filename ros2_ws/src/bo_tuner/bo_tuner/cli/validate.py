@@ -275,7 +275,7 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     known = {trial.number} | {
         other.number for other in record.trials if latest_certificate(record, other) is not None
     }
-    # What failed its check, or when it was run again, is no candidate.
+    # A set that failed its check, or failed when it was run again, is no candidate.
     trials = record.method.checked(record.study, record.trials, record.evaluations)
     ranked = record.method.ranking.rank(record.study, trials)
     # Trials of one parameter set are one candidate.
@@ -300,9 +300,9 @@ def _trial(record: RunRecord, number: int | None) -> Trial:
 
 
 def _unfinished(record: RunRecord, trial: Trial, backend: str) -> Trial | None:
-    """Return the trial whose certificate was interrupted, if it comes before a further one.
+    """Return the trial with an interrupted certificate, if it comes before a further one.
 
-    Those ahead of it in rank have theirs, as `trial` must have.
+    Trials ahead of it in rank, and `trial` itself, must have theirs.
     """
     if latest_certificate(record, trial) is None:
         return None

@@ -51,7 +51,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the node has the new value, see `checks.holds`."""
+        """Whether the node has the new value, or that rounded to 32 bits."""
         return checks.holds(self.now, self.new)
 
 
@@ -144,7 +144,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
 
 
 def withdraw_bundle(folder: Path) -> None:
-    """Remove the bundle in a run folder, but for what tells how to roll back.
+    """Remove the bundle in a run folder, but for what a rollback needs.
 
     Raises
     ------

@@ -21,7 +21,7 @@ TRIAL_RESULT = "tuner: trial_result"
 
 
 class Level(IntEnum):
-    """Levels of a status, as in ``diagnostic_msgs/DiagnosticStatus``."""
+    """Levels of a status, those of ``diagnostic_msgs/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1

@@ -76,7 +76,7 @@ class Display(RunObserver):
         self._console.print(text, soft_wrap=True)
 
     def event(self, event: Event) -> None:
-        """Show that the run was asked to finish, where others were told of it."""
+        """Show that the run was asked to finish, whoever has asked."""
         if event.kind is EventKind.FINISH:
             self.inform(
                 f"asked to finish after {counted(event.tasks, 'trial')}; the best so far is then "

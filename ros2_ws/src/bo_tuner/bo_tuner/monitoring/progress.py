@@ -31,7 +31,7 @@ INDENT = " " * 16
 class RunProgress(Display):
     """A line for each trial and, on a terminal, a bar with a second line for the incumbent.
 
-    Without a terminal a line tells now and then how far the phase is.
+    Without a terminal a line shows now and then how far the phase is.
 
     All of it is on standard error.
 

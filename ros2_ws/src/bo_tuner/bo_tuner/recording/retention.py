@@ -116,7 +116,7 @@ class Retention:
         return list(self._sizes)
 
     def reason(self, study: Study, trial: Trial, best: bool) -> Reason | None:
-        """Tell what makes a trial notable, if anything does.
+        """Return what makes a trial notable, if anything does.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ class Listener(Protocol):
     """Hands on what the nodes say, until it is closed."""
 
     def refresh(self) -> bool:
-        """Hear topics that were not there before, too; tells whether there were any."""
+        """Hear topics that were not there before, too; returns whether there were any."""
 
     def take(self) -> None:
         """Hand on what has come by now."""
@@ -113,7 +113,7 @@ class RunRecording(RunObserver):
     def planned(self, phase: str) -> None:
         """Let go of what came while a trial was proposed.
 
-        Elsewhere the last messages of the evaluation before are still on their way.
+        Only then: in other phases the last messages of an evaluation may still be on their way.
         """
         if phase == Phase.TUNING:
             self._forget()

@@ -1,4 +1,4 @@
-"""Hears all topics of a study's nodes and of its signals: the graph tells names and types."""
+"""Hears all topics of a study's nodes and of its signals: the graph has names and types."""
 
 import threading
 import time

@@ -29,7 +29,7 @@ class Recomputed:
     run
         The run.
     outcome
-        As of an evaluation.
+        Of the recomputed metrics.
     """
 
     run: RecordedRun
@@ -37,7 +37,7 @@ class Recomputed:
 
 
 def check_recorded(record: RunRecord, study: Study) -> None:
-    """Refuse a study whose metrics a run's bags do not give.
+    """Refuse a study with metrics that a run's bags do not give.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def recompute(
 ) -> Iterator[Recomputed]:
     """Compute the metrics of a study for every run in the bags of a record, in their order.
 
-    Those that are relative to the default are left out, whose runs beside these are in no bag.
+    Metrics that are relative to the default are left out: the runs of the default are in no bag.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def recompute(
     Raises
     ------
     RunRecordError
-        As `check_recorded`, or if there is no bag with signals.
+        If the bags do not give the study's metrics, or there is no bag with signals.
     """
     check_recorded(record, study)
     recording = NOTHING_RECORDED
@@ -108,9 +108,9 @@ def measure_again(record: RunRecord, study: Study) -> Measure:
     Raises
     ------
     RunRecordError
-        As `recompute`.
+        If the bags do not give the study's metrics, or there is no bag with signals.
     """
-    # What the default has beside an evaluation is in no bag.
+    # The default's runs beside the evaluations are in no bag.
     anew = [
         study.metrics[name]
         for name in remeasured(record.study, study)
@@ -169,9 +169,9 @@ def _source(signal: Signal) -> Signal:
 
 
 def differing(record: RunRecord, study: Study, recomputed: Recomputed) -> list[str]:
-    """Return the metrics whose recomputed value is not the recorded one, of equal definitions.
+    """Return the metrics of equal definition with another value than the recorded one.
 
-    Where the metrics of the run's own study cannot be computed any more, that is all of them.
+    If no metric of the run's own study can be computed any more, all of them differ.
     """
     if not recomputed.outcome.complete and study != record.study:
         # A metric of the other study may be what failed.

@@ -73,7 +73,7 @@ class LiveSections:
         return Analysis(record, self._known, quick=not ended)
 
     def made(self, *, ended: bool) -> Made:
-        """Make all parts as of now; raises as `analysis`."""
+        """Make all parts as of now; raises `RunRecordError` if the run cannot be read."""
         analysis = self.analysis(ended=ended)
         when = datetime.now().astimezone().strftime("%H:%M:%S")
         count = count_trials(analysis.record.trials)

@@ -36,7 +36,7 @@ from bo_tuner.web.sections import LiveSections
 from bo_tuner.web.state import LiveState
 
 PAGE = secrets.token_hex(8)
-"""Tells one run's page from that of the next on the same port."""
+"""Distinguishes one run's page from that of the next on the same port."""
 LAST_LOOK = 20.0
 """Longest time [s] after the end of the run in which the page shows the result."""
 LEFT = 2.0
@@ -341,7 +341,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], steps: Bi
 
 
 async def _last_look(state: LiveState) -> None:
-    """Let those who look see the end of the run."""
+    """Let readers of the page see the end of the run."""
     if not state.watched:
         return
     loop = asyncio.get_running_loop()

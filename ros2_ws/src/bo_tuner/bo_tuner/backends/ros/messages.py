@@ -32,7 +32,7 @@ NO_SIGNALS = (
     "builtin_interfaces/msg/Duration",
     "std_msgs/msg/MultiArrayLayout",
 )
-"""Messages within messages whose numbers say when, or in which order, not what."""
+"""Types of nested messages with times or sequence numbers, which are no signals."""
 
 
 def interface_class(name: str) -> Any:

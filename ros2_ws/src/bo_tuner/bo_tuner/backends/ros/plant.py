@@ -1,4 +1,4 @@
-"""Which nodes of a study look like the plant, by the topics between them."""
+"""Which nodes of a study may be the plant, by the topics between them."""
 
 from collections.abc import Iterator
 
@@ -14,11 +14,11 @@ Ends = dict[str, set[str]]
 
 
 def plant_notes(study: Study, tuner: TunerNode) -> Iterator[str]:
-    """Yield a line for each node that looks like the plant and has parameters that are tuned.
+    """Yield a line for each node that may be the plant and has parameters that are tuned.
 
-    It hears nothing but what a controller publishes that takes the run's reference, and publishes
-    what that controller hears. An estimator hears the plant, too, and a controller the reference.
-    Parameters whose name tells of tuning, such as a gain, are none of the plant's.
+    It hears only what a controller of the run's reference publishes, and publishes what that
+    controller hears. An estimator hears the plant, too, and a controller the reference.
+    Parameters that are named for tuning, such as a gain, are none of the plant's.
     """
     if study.run is None:
         return

@@ -17,7 +17,7 @@ from bo_tuner.study.study import Study
 
 
 class Presence:
-    """Tells of the nodes of a study what the graph says of them.
+    """What the graph shows of the nodes of a study.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Presence:
         Returns
         -------
         list of str
-            The keys of those that were started anew since this was last asked, as `restarted`.
+            The keys of those that were started anew since this or `restarted` was last called.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Presence:
         return self.restarted()
 
     def meet(self, key: str, deadline: float) -> None:
-        """Wait until a node knows the tuner's subscriptions; see `meet` of `services`."""
+        """Wait until a node sends to all of the tuner's subscriptions so far."""
         meet(self._tuner, self._study.nodes[key].node, deadline)
 
     def wait_until_gone(self, timeout: float) -> None:
@@ -103,7 +103,7 @@ class Presence:
     def restarted(self) -> list[str]:
         """Return the keys of nodes that were started anew since this was last asked.
 
-        Such a node has forgotten its parameters, and is to be told them again.
+        Such a node has forgotten its parameters, which are to be set again.
         """
         self._wait_for_names()
         keys = []
@@ -116,7 +116,7 @@ class Presence:
         return keys
 
     def twins(self, timeout: float) -> str:
-        """Tell in a line of nodes that run more than once; empty if none does.
+        """Return a line on nodes that run more than once; empty if none does.
 
         A node that was killed and is back counts twice until its lease ends, which is waited for at
         most `timeout` seconds, and once only.
@@ -152,7 +152,7 @@ class Presence:
         }
 
     def _wait_for_names(self) -> None:
-        """Wait until the graph tells whose the new signs of life are."""
+        """Wait until the graph has the node of each new sign of life."""
         deadline = time.monotonic() + NAME_TIMEOUT
         while nameless := self._nameless() - self._anonymous:
             if time.monotonic() > deadline:

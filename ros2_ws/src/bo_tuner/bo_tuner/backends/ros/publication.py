@@ -105,7 +105,7 @@ class Publication:
             ):
                 # Who joins later is to hear the last message only, not what came before.
                 durability, depth = QoSDurabilityPolicy.TRANSIENT_LOCAL, 1
-            # In full, as the graph tells those of subscribers: by default they do not compare.
+            # In full, like the subscribers' in the graph: defaults cannot be compared with them.
             qos = QoSProfile(
                 depth=depth,
                 durability=durability,
@@ -156,7 +156,7 @@ class Publication:
 
     @property
     def _unheard(self) -> str:
-        """Tell that nobody hears it: why somebody who subscribes does not, if there is one."""
+        """Say that nobody hears it, and why a subscriber does not, if there is one."""
         for info in self._endpoints():
             if not is_own(info.node_name) and (reason := self._obstacle(info)):
                 name = full_name(info.node_namespace, info.node_name)
@@ -174,7 +174,7 @@ class Publication:
         return [info for info in endpoints if info.topic_type == type_name(self.kind)]
 
     def _obstacle(self, info: TopicEndpointInfo) -> str:
-        """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
+        """Return why a subscriber cannot hear the publisher by its QoS; empty if it can."""
         offered = self.topic.publisher.qos_profile
         compatible, reason = qos_check_compatible(offered, info.qos_profile)
         return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""

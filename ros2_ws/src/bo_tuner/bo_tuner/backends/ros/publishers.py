@@ -13,9 +13,9 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import Signal
 
 NAME_TIMEOUT = 1.0
-"""Time [s] that the graph has to tell which node a new publisher belongs to."""
-LOOK = 0.1
-"""Time [s] between two looks at the graph, which takes longer than a message."""
+"""Time [s] that the graph has to show the node of a new publisher."""
+QUERY = 0.1
+"""Time [s] between two queries of the graph: one takes longer than a message."""
 
 
 class Publishers:
@@ -32,14 +32,14 @@ class Publishers:
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
         self._topic = topic
-        self._looked = -LOOK
+        self._queried = -QUERY
         self._endpoints: list[TopicEndpointInfo] = []
         self._names: dict[bytes, str] = {}
 
     def now(self) -> list[TopicEndpointInfo]:
-        """Look at the graph."""
+        """Query the graph."""
         endpoints = self._node.get_publishers_info_by_topic(self._topic)
-        self._looked = time.monotonic()
+        self._queried = time.monotonic()
         self._endpoints = [info for info in endpoints if info.node_name != GUARD]
         for info in self._endpoints:
             if info.node_name != UNKNOWN_NODE:
@@ -48,8 +48,8 @@ class Publishers:
         return self._endpoints
 
     def lately(self) -> list[TopicEndpointInfo]:
-        """Return what was found not long ago, or look."""
-        return self._endpoints if time.monotonic() - self._looked < LOOK else self.now()
+        """Return the publishers of a recent query, or of a new one."""
+        return self._endpoints if time.monotonic() - self._queried < QUERY else self.now()
 
     def name_of(self, gid: bytes) -> str:
         """Return the full name of the node of a publisher; empty if it is not known."""
@@ -74,7 +74,7 @@ class Publishers:
         return [i for i in publishers if full_name(i.node_namespace, i.node_name) == wanted]
 
     def mixed(self, spec: Signal) -> str:
-        """Tell in a line that publishers of more than one node mix in a signal; empty if not.
+        """Return a line if publishers of more than one node mix in a signal; empty if not.
 
         Those of one node belong together, and the study may say of which node, or that all do.
         """

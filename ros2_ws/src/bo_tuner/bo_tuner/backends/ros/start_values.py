@@ -114,7 +114,7 @@ class StartValues:
         Raises
         ------
         StudyError
-            If it does not look at its file.
+            If it does not read its parameter file.
         RefusedError
             If it has another value of its own accord, or cannot be configured with these.
         LostError
@@ -181,7 +181,7 @@ class StartValues:
         RefusedError
             If a node does not come up with the values, or has others then.
         StudyError
-            If it does not look at its file.
+            If it does not read its parameter file.
         LostError
             If it does not come back, or does not answer.
         """
@@ -242,7 +242,7 @@ class StartValues:
 
     def _is_in_force(self, key: str, wanted: Mapping[str, object]) -> bool:
         part, in_force = self._part(key, wanted), self._in_force.get(key)
-        # Somebody else may have set another one, which would be set back, as if that did anything.
+        # Somebody else may have set another value: to set it back would not bring it into force.
         known = self._part(key, self._parameters.known(key))
         return in_force is not None and not (
             differences(key, in_force, part) or (known and differences(key, known, part))

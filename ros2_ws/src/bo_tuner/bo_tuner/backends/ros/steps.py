@@ -1,4 +1,4 @@
-"""The steps of a run, found in the graph beforehand so that mistakes show before the first run."""
+"""The steps of a run, resolved in the graph beforehand: mistakes show before the first run."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -206,6 +206,6 @@ def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
 
 
 def _services(tuner: TunerNode) -> dict[str, list[str]]:
-    """Return the types of services by name; the graph also tells those that only clients name."""
+    """Return the types of services by name, without those that only clients name."""
     services = tuner.node.get_service_names_and_types()
     return {name: types for name, types in services if tuner.node.count_services(name)}

@@ -35,9 +35,9 @@ from bo_tuner.study.seen import (
 )
 
 QUIET = 1.0
-"""Time [s] without anything new after which the graph counts as found."""
+"""Time [s] without anything new after which the graph counts as complete."""
 LISTEN = 1.0
-"""Time [s] to hear a message, which tells the items of arrays."""
+"""Time [s] to hear a message, which has the items of arrays."""
 CHANGES = 2.0
 """Time [s] in which parameters that a node changes by itself are seen to change."""
 GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
@@ -53,7 +53,7 @@ def survey(
     Parameters
     ----------
     tuner
-        The node that looks.
+        The tuner's node.
     is_whole
         Whether nothing is missing that is known to run; else it is looked for, up to `DISCOVERY`.
     named
@@ -119,7 +119,7 @@ def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, l
 
 
 def _values(tuner: TunerNode, node: SeenNode) -> Mapping[str, object]:
-    """Read the parameters of a node; none if it has ended, of which the next command tells."""
+    """Read the parameters of a node; none if it has ended, which the next command reports."""
     try:
         return values_now(tuner, node.name, list(node.parameters))
     except BackendError:

@@ -1,7 +1,7 @@
 """Takes messages as they are on the wire, with the publisher that each of them is from.
 
-rclpy leaves the publisher out of what it tells of a message. The C library below it, rcl, has it;
-`PublisherTaker` asks that.
+rclpy does not return the publisher of a message. The C library below it, rcl, does, and
+`PublisherTaker` calls it.
 
 Reference: ``rcl/subscription.h`` and ``rmw/types.h`` of ROS 2 Jazzy.
 """
@@ -78,12 +78,12 @@ class Taker:
 
 
 class PublisherTaker:
-    """The same, which tells of each message who has published it.
+    """Takes the messages of a subscription that is in no executor, each with its publisher.
 
     Parameters
     ----------
     subscription
-        As of `Taker`.
+        A subscription with ``raw=True``.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class PublisherTaker:
             self._subscription.handle.pointer, ctypes.byref(message), ctypes.byref(info), None
         )
         if status != OK:
-            # As rclpy does, which has no other message then either.
+            # rclpy, too, takes this for no message.
             self._rcutils.rcutils_reset_error()
             return None
         data = ctypes.string_at(message.buffer, message.length)

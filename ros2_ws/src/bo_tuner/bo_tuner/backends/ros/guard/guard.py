@@ -52,14 +52,14 @@ CONNECT = 10.0
 ANSWER = 2.0
 """Time [s] that all nodes have to take the safe values."""
 AGAIN = 0.5
-"""Time [s] after which what the nodes have is looked at again while they are held safe."""
+"""Time [s] after which what the nodes have is checked again while they are held safe."""
 GIVE_UP, GONE = 600.0, 3.0
 """Time [s] for which a guard whose tuner has ended tries to leave the nodes safe, and the same of
 nodes that end with it."""
 ACKNOWLEDGED = 1
 """Time [s] for the tuner to hear of the last act."""
 ASLEEP = 0.3
-"""Gap [s] between two looks beyond which this process did not run."""
+"""Gap [s] between two cycles beyond which this process did not run."""
 
 
 class Beats(Protocol):
@@ -159,7 +159,7 @@ class Guard:
         self._watch = Watch(timeout)
         self._ending = False
         self._held = 0.0
-        # Who waits for it is to know that it is there, also while it waits for a node.
+        # It publishes its state also while it waits for a node: its tuner awaits it.
         self._tuner = TunerNode(None, ros_arguments, self._publish_state_if_due, GUARD)
         self._state = State(
             self._name,
@@ -285,7 +285,7 @@ class Guard:
         self._tuner.close()
 
     def _refuse_others(self) -> None:
-        """Refuse nodes that another guard has; one whose tuner has just ended is waited for.
+        """Refuse nodes that another guard has; if its tuner has just ended, its end is awaited.
 
         Of two that start at the same time one stays.
         """
@@ -335,7 +335,7 @@ class Guard:
         self._clock.update()
         if in_run and not self._was_in_run:
             self._in_run = Stopwatch(self._clock)
-        # What came between two runs is taken, and tells nothing.
+        # What came between two runs is taken, and does not count.
         if self._abort.holds(self._in_run.seconds) and in_run and self._was_in_run:
             self._watch.held(now)
         self._was_in_run = in_run
@@ -380,7 +380,7 @@ class Guard:
         self._held = time.monotonic()
 
     def _hold(self) -> None:
-        """Look again at what the nodes have: a tuner that lives again may be in the midst of it."""
+        """Check what the nodes have again: a tuner that lives again may be setting others."""
         if time.monotonic() - self._held < AGAIN:
             return
         self._set_safe()

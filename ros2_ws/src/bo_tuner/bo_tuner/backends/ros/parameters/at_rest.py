@@ -50,7 +50,7 @@ class InitialParameters:
                 raise self._named(key, refusal, ("nodes", key, "parameters")) from refusal
 
     def set_undeclared(self, declared: Mapping[str, Mapping[str, object]]) -> None:
-        """Set safe values of what nodes have not declared: what is never taken costs all trials.
+        """Set safe values of undeclared parameters: one that is never taken costs all trials.
 
         Parameters
         ----------
@@ -88,9 +88,9 @@ class InitialParameters:
         return problems[0] if problems else StudyError(f"{prefix}{refusal}", path)
 
     def _problems(self, key: str, *, declared: bool) -> list[StudyError]:
-        """Return as `node_problems`; none of a node that does not describe its parameters."""
+        """Return what a node says it does not take; nothing if it does not describe parameters."""
         try:
-            # The tuner has told it something by now, and has noted that down.
+            # The tuner has set something on it by now, and has noted that down.
             own = self._study.own_parameters[key]
             known = describe_now(self._tuner, self._study.nodes[key].node, own)
         except BackendError:

@@ -1,4 +1,4 @@
-"""Values that nodes have and should not: as they answer, and as they tell by themselves."""
+"""Values that nodes have and should not: by their answers, and by their parameter events."""
 
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
 MOST_AWAITED = 100
-"""Sets of values told to a node whose events are awaited: it need not publish any."""
+"""Requests to a node whose events are awaited: it need not publish any."""
 
 
 Values = Mapping[str, Mapping[str, object]]
@@ -55,7 +55,7 @@ def offer_unwatched(difference: Difference) -> str:
 
 
 def not_taken(difference: Difference) -> RefusedError:
-    """Make the error that a node has another value right after it was told one."""
+    """Make the error that a node has another value right after one was set."""
     return RefusedError(f"{difference} (not taken by the node)")
 
 
@@ -79,7 +79,7 @@ class Readback:
     seen : sequence of Difference
         What else they were seen to have meanwhile.
     problem : str
-        What cannot be read of that.
+        What cannot be read of the nodes' events.
     own : mapping
         By node key the names of the parameters that are set.
     """
@@ -96,14 +96,14 @@ class Readback:
         Parameters
         ----------
         assigned
-            By node key the names of what it was told right before.
+            By node key the names of what was set right before.
 
         Raises
         ------
         RefusedError
-            If it is the node that has not taken what it was told.
+            If it is the node that has not taken what was set.
         DisturbedError
-            If somebody else changed one, or what was told of one cannot be read.
+            If somebody else changed one, or an event cannot be read.
         """
         if self.problem:
             raise DisturbedError(self.problem)
@@ -116,7 +116,7 @@ class Readback:
             raise disturbed(self.seen[0], self.own)
 
     def rounded(self) -> Iterator[tuple[str, str, object]]:
-        """Yield node key, name and value of what a node holds in fewer digits than it was told."""
+        """Yield node key, name and value of what a node holds in fewer digits than were set."""
         for key, values in self.held.items():
             for name, value in values.items():
                 actual = self.values[key].get(name)
@@ -147,7 +147,7 @@ class ParameterWatch:
             key: deque(maxlen=MOST_AWAITED) for key in nodes
         }
         self.problem = ""
-        """What came since `expect` and cannot be read: it may tell of any parameter."""
+        """An event since `expect` that cannot be read: it may be of any parameter."""
         self._subscription = node.create_subscription(
             ParameterEvent,
             PARAMETER_EVENTS,
@@ -175,7 +175,7 @@ class ParameterWatch:
         self._awaited[key].append(values)
 
     def take_back(self, key: str, values: Mapping[str, object]) -> None:
-        """Take back what was told: the node has refused it, and publishes no event."""
+        """Expect no event of values after all: the node has refused them, and publishes none."""
         # Unless somebody else has set the same meanwhile.
         if values in self._awaited[key]:
             self._awaited[key].remove(values)
@@ -183,8 +183,8 @@ class ParameterWatch:
     def forget(self, key: str) -> None:
         """Forget what was seen of a node: it was started anew, and has declared its parameters.
 
-        That it has may become known late. Its events arrive in their order, so until the first
-        change all that it tells of new parameters is what it has declared.
+        This may become known late. Its events arrive in their order, so all new parameters up to
+        the first change are those that it has declared.
         """
         self._take_all()
         self._seen = [difference for difference in self._seen if difference.node != key]
@@ -222,11 +222,11 @@ class ParameterWatch:
             self._seen += differences(key, now, watched)
 
     def _own(self, key: str, now: Mapping[str, object]) -> Mapping[str, object]:
-        """Return what the tuner has told, if this is the event of it; it is no longer awaited."""
+        """Return what the tuner has set, if this is its event; that is no longer awaited."""
         awaited = self._awaited[key]
         for place, values in enumerate(awaited):
             if values.keys() <= now.keys() and not differences(key, now, values):
-                # A node's events come in their order: those of what it was told before are lost.
+                # A node's events come in their order: those of earlier requests are lost.
                 for _ in range(place + 1):
                     awaited.popleft()
                 return values

@@ -22,7 +22,7 @@ from bo_tuner.text import brief
 
 
 def said_of_killed(node: str, name: str, value: object) -> str:
-    """Tell that a parameter of a node has a value of a run that was killed."""
+    """Say that a parameter of a node has a value of a run that was killed."""
     return f"{node}: {name} is {brief(str(value))}, which a run that was killed has left"
 
 
@@ -30,7 +30,7 @@ class ParameterNote:
     """The file of one domain and namespace, in which one tuner works at a time.
 
     It has by the nodes' names what they had when the last tuner came and must have again
-    (``previous``, null for no value), by parameter the values that a tuner has told them last
+    (``previous``, null for no value), by parameter the values that a tuner has set last
     (``told``), and what of that they had before the first of several tuners that left it parked
     (``original``), and which they had not declared (``undeclared``). Nodes of other studies stay in
     it.
@@ -64,7 +64,7 @@ class ParameterNote:
         return bool(self._of(node))
 
     def assigned(self, node: str) -> Mapping[str, list[object]]:
-        """Return what a node was told last, by parameter."""
+        """Return the values that were set on a node last, by parameter."""
         values: Mapping[str, list[object]] = self._of(node).get("told", {})
         return values
 
@@ -76,7 +76,7 @@ class ParameterNote:
         original: Mapping[str, object],
         undeclared: Iterable[str] = (),
     ) -> None:
-        """Note all of a node, in place of what there was; of one that was told nothing, nothing."""
+        """Replace the note on a node; there is none on a node on which nothing was set."""
         name = full_name(self._namespace, node)
         self._content.pop(name, None)
         if assigned or previous:
@@ -88,7 +88,7 @@ class ParameterNote:
             }
 
     def left_behind(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before, of what it still has as a tuner has told it.
+        """Return what a node had before, of parameters that still have a tuner's value.
 
         A parameter that has another value by now, since the node was started anew or somebody has
         set it, is not among it.
@@ -97,7 +97,7 @@ class ParameterNote:
         return {name: value for name, value in previous.items() if value is not None}
 
     def left_set(self, node: str, now: Mapping[str, object]) -> set[str]:
-        """Return the parameters that a node has as a tuner has told it, and that had no value."""
+        """Return the parameters that still have a tuner's value, and that had none before."""
         previous = self._still_assigned(node, "previous", now)
         return {name for name, value in previous.items() if value is None}
 
@@ -106,9 +106,9 @@ class ParameterNote:
         return set(self._of(node).get("undeclared", []))
 
     def original(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before any tuner, of what it still has as one has left it parked.
+        """Return what a node had before any tuner, of parameters that are still left parked.
 
-        As in `left_behind`, what has been set since then is not among it.
+        A parameter that has been set since then is not among it.
         """
         return self._still_assigned(node, "original", now)
 

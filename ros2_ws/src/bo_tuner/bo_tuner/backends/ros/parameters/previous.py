@@ -22,7 +22,7 @@ PAUSE = 0.25
 
 
 class PreviousParameters:
-    """Notes what the nodes of a study have, tells what they are told, and sets them back.
+    """Notes what the nodes of a study have and what is set on them, and sets them back.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ class PreviousParameters:
         return {key: values | self._original[key] for key, values in self._previous.items()}
 
     def announce(self, wanted: Values) -> None:
-        """Note what nodes, by key, are about to have, ahead of telling them.
+        """Note what is about to be set on nodes, by key.
 
-        What a node was told before stays noted until it is known what it has.
+        Values that were set before stay noted until it is known what the node has.
         """
         steps = set_by_steps(self._study)
         for key, values in self._previous.items():
@@ -129,7 +129,7 @@ class PreviousParameters:
     def restore(self, timeout: float) -> list[str]:
         """Give the nodes back what they had, but for safe parameters that the study names.
 
-        What had no value has none again, as far as a node allows that; a line tells of the rest.
+        What had no value has none again, as far as a node allows that; the rest is returned.
 
         A node may refuse these beside the others. It gets back all that it had then.
 
@@ -193,7 +193,7 @@ class PreviousParameters:
         safe: Values,
         timeout: float,
     ) -> None:
-        """Take back what had no value, by node key, and tell where that is not possible.
+        """Take back what had no value, by node key, and warn where that is not possible.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class PreviousParameters:
 def undo_killed(study: Study, tuner: TunerNode) -> None:
     """Set back what a killed tuner has left on the nodes of a study that are there.
 
-    One that does not take it is told, and stays for the next tuner.
+    A warning names a node that does not take it, which stays noted for the next tuner.
     """
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
     nodes = {

@@ -54,7 +54,7 @@ NOT_OFFERED = re.compile(r"atomic|support|implement|^\s*$", re.IGNORECASE)
 INCOMPLETE = 2.0
 """Time [s] without a further service after which those that are missing are done without."""
 ATTEMPT = 1.0
-"""Time [s] after which a request that changes nothing is repeated: a node that was killed looks
+"""Time [s] after which a request that changes nothing is repeated: a node that was killed stays
 discovered until its lease ends, and one may receive a request before it has discovered who asks."""
 
 
@@ -69,7 +69,7 @@ class ParameterClient:
     tuner
         The tuner's node.
     node
-        Name of the other one, as in a study.
+        Name of the other one, relative to the namespace or in full.
     services
         Those that are used beside that which reads; of the two that set parameters the atomic one
         stands for both.
@@ -91,7 +91,7 @@ class ParameterClient:
         self._ready: set[Any] = set()
         self._remarked: list[str] = []
         self._since = 0.0
-        # A node that answers a later client knows the earlier ones (see `meet`).
+        # A node that answers a later client knows the earlier ones.
         setting = SETTING if SetParametersAtomically in services else ()
         kinds = (*setting, GetParameters, *(kind for kind in services if kind not in SETTING))
         self._clients = {
@@ -125,7 +125,7 @@ class ParameterClient:
         return self._tuner.node.count_services(self._clients[GetParameters].srv_name)
 
     def take_remarks(self) -> list[str]:
-        """Tell in lines, each of them once, what the node does not offer and is done instead."""
+        """Return lines, each of them once, on what the node lacks and what is done instead."""
         missing = self._clients.keys() - self._ready
         remarks = [text for kind, text in WITHOUT.items() if kind in missing]
         if self._is_atomic is False and SetParametersAtomically not in missing:
@@ -152,14 +152,14 @@ class ParameterClient:
                         raise
 
     def names(self) -> Calls:
-        """List the parameters; none if the node does not tell them."""
+        """List the parameters; none if the node does not list them."""
         if not self.offers(ListParameters):
             return []
         request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
         return list((yield from self._calling(ListParameters, request)).result.names)
 
     def descriptors(self, names: Sequence[str]) -> Calls:
-        """Describe parameters; without a word where the node does not."""
+        """Describe parameters; empty descriptors where the node does not."""
         if not self.offers(DescribeParameters):
             return [ParameterDescriptor(name=name) for name in names]
         descriptors = yield from self._asking(DescribeParameters, names)
@@ -215,9 +215,9 @@ class ParameterClient:
         return result
 
     def _takes_its_own(self, refusal: SetParametersResult, names: Sequence[str]) -> Calls:
-        """Whether it is these values that a node has refused.
+        """Whether a node has refused these values, and not every request of this kind.
 
-        One that takes none in this way refuses what it has, too.
+        A node that takes no request of this kind refuses the values that it has, too.
         """
         if self._is_atomic:
             return True
@@ -249,7 +249,7 @@ class ParameterClient:
         return result, set() if done else set(refused.values())
 
     def _set_in_any_order(self, messages: Sequence[ParameterMessage]) -> Calls:
-        """Set parameters, those again that are refused after which others were set.
+        """Set parameters; those that are refused once more after others were set.
 
         A node may refuse a lower limit above an upper one that is still to come. Returns by name
         why the rest is refused.
@@ -314,9 +314,9 @@ class ParameterClient:
 def meet(tuner: TunerNode, node: str, deadline: float) -> None:
     """Wait until a node sends here all that this process has subscribed to so far.
 
-    What it publishes before is lost, and that its publishers are known here does not tell. But it
-    hears of the subscriptions in the order in which they were made, so one that answers a new
-    client knows all earlier ones. One without parameter services is not waited for.
+    What it publishes before is lost, even if its publishers are known here. But it discovers the
+    subscriptions in the order in which they were made, so one that answers a new client knows all
+    earlier ones. One without parameter services is not waited for.
 
     Raises
     ------
