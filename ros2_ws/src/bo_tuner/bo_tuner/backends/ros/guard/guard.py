@@ -289,25 +289,25 @@ class Guard:
 
         Of two that start at the same time one stays.
         """
-        others: dict[str, State] = {}
+        rivals: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
             if state is None or not set(state.nodes) & set(self._state.nodes):
                 return
             if state.guard != self._name and (state.settled or state.guard < self._name):
-                others[state.guard] = state
+                rivals[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
         deadline = time.monotonic() + CONNECT
         while True:
-            others.clear()
+            rivals.clear()
             self._tuner.spin_for(LOOK_AROUND)
-            stand = any(state.stands for state in others.values())
-            if not others or stand or time.monotonic() > deadline:
+            stand = any(state.stands for state in rivals.values())
+            if not rivals or stand or time.monotonic() > deadline:
                 break
         self._tuner.node.destroy_subscription(subscription)
-        for state in others.values():
+        for state in rivals.values():
             shared = sorted(set(state.nodes) & set(self._state.nodes))
             raise BackendError(
                 f"{shared[0]} has a guard already, of study {state.study}; end that one first"
