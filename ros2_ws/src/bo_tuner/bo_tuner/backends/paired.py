@@ -57,7 +57,7 @@ class DefaultBeside:
         Returns
         -------
         Outcome
-            As `runs` returns it.
+            With the relative metrics; lost or not prepared where the default fails.
         """
         runs = self.runs(planned)
         due = next(runs)
@@ -68,8 +68,8 @@ class DefaultBeside:
             try:
                 due = runs.send(outcome)
             except StopIteration as end:
-                found: Outcome = end.value
-                return found
+                result: Outcome = end.value
+                return result
 
     def runs(self, planned: Evaluation) -> Generator[Evaluation, Outcome, Outcome]:
         """Yield what is to be run for an evaluation, one after the other, and be sent the outcomes.
