@@ -256,8 +256,8 @@ class TestWorstCaseSearch:
         assert searched == [{"load": 2.0}] * 4
 
     def test_one_that_knows_the_joint_model_is_no_search_of_each_trial(self):
-        assert "searches for it in each trial" in Corners().unusable(["peak"])
-        assert Joint().unusable(["peak"]) == ""
+        assert "searches for it in each trial" in Corners().refusal(["peak"])
+        assert Joint().refusal(["peak"]) == ""
 
 
 class Nothing(AnswerSearch):
@@ -361,9 +361,9 @@ class TestMethod:
 
     def test_an_earlier_run_over_other_contexts_is_no_data_unless_it_says_so(self, make_study):
         study = make_study()
-        assert Halves().unusable(study, study, [], []) == ""
-        assert Halves().unusable(study, study, ["load"], ["peak"]).startswith("contexts.load")
-        assert "constraints.peak" in Halves().unusable(study, study, [], ["peak"])
+        assert Halves().refusal(study, study, [], []) == ""
+        assert Halves().refusal(study, study, ["load"], ["peak"]).startswith("contexts.load")
+        assert "constraints.peak" in Halves().refusal(study, study, [], ["peak"])
 
     def test_it_is_run_from_the_first_trial_to_the_report(self, tmp_path, monkeypatch, capsys):
         """By the commands, once it is registered."""

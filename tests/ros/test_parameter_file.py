@@ -128,7 +128,9 @@ def of_ours(text, nodes):
     except StudyError:
         return None
     return {
-        node: {k: s.found.value for k, s in sources(sections, node).items() if s.found.value != []}
+        node: {
+            k: s.written.value for k, s in sources(sections, node).items() if s.written.value != []
+        }
         for node in nodes
     }
 

@@ -22,7 +22,7 @@ EXPECTED = [
 
 
 def read(text, node):
-    return {name: s.found.value for name, s in sources(read_sections(text), node).items()}
+    return {name: s.written.value for name, s in sources(read_sections(text), node).items()}
 
 
 def full_name(case):

@@ -158,8 +158,8 @@ def test_a_result_that_is_doubted_is_not_told_that_a_limit_is_kept(make_study):
     study = study_of(make_study, 0.9)
     found = verdict_of(study, runs(study, 10, 0), doubt="It did not pass")
     assert found.state is State.INFEASIBLE
-    (quantity,) = [q for q in found.quantities if q.found is not None]
-    assert "kept" not in quantity.found.words
+    (quantity,) = [q for q in found.quantities if q.limit_verdict is not None]
+    assert "kept" not in quantity.limit_verdict.words
 
 
 class TestIncomplete:

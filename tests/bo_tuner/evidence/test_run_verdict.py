@@ -188,7 +188,7 @@ def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     )
     found = certify(run, draws, [(1.2, 0.6)] * 40, with_default=False, repeated=40)
     verdict = run_verdict(run)
-    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.found is not None]
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
     assert f"largest of {known + found.tuned.evaluations} evaluations on record 1.4" in worst.remark
     # Both columns are of the draws that both have, those of the validation.
@@ -210,7 +210,7 @@ def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
     }
     found = make_certificate(run, trial, evidence, 40, 0.95, 1, "inprocess", None)
     write_certificate(run.path, found, evidence)
-    (quantity,) = [q for q in run_verdict(run).quantities if q.found is not None]
+    (quantity,) = [q for q in run_verdict(run).quantities if q.limit_verdict is not None]
     bound = found.tuned.constraints[0].worst[0].violation_bound
     assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
     assert isnan(quantity.bound)

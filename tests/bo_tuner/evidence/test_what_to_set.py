@@ -24,8 +24,8 @@ def numbers(mean, *, sign=1.0, default_over=0):
     )  # fmt: skip
     limited = Quantity(
         label="largest peak", metric="peak", default=0.0, tuned=0.0, difference=None,
-        change=difference.change(0.0), limit=1.0, constraint="peak", found=OPEN,
-        default_found=replace(OPEN, violations=default_over), **base,
+        change=difference.change(0.0), limit=1.0, constraint="peak", limit_verdict=OPEN,
+        default_limit_verdict=replace(OPEN, violations=default_over), **base,
     )  # fmt: skip
     return objective, limited
 

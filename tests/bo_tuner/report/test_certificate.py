@@ -61,7 +61,7 @@ def test_its_numbers_are_shown(certified, content):
 
 def test_what_failed_before_is_told(certified, content):
     failed = {
-        "told": "certificate 0001 was a FAIL",
+        "description": "certificate 0001 was a FAIL",
         "reasons": ["peak: too high"],
         "contexts": [{"load": 1.25}],
     }

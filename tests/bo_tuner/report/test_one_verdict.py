@@ -265,7 +265,7 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
         "together."
     )
     # What the limit is on, also where only the tuned parameter set was searched for it.
-    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.found is not None]
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     assert worst.label == "worst-case peak"
     assert worst.tuned == 0.5
     assert isfinite(worst.default) is with_default
@@ -325,8 +325,8 @@ def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run
         assert tile.remarks[0].endswith(f"limit 1: {words}")
         assert tile.status is status
         assert f": {words}" in on_terminal(run, analysis.verdict)
-        (number,) = [q for q in analysis.verdict.to_mapping()["quantities"] if q["found"]]
-        assert number["found"]["words"] == words
+        (number,) = [q for q in analysis.verdict.to_mapping()["quantities"] if q["limit_verdict"]]
+        assert number["limit_verdict"]["words"] == words
         (numbers,) = [s for s in comparison({"run": analysis}) if s.name == "numbers"]
         cells = [cell for row in numbers.tables[0].rows for cell in row[1:] if "limit" in cell]
         assert len(cells) == 1

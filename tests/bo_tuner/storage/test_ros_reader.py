@@ -16,7 +16,7 @@ EXPECTED = json.loads((FILES / "expected.json").read_text())
 
 
 def read(text, node="/pid"):
-    return {name: s.found.value for name, s in sources(read_sections(text), node).items()}
+    return {name: s.written.value for name, s in sources(read_sections(text), node).items()}
 
 
 def of_pid(*lines):
@@ -144,11 +144,11 @@ def test_the_place_of_a_value_is_that_of_its_text():
         "a: &here 'it''s'", "b: [ 1.5,  2.5 ]  # ö", "c: !!str  on", "d: µm", 'e: "x"'
     )
     found = sources(read_sections(text), "/pid")
-    places = {n: [text[i.start : i.end] for i in s.found.items] for n, s in found.items()}
+    places = {n: [text[i.start : i.end] for i in s.written.items] for n, s in found.items()}
     assert places == {
         "a": ["'it''s'"], "b": ["1.5", "2.5"], "c": ["on"], "d": ["µm"], "e": ['"x"'],
     }  # fmt: skip
-    start, end = found["b"].found.span
+    start, end = found["b"].written.span
     assert text[start:end] == "[ 1.5,  2.5 ]"
     assert found["d"].line == 7
 

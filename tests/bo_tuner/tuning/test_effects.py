@@ -108,7 +108,7 @@ def test_a_metric_that_explodes_does_not_hide_an_effect():
 def test_too_few_trials_tell_nothing():
     study = make_study(parameters={"kp": GAIN, "ki": GAIN})
     effects = effects_in(study, trials_of(study, lambda rng, **_: noise(rng), 4))
-    assert [(item.seen, item.told) for item in effects] == [(False, False)] * 2
+    assert [(item.seen, item.conclusive) for item in effects] == [(False, False)] * 2
     assert effects_in_words(study, effects) == (
         "The trials are too few to tell whether kp and ki move a metric.",
     )
@@ -123,7 +123,7 @@ def noise(rng):
 def test_all_trials_failed():
     study = make_study()
     effects = effects_in(study, trials_of(study, lambda _, **__: failed("no"), 5))
-    assert [(item.seen, item.told) for item in effects] == [(False, False)]
+    assert [(item.seen, item.conclusive) for item in effects] == [(False, False)]
 
 
 def test_without_noise_and_without_an_effect():

@@ -245,7 +245,7 @@ def test_all_runs_of_both_ends_fail(function_backend, capsys):
     )
     planned, runs, found = tried(study, backend)
     assert found["kp"].effects.seen
-    assert not found["kp"].effects.told
+    assert not found["kp"].effects.conclusive
     assert show_effects(study, planned, runs, whole_range=True)
     assert capsys.readouterr().err == ""
 

@@ -369,7 +369,7 @@ def test_what_nodes_of_other_studies_had_stays_noted(backend, system):
     """The command that works on them may come later."""
     note = state_folder() / "attached" / f"domain{os.environ['ROS_DOMAIN_ID']}.json"
     note.parent.mkdir(parents=True, exist_ok=True)
-    entry = {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}, "original": {}, "undeclared": []}
+    entry = {"previous": {"kp": 1.0}, "assigned": {"kp": [2.0]}, "original": {}, "undeclared": []}
     other = {"/arm": entry}
     note.write_text(json.dumps(other))
     try:

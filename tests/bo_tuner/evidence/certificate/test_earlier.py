@@ -184,7 +184,7 @@ class TestOfARun:
         trial = run.trials[run.summary["trial"]]
         found = earlier_evidence(run, trial.parameters, "inprocess")
         (refuted,) = found.refutations
-        assert refuted.told == "certificate 0001 was a FAIL"
+        assert refuted.description == "certificate 0001 was a FAIL"
         assert refuted.contexts == ({"load": 1.5},)
         assert refuted.reasons[0].startswith("peak: ")
         assert found.certified

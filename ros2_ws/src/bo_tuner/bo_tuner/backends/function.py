@@ -6,7 +6,7 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import Failed, MetricsError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.study.function_study import FUNCTION, problem_of_returned, returned_metrics
-from bo_tuner.study.named_code import told
+from bo_tuner.study.named_code import described
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Value
@@ -99,5 +99,5 @@ class FunctionBackend(SequentialBackend):
         except Failed as error:
             return failed(str(error))
         except Exception as error:
-            return failed(told(error))
+            return failed(described(error))
         return self._returned.outcome(returned)

@@ -62,7 +62,7 @@ class InProcessBackend(SequentialBackend):
                     self._objects[key] = named_code.load(node.object, self._study.folder)()
             except named_code.faults() as error:
                 raise StudyError(
-                    f"cannot load {node.object}: {named_code.told(error)}",
+                    f"cannot load {node.object}: {named_code.described(error)}",
                     ("nodes", key, "object"),
                 ) from error
             try:
@@ -106,7 +106,7 @@ class InProcessBackend(SequentialBackend):
                     said |= {key: other.result() for key, other in others.items()}
                 return self._collector.outcome(said, assignments)
         except named_code.faults() as error:
-            return Outcome(EvaluationState.FAILED, {}, named_code.told(error))
+            return Outcome(EvaluationState.FAILED, {}, named_code.described(error))
 
     @contextlib.contextmanager
     def _foreign(self) -> Iterator[None]:
@@ -120,7 +120,7 @@ class InProcessBackend(SequentialBackend):
 
 
 def _reason(refusal: BaseException) -> str:
-    return str(refusal) if isinstance(refusal, ValueError) else named_code.told(refusal)
+    return str(refusal) if isinstance(refusal, ValueError) else named_code.described(refusal)
 
 
 def triggered(study: Study) -> str:

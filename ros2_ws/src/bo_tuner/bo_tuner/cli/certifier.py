@@ -153,7 +153,8 @@ class Certifier:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} evaluated again, and " if count else ""
-                line = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
+                what = f"{subject.name}: {refutation.description}"
+                line = f"{what}; {again}its runs count against a PASS"
                 print_line(self.console, line, "  ")
 
     def _show_most(

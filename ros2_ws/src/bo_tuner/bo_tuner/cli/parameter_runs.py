@@ -104,7 +104,7 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
         how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
         say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
     unseen = [item.effects for item in judged.values() if item.effects.unseen]
-    open_ = [n for n, item in judged.items() if not (item.effects.seen or item.effects.told)]
+    open_ = [n for n, item in judged.items() if not (item.effects.seen or item.effects.conclusive)]
     if open_:
         verb = "moves" if len(open_) == 1 else "move"
         say_error(

@@ -73,12 +73,12 @@ def with_values(text: str, values: NodeValues) -> str:
             raise StudyError(f"says nothing of the node {node}")
         now = sources(sections, node)
         new = {name: _values(value) for name, value in of_node.items()}
-        wanted[node] = {name: source.found.value for name, source in now.items()} | new
+        wanted[node] = {name: source.written.value for name, source in now.items()} | new
         added: dict[str, Values] = {}
         for name, value in new.items():
             source = now.get(name)
             if source is None or _is_shared(source.section, node, sections, values):
-                if source is None or not _same(source.found.value, value):
+                if source is None or not _same(source.written.value, value):
                     added[name] = value
             else:
                 _replace(text, source, value, changes)
@@ -104,7 +104,7 @@ def _check(text: str, changes: _Changes, wanted: Mapping[str, Mapping[str, Value
     ):
         raise StudyError(problem)
     for node, values in wanted.items():
-        now = {name: source.found.value for name, source in sources(sections, node).items()}
+        now = {name: source.written.value for name, source in sources(sections, node).items()}
         if not _same_all(now, values):
             raise StudyError(f"{problem}: of {node}")
 
@@ -127,7 +127,7 @@ def _is_shared(section: Section, node: str, sections: list[Section], values: Nod
 
 def _replace(text: str, source: Source, value: Values, changes: _Changes) -> None:
     """Replace a value where it stands."""
-    current, name = source.found, source.setting.name
+    current, name = source.written, source.setting.name
     if _same(current.value, value):
         return
     changes.expected[source.section.name][name] = value

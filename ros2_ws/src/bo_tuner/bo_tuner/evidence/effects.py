@@ -28,7 +28,7 @@ def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tu
     """
     sentences = [f"{not_seen(item)}." for item in parameters if item.unseen]
     sentences += proposals(study, [item.parameter for item in parameters if item.unseen])
-    if open_ := [item.parameter for item in parameters if not item.seen and not item.told]:
+    if open_ := [item.parameter for item in parameters if not item.seen and not item.conclusive]:
         verb = "moves" if len(open_) == 1 else "move"
         sentences.append(f"The trials are too few to tell whether {listed(open_)} {verb} a metric.")
     return tuple(sentences)

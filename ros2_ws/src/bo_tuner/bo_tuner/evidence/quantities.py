@@ -37,8 +37,8 @@ def quantities(
     all_quantities = [
         replace(
             _of_constraint(study, constraint, default, tuned, remarks.get(name, "")),
-            default_found=default_limits.get(name),
-            found=tuned_limits[name],
+            default_limit_verdict=default_limits.get(name),
+            limit_verdict=tuned_limits[name],
         )
         for name, constraint in study.constraints.items()
     ]

@@ -313,7 +313,7 @@ def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerd
 def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:
     """Return what the validation says of each limit for the default, by its name."""
     return {
-        q.constraint: q.default_found
+        q.constraint: q.default_limit_verdict
         for q in by_validation.quantities
-        if q.default_found is not None
+        if q.default_limit_verdict is not None
     }

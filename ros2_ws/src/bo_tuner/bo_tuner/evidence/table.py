@@ -77,7 +77,7 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
     """Yield what the table needs to be read: the limits in detail, and what ± means."""
     yield from verdict.draws_in_words
     for quantity in verdict.quantities:
-        limit = quantity.found
+        limit = quantity.limit_verdict
         parts = ("" if limit is None else limit.words, quantity.bound_in_words, quantity.remark)
         if any(parts):
             yield f"{quantity.label}: {'; '.join(filter(None, parts))}"

@@ -72,7 +72,7 @@ class Quantity:
         Whether it is the mean of an objective.
     constraint
         Name of the constraint that the limit is of; empty without one.
-    found, default_found
+    limit_verdict, default_limit_verdict
         What was found of the limit for the tuned parameter set and for the default; None without a
         limit, or for a default of which nothing is known.
     """
@@ -90,8 +90,8 @@ class Quantity:
     draws: str = ""
     objective: bool = False
     constraint: str = ""
-    found: LimitVerdict | None = None
-    default_found: LimitVerdict | None = None
+    limit_verdict: LimitVerdict | None = None
+    default_limit_verdict: LimitVerdict | None = None
 
     @property
     def values_in_words(self) -> tuple[str, str]:
@@ -247,12 +247,16 @@ class Verdict:
 
     @property
     def _tuned_limits(self) -> dict[str, LimitVerdict]:
-        return {q.constraint: q.found for q in self.quantities if q.found is not None}
+        return {
+            q.constraint: q.limit_verdict for q in self.quantities if q.limit_verdict is not None
+        }
 
     @property
     def _default_limits(self) -> dict[str, LimitVerdict]:
         return {
-            q.constraint: q.default_found for q in self.quantities if q.default_found is not None
+            q.constraint: q.default_limit_verdict
+            for q in self.quantities
+            if q.default_limit_verdict is not None
         }
 
     @property

@@ -19,7 +19,7 @@ class FirstContexts(Protocol):
     def count(self, study: Study) -> int:
         """Return how many they are, unless a proposal says otherwise."""
 
-    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+    def refusal(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Return why an earlier run is no data if distributions of contexts have `moved`."""
 
 
@@ -47,7 +47,7 @@ class DrawnContexts:
         declared = study.budget.drawn_contexts
         return self.drawn if declared is None else declared
 
-    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+    def refusal(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Refuse trials with means over another distribution."""
         return other_distribution(moved[0], "takes means over draws") if moved else ""
 
@@ -65,7 +65,7 @@ class NominalContext:
         """Return 1."""
         return 1
 
-    def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
+    def refusal(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Refuse trials in another nominal context."""
         for name in moved:
             before, after = (s.contexts[name].distribution.nominal for s in (then, now))

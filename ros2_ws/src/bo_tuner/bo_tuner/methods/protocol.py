@@ -164,7 +164,7 @@ class Method(Protocol):
 
     # An earlier run.
 
-    def unusable(
+    def refusal(
         self, then: Study, now: Study, moved: Sequence[str], unsearched: Sequence[str]
     ) -> str:
         """Return why no trial of an earlier run is data; empty if they are.

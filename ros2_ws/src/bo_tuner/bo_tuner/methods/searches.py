@@ -44,7 +44,7 @@ class SearchRule(Protocol):
             Largest number of contexts that it asks for.
         """
 
-    def unusable(self, unsearched: Sequence[str]) -> str:
+    def refusal(self, unsearched: Sequence[str]) -> str:
         """Return why an earlier run is no data without the search for these constraints."""
         if not unsearched:
             return ""
@@ -67,7 +67,7 @@ class SearchRule(Protocol):
 class ModelSearch(SearchRule):
     """A search by a model of all trials, which estimates the worst case of any of them."""
 
-    def unusable(self, unsearched: Sequence[str]) -> str:
+    def refusal(self, unsearched: Sequence[str]) -> str:
         """Refuse nothing: the model estimates worst cases that were not searched for."""
         return ""
 

@@ -132,7 +132,7 @@ def metric_problem(value: object) -> str:
         return shown
     except named_code.faults() as error:
         # The object's own conversion to a number may raise anything.
-        return f"a {type(value).__name__} that is no number: {named_code.told(error)}"
+        return f"a {type(value).__name__} that is no number: {named_code.described(error)}"
     if not isfinite(number):
         return shown
     if abs(number) > LARGEST_METRIC:

@@ -38,7 +38,7 @@ def _loaded(path: str) -> tuple[None, str]:
         with named_code.kept_in_place():
             function = named_code.load(path)
     except named_code.faults() as error:
-        return None, f"cannot import {path}: {named_code.told(error)}"
+        return None, f"cannot import {path}: {named_code.described(error)}"
     return None, "" if callable(function) else f"expected a function, found {checks.show(function)}"
 
 
@@ -51,14 +51,14 @@ def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
     except named_code.MovedError as error:
         return None, str(error)
     except named_code.faults() as error:
-        return None, f"raised {named_code.told(error)}"
+        return None, f"raised {named_code.described(error)}"
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return None, f"returned {checks.show(value)}, expected a number"
     try:
         return float(value), ""
     except named_code.faults() as error:
         name = type(value).__name__
-        return None, f"returned a {name} that is no number: {named_code.told(error)}"
+        return None, f"returned a {name} that is no number: {named_code.described(error)}"
 
 
 def _read(content: Array | tuple[str, Sequence[bytes]]) -> Any:

@@ -133,8 +133,8 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
 def _in_words(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
     text = f"{tuned} ({default})"
-    if quantity.found is not None:
-        text += f", limit {quantity.limit_in_words}: {quantity.found.words}"
+    if quantity.limit_verdict is not None:
+        text += f", limit {quantity.limit_in_words}: {quantity.limit_verdict.words}"
     if quantity.difference is not None:
         text += f", {quantity.change}"
     return text

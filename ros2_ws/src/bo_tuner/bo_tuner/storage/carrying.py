@@ -117,7 +117,7 @@ def check_comparable(record: RunRecord, study: Study, method: Method) -> None:
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
     moved = _moved_contexts(then, study)
     new = [c.name for c in study.worst_case_constraints if _searched(c, then, study) is None]
-    if problem := method.unusable(then, study, moved, new):
+    if problem := method.refusal(then, study, moved, new):
         raise RunRecordError(f"{record.path}: {problem}; start a new run")
     if not record.trials:
         raise RunRecordError(f"{record.path}: has no whole trial to begin with")

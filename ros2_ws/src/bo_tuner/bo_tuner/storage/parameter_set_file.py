@@ -63,12 +63,12 @@ def _of_nodes(
         by_node: dict[str, Value] = {}
         for node in full_names(sections, study.nodes[item.node].node, namespace):
             source = sources(sections, node).get(item.array or item.parameter)
-            if source is None or source.found.is_list != bool(item.array):
+            if source is None or source.written.is_list != bool(item.array):
                 continue
             at = item.item if item.array else 0
-            if at < len(source.found.items):
-                by_node[node] = source.found.items[at].value
-                lines[(name,)] = source.found.items[at].line
+            if at < len(source.written.items):
+                by_node[node] = source.written.items[at].value
+                lines[(name,)] = source.written.items[at].line
         if len({(type(value), value) for value in by_node.values()}) > 1:
             raise StudyError(f"has several values: of {' and of '.join(by_node)}", (name,))
         if by_node:

@@ -134,12 +134,12 @@ class Source:
 
     section: Section
     setting: Setting
-    found: WrittenValue
+    written: WrittenValue
 
     @property
     def line(self) -> int | None:
         """The line of its value, from 1."""
-        return self.found.items[0].line if self.found.items else None
+        return self.written.items[0].line if self.written.items else None
 
 
 def full_name(node: str, namespace: str) -> str:

@@ -47,7 +47,7 @@ def faults() -> tuple[type[BaseException], ...]:
     return (Exception, SystemExit, KeyboardInterrupt)
 
 
-def told(error: BaseException) -> str:
+def described(error: BaseException) -> str:
     """Return in a line what foreign code has raised: its type and its message."""
     try:
         message = str(error)

@@ -74,13 +74,13 @@ class ParameterEffects:
         Its name.
     effects
         On each metric.
-    told
+    conclusive
         Whether effects that matter would have been seen.
     """
 
     parameter: str
     effects: tuple[Effect, ...]
-    told: bool
+    conclusive: bool
 
     @property
     def seen(self) -> bool:
@@ -90,7 +90,7 @@ class ParameterEffects:
     @property
     def unseen(self) -> bool:
         """Whether it was not, although that would have been seen."""
-        return self.told and not self.seen
+        return self.conclusive and not self.seen
 
     @classmethod
     def from_mapping(cls, entry: Mapping[str, Any]) -> Self:
@@ -113,7 +113,7 @@ class ParameterEffects:
                 )
                 for effect in entry["effects"]
             ),
-            told=bool(entry["told"]),
+            conclusive=bool(entry["conclusive"]),
         )
 
 
@@ -150,7 +150,7 @@ def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects,
         ParameterEffects(
             name,
             tuple(effects),
-            told=all(e.visible <= least[e.metric] for e in effects if e.metric in objectives),
+            conclusive=all(e.visible <= least[e.metric] for e in effects if e.metric in objectives),
         )
         for name, effects in zip(space.names, by_parameter, strict=True)
     )

@@ -324,7 +324,7 @@ def _from_tests(
     conclusive = all(
         np.isfinite(effects[objective.metric].visible) for objective in study.objectives
     )
-    return Found(ParameterEffects(name, tuple(effects.values()), told=conclusive), moves)
+    return Found(ParameterEffects(name, tuple(effects.values()), conclusive=conclusive), moves)
 
 
 def _complete(done: Iterable[Evaluation]) -> list[Evaluation]:

@@ -69,12 +69,14 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
-def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation]) -> Refutation:
+def refutation(
+    description: str, findings: Findings, evaluations: Iterable[Evaluation]
+) -> Refutation:
     """Return what a certificate failed on.
 
     Parameters
     ----------
-    told
+    description
         Where, as a clause, such as ``certificate 0001 was a FAIL``.
     findings
         The findings of the certificate.
@@ -85,13 +87,14 @@ def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation])
     for constraint in findings.constraints:
         if not constraint.passed:
             contexts += [worst.context for worst in constraint.worst if not worst.shown]
-    return Refutation(told, findings.reasons, tuple(_each_once(contexts)))
+    return Refutation(description, findings.reasons, tuple(_each_once(contexts)))
 
 
 def earlier_in_words(certificate: Certificate) -> Iterator[str]:
     """Yield sentences on what had failed before a certificate, and that a PASS covers it."""
     for failure in certificate.earlier.refutations:
-        sentence = f"{failure.told[:1].upper()}{failure.told[1:]} ({'; '.join(failure.reasons)})"
+        what = failure.description
+        sentence = f"{what[:1].upper()}{what[1:]} ({'; '.join(failure.reasons)})"
         if not certificate.passed:
             yield f"{sentence}."
             continue

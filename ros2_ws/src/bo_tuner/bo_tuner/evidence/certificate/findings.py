@@ -32,7 +32,7 @@ class Refutation:
 
     Attributes
     ----------
-    told
+    description
         Where, as a clause, such as ``certificate 0001 was a FAIL``.
     reasons
         Why.
@@ -40,7 +40,7 @@ class Refutation:
         The contexts in which it failed; empty if only the draws as a whole show it.
     """
 
-    told: str
+    description: str
     reasons: tuple[str, ...]
     contexts: tuple[Context, ...]
 

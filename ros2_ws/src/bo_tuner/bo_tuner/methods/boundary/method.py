@@ -193,7 +193,7 @@ class Boundary(Method):
         """Estimate worst cases by the models of all evaluations."""
         return estimated(study, models, trial)
 
-    def unusable(
+    def refusal(
         self, then: Study, now: Study, moved: Sequence[str], unsearched: Sequence[str]
     ) -> str:
         """Refuse nothing: an evaluation is data in whatever context."""

@@ -132,11 +132,11 @@ class PaperMethod(Method):
         """Give trials their checks, with the worst cases that these have estimated."""
         return with_checks(study, trials, evaluations)
 
-    def unusable(
+    def refusal(
         self, then: Study, now: Study, moved: Sequence[str], unsearched: Sequence[str]
     ) -> str:
         """Refuse what its contexts or its search cannot use."""
-        return self.contexts.unusable(then, now, moved) or self.search.unusable(unsearched)
+        return self.contexts.refusal(then, now, moved) or self.search.refusal(unsearched)
 
     def hyperparameters(
         self, study: Study, trials: Sequence[Trial], rng: np.random.Generator

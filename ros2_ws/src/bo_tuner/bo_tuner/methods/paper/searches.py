@@ -77,7 +77,7 @@ class NoSearch(SearchRule):
         limit = constraint.sign * constraint.limit
         return ReinterpolationSearch(study.context_space(), limit, 0, OBSERVED)
 
-    def unusable(self, unsearched: Sequence[str]) -> str:
+    def refusal(self, unsearched: Sequence[str]) -> str:
         """Refuse nothing."""
         return ""
 

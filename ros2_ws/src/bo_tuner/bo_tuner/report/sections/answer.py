@@ -156,7 +156,7 @@ def _objectives(verdict: Verdict) -> Iterator[Tile]:
 def _limits(analysis: Analysis) -> list[Tile]:
     """Return the tile of all limits, the worst of them first; none without limits."""
     order = (Status.BAD, Status.WARNING, Status.OPEN, Status.GOOD)
-    limited = [q for q in analysis.verdict.quantities if q.found is not None]
+    limited = [q for q in analysis.verdict.quantities if q.limit_verdict is not None]
     limited.sort(key=lambda quantity: order.index(_status(quantity)))
     if not limited:
         return []
@@ -177,7 +177,7 @@ def _limits(analysis: Analysis) -> list[Tile]:
 
 def _limit(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
-    words = "" if quantity.found is None else quantity.found.words
+    words = "" if quantity.limit_verdict is None else quantity.limit_verdict.words
     return f"{quantity.label} {tuned} (default {default}), limit {quantity.limit_in_words}: {words}"
 
 
@@ -190,7 +190,7 @@ def _details(verdict: Verdict) -> Iterator[str]:
 
 def _status(quantity: Quantity) -> Status:
     """Return the mark of a limit: good only for one that is shown to be kept."""
-    if (limit := quantity.found) is None or limit.standing is Standing.OPEN:
+    if (limit := quantity.limit_verdict) is None or limit.standing is Standing.OPEN:
         return Status.WARNING if limit is not None and limit.exceeds else Status.OPEN
     return Status.GOOD if limit.standing is Standing.SHOWN else Status.BAD
 

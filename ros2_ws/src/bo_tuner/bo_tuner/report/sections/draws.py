@@ -20,9 +20,9 @@ def draws(analysis: Analysis) -> Section | None:
         return None
     panels = [_panel(analysis, constraint) for constraint in study.constraints.values()]
     sentences = [
-        f"{q.label}: {'; '.join(filter(None, (q.found.words, q.remark)))}"
+        f"{q.label}: {'; '.join(filter(None, (q.limit_verdict.words, q.remark)))}"
         for q in verdict.quantities
-        if q.found is not None
+        if q.limit_verdict is not None
     ]
     bound = ""
     if any(isfinite(quantity.bound) for quantity in verdict.quantities):

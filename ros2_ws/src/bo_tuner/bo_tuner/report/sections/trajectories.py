@@ -88,7 +88,7 @@ class TracingBackend(InProcessBackend):
                 }
             lengths = {len(signal.values) for signal in signals.values()}
         except named_code.faults() as error:
-            raise NoTraceError(f"trace() of node '{key}': {named_code.told(error)}") from None
+            raise NoTraceError(f"trace() of node '{key}': {named_code.described(error)}") from None
         if TIME not in signals or len(signals) < 2 or len(lengths) != 1 or 0 in lengths:
             raise NoTraceError(
                 f"trace() of node '{key}': expected '{TIME}' and other signals of the same length, "

@@ -31,7 +31,7 @@ class ParameterNote:
 
     It has by the nodes' names what they had when the last tuner came and must have again
     (``previous``, null for no value), by parameter the values that a tuner has set last
-    (``told``), and what of that they had before the first of several tuners that left it parked
+    (``assigned``), and what of that they had before the first of several tuners that left it parked
     (``original``), and which they had not declared (``undeclared``). Nodes of other studies stay in
     it.
 
@@ -53,7 +53,7 @@ class ParameterNote:
         ):
             self._content = {
                 node: {
-                    **{part: dict(item[part]) for part in ("previous", "told", "original")},
+                    **{part: dict(item[part]) for part in ("previous", "assigned", "original")},
                     "undeclared": list(item.get("undeclared", [])),
                 }
                 for node, item in json.loads(read_text(self._path())).items()
@@ -65,7 +65,7 @@ class ParameterNote:
 
     def assigned(self, node: str) -> Mapping[str, list[object]]:
         """Return the values that were set on a node last, by parameter."""
-        values: Mapping[str, list[object]] = self._of(node).get("told", {})
+        values: Mapping[str, list[object]] = self._of(node).get("assigned", {})
         return values
 
     def note(
@@ -82,7 +82,7 @@ class ParameterNote:
         if assigned or previous:
             self._content[name] = {
                 "previous": previous,
-                "told": assigned,
+                "assigned": assigned,
                 "original": original,
                 "undeclared": sorted(undeclared),
             }
@@ -116,7 +116,7 @@ class ParameterNote:
         noted = self._of(node)
         unchanged = {}
         for name, value in noted.get(part, {}).items():
-            assigned = [*noted["told"].get(name, []), noted["previous"].get(name)]
+            assigned = [*noted["assigned"].get(name, []), noted["previous"].get(name)]
             is_assigned = name in now and any(holds(now[name], item) for item in assigned)
             if is_assigned and not same_value(now[name], value):
                 unchanged[name] = value
