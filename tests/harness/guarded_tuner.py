@@ -89,7 +89,6 @@ def main(folder, kind, **changes):
     backend = RosBackend(
         study(**merged), Path(folder), attach=True, guard=True, halt=lambda text: say(halt=text)
     )
-    backend._tuner_watch = None
     if kind == "hung":
         hang_in_run(backend)
     try:
