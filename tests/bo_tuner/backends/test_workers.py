@@ -9,7 +9,8 @@ import pytest
 from functions import planned
 
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.backends.workers.pool import DEATHS, WorkerPool
+from bo_tuner.backends.workers.clusters import DEATHS
+from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.errors import BackendError
 from bo_tuner.trials import EvaluationState, Outcome
 
@@ -21,7 +22,7 @@ class Odd(SequentialBackend):
 
     name = "odd"
 
-    def __init__(self, study, folder, number, interrupted):
+    def __init__(self, study, folder, number, host_folder, interrupted):
         super().__init__(study)
         self._folder, self._number = folder, number
 

@@ -8,6 +8,7 @@ from example_nodes import UNCHANGED
 from waiting import wait_until
 
 from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.errors import BackendError
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -42,7 +43,7 @@ def opened(tmp_path):
     def make(of):
         backends.append(
             make_backend("ros", of, tmp_path, attach=False, ros_arguments=[],
-                         interrupted=lambda: None, workers=2)
+                         interrupted=lambda: None, workers=Workers(2))
         )  # fmt: skip
         backends[-1].open()
         return backends[-1]
