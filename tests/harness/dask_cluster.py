@@ -69,6 +69,8 @@ class Cluster:
         self._processes = []
         self.log = folder / "dask.txt"
         file = folder / "scheduler.json"
+        # Of an earlier cluster.
+        file.unlink(missing_ok=True)
         self.scheduler = self._start("scheduler", "--port", "0", "--scheduler-file", file)
         wait_until(lambda: _address(file), "the scheduler", self.scheduler, self.log.read_text)
         self._port = _address(file).rsplit(":", 1)[1]
