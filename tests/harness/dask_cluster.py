@@ -60,6 +60,8 @@ class Cluster:
         Where its processes run, find modules, and write.
     options
         Of all its processes.
+    scheme
+        How they talk: ``tcp`` or ``tls``.
     """
 
     def __init__(self, folder, *options, scheme="tcp"):
@@ -71,7 +73,10 @@ class Cluster:
         file = folder / "scheduler.json"
         # Of an earlier cluster.
         file.unlink(missing_ok=True)
-        self.scheduler = self._start("scheduler", "--port", "0", "--scheduler-file", file)
+        self.scheduler = self._start(
+            *("scheduler", "--protocol", scheme, "--port", "0", "--no-dashboard"),
+            *("--scheduler-file", file),
+        )
         wait_until(lambda: _address(file), "the scheduler", self.scheduler, self.log.read_text)
         self._port = _address(file).rsplit(":", 1)[1]
         self.address = f"{scheme}://127.0.0.1:{self._port}"
@@ -95,7 +100,8 @@ class Cluster:
         with self.log.open("a") as log:
             process = subprocess.Popen(
                 [*within, *command, *map(str, arguments), *self._options],
-                cwd=self.folder,
+                # Modules are to be found by the path alone.
+                cwd="/",
                 env=environment(*path, self.folder) | ONE_THREAD | variables,
                 stdout=log,
                 stderr=log,

@@ -11,7 +11,7 @@ from functions import planned
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.workers.clusters import DEATHS
 from bo_tuner.backends.workers.pool import WorkerPool
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.trials import EvaluationState, Outcome
 
 FIRST, LAST, DEADLY, BROKEN = 0, 1, 2, 3
@@ -97,5 +97,5 @@ def test_an_evaluation_that_ends_each_worker_is_lost(pool, tmp_path):
 
 
 def test_a_backend_that_cannot_go_on_ends_the_run_and_is_named(pool):
-    with pytest.raises(BackendError, match=r"worker [12]: the bus is gone"):
+    with pytest.raises(RunError, match=r"worker [12]: the bus is gone"):
         list(pool.run([doing(BROKEN, 0)]))

@@ -197,10 +197,8 @@ def test_a_key_is_needed_where_there_is_one(make_cluster, runs, whole, tmp_path)
     }
     for name, content in contents.items():
         (tmp_path / name).write_text(content)
-    files = {"ca": "ca.pem", "cert": "cert.pem", "key": "key.pem"}
-    options = [
-        word for key, name in files.items() for word in (f"--tls-{key}-file", tmp_path / name)
-    ]
+    files = {"ca-file": "ca.pem", "cert": "cert.pem", "key": "key.pem"}
+    options = [word for key, name in files.items() for word in (f"--tls-{key}", tmp_path / name)]
     dask = {"DASK_DISTRIBUTED__COMM__TLS__CA_FILE": str(tmp_path / "ca.pem")}
     for role in ("CLIENT", "SCHEDULER", "WORKER"):
         for kind in ("CERT", "KEY"):
@@ -212,9 +210,11 @@ def test_a_key_is_needed_where_there_is_one(make_cluster, runs, whole, tmp_path)
     code, _, err = finish(runs.begin("tls", *new, env=dask))
     assert code == 0, err
     assert runs.results("tls") == whole
-    code, _, err = finish(runs.begin("none", *new))
+    # Who asks without the cipher is not answered.
+    plain = ("--scheduler", cluster.address.replace("tls", "tcp"), "--workers", 1)
+    code, _, err = finish(runs.begin("none", *plain))
     assert code == 2
-    assert f"no Dask scheduler at {cluster.address}" in err
+    assert f"no Dask scheduler at {plain[1]}" in err
 
 
 class TestOptions:
@@ -225,7 +225,7 @@ class TestOptions:
         def run(*options, backend="inprocess"):
             new = ("--study", runs.folder / "axis.yaml", "--backend", backend)
             line = complaint(tune, capsys, *new, "--output", tmp_path / "runs", *options)
-            assert not (tmp_path / "runs").exists()
+            assert not [*tmp_path.glob("runs/*")]
             return line
 
         return run
@@ -244,6 +244,10 @@ class TestOptions:
             "--scheduler", "tcp://127.0.0.1:1", "--workers", 1, "--attach", backend="ros"
         )
         assert "--scheduler: expected nodes that the workers start, found --attach" in line
+
+    def test_tls_without_keys(self, refused):
+        line = refused("--scheduler", "tls://127.0.0.1:1", "--workers", 2)
+        assert "no keys for tls://127.0.0.1:1; expected distributed.comm.tls.ca-file" in line
 
     def test_nobody_there(self, refused, monkeypatch):
         monkeypatch.setattr(clusters, "CONNECTING", 0.1)

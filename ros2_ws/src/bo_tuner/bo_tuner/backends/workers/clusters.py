@@ -113,6 +113,7 @@ class RunningCluster:
         from distributed import Client
         from distributed.utils import silence_logging_cmgr
 
+        self._check_keys()
         with contextlib.ExitStack() as stack:
             stack.enter_context(silence_logging_cmgr(CRITICAL))
             try:
@@ -124,6 +125,22 @@ class RunningCluster:
             workers = self._wait_for_workers(client, interrupted)
             self._check(client, workers)
             yield client
+
+    def _check_keys(self) -> None:
+        """Refuse TLS without keys, of which Dask would tell in some lines, and late."""
+        from distributed import Security
+
+        if not self.address.startswith("tls:"):
+            return
+        try:
+            settings = Security().get_connection_args("client")  # type: ignore[no-untyped-call]
+        except OSError as error:
+            raise BackendError(f"the keys for {self.address} cannot be read: {error}") from error
+        if settings.get("ssl_context") is None:
+            raise BackendError(
+                f"no keys for {self.address}; expected distributed.comm.tls.ca-file, client.cert "
+                "and client.key in the configuration of Dask"
+            )
 
     def _wait_for_workers(
         self, client: "Client", interrupted: Callable[[], None]

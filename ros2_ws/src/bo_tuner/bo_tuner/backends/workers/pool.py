@@ -17,7 +17,7 @@ from bo_tuner.backends.workers.clusters import (
     local_cluster,
     workers_of,
 )
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 EXTRA = "several workers need the packages of the extra: pip install 'bo_tuner[workers]'"
@@ -131,7 +131,7 @@ class WorkerPool:
 
         Raises
         ------
-        BackendError
+        RunError
             If a worker that had to be started anew cannot be, or the workers are gone.
         """
         if self._client is None:
@@ -181,13 +181,13 @@ class WorkerPool:
 
         Raises
         ------
-        BackendError
+        RunError
             If there has been none for long.
         """
         if workers_of(self._client):
             self._last_seen = time.monotonic()
         elif (seconds := time.monotonic() - self._last_seen) > LEFT_ALONE:
-            raise BackendError(f"there has been no worker for {seconds:.0f} s")
+            raise RunError(f"there has been no worker for {seconds:.0f} s")
 
     def _result(self, future: Any, planned: Evaluation) -> Evaluation:
         from distributed import KilledWorker
@@ -200,11 +200,11 @@ class WorkerPool:
         if future.status != "finished":
             # Such as that of an interrupted run, whose signal came meanwhile.
             self._interrupted()
-            raise BackendError(self._gone(error or future.status))
+            raise RunError(self._gone(error or future.status))
         answer: Answer = future.result()
         if answer.evaluation is None:
             self._interrupted()
-            raise BackendError(f"worker {answer.worker}: {answer.problem}")
+            raise RunError(f"worker {answer.worker}: {answer.problem}")
         return answer.evaluation
 
     def _gone(self, reason: object) -> str:
