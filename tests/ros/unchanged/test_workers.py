@@ -128,9 +128,11 @@ def runs_here(tmp_path):
     return run
 
 
-def outcomes(folder):
-    """Of all evaluations on record."""
-    return [evaluation.outcome for evaluation in read_run(folder).evaluations]
+def incomplete(folder):
+    """Outcomes on record of evaluations that were lost or have failed."""
+    outcomes = [evaluation.outcome for evaluation in read_run(folder).evaluations]
+    assert outcomes
+    return [outcome for outcome in outcomes if not outcome.complete]
 
 
 @pytest.mark.slow
@@ -148,7 +150,7 @@ def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, t
         tune.kill()
     assert code in (0, 3), err
     run = tmp_path / "runs" / "latest"
-    assert all(outcome.complete for outcome in outcomes(run))
+    assert not incomplete(run)
     assert all((run / "log" / f"worker-{number}" / "motor.log").exists() for number in (1, 2))
     assert not environments()
     assert "certificate: " in runs_here("validate", "latest", "--draws", "60", "--workers", "2")
@@ -191,7 +193,7 @@ def test_benches_in_namespaces(empty_domain, start_bench, make_peer, tmp_path, r
     for peer in peers:
         peer.get_parameters("pid", ["kp"])
     runs_here("tune", "--study", "study.yaml", "--benches", "/left,/right")
-    assert all(outcome.complete for outcome in outcomes(tmp_path / "runs" / "latest"))
+    assert not incomplete(tmp_path / "runs" / "latest")
     for peer, heard, kd in zip(peers, setpoints, (0.25, 0.375), strict=True):
         # Each was at work.
         peer.spin_until(lambda heard=heard: any(m.data == 1.0 for m in heard), "a run")
@@ -255,7 +257,7 @@ def test_nodes_on_two_hosts(cluster, hosts, empty_domain, tmp_path, runs_here):
     options = ("--scheduler", cluster.address, "--workers", "2")
     said = runs_here("tune", "--study", "study.yaml", *options)
     assert f"2 workers of the cluster {cluster.address}" in said
-    assert all(outcome.complete for outcome in outcomes(tmp_path / "runs" / "latest"))
+    assert not incomplete(tmp_path / "runs" / "latest")
     # Each host has what its own nodes have printed.
     for folder in folders:
         assert len(list(folder.glob("bo_tuner/*/worker-*/motor.log"))) == 1
@@ -266,10 +268,11 @@ def test_nodes_on_two_hosts(cluster, hosts, empty_domain, tmp_path, runs_here):
 class TestOddWorkers:
     """A worker on which the nodes cannot be started is named."""
 
-    def refusal(self, cluster, tmp_path, *options, text, **variables):
+    def refusal(self, cluster, tmp_path, *options, text, then=lambda: None, **variables):
         (tmp_path / "study.yaml").write_text(text)
         cluster.worker(*options, **variables)
         cluster.wait_for(1)
+        then()
         new = ("--study", "study.yaml", "--scheduler", cluster.address, "--workers", "1")
         code, out, err = finish(Fork("tune", *new, folder=tmp_path))
         assert (code, out) == (2, ""), err
@@ -290,21 +293,22 @@ class TestOddWorkers:
     def test_with_a_full_disk(self, cluster, tmp_path, empty_domain):
         disk = tmp_path / "disk"
         disk.mkdir()
-        mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk]
+        mount = ["mount", "-t", "tmpfs", "-o", "nr_inodes=50", "tmpfs", disk]
         if subprocess.run(mount, capture_output=True, check=False).returncode:
             pytest.skip("no disk of its own can be made")
+
+        def fill():
+            # Dask has room for what it has written, and all else is taken.
+            with contextlib.suppress(OSError):
+                for number in range(50):
+                    (disk / f"{number}").touch()
+
         try:
-            # Dask has room for what it writes, and all else is taken.
-            cluster.worker("--local-directory", disk)
-            cluster.wait_for(1)
-            with (disk / "all").open("wb", buffering=0) as file, contextlib.suppress(OSError):
-                while file.write(bytes(4096)):
-                    pass
-            (tmp_path / "study.yaml").write_text(study_to_yaml(study()))
-            new = ("--study", "study.yaml", "--scheduler", cluster.address, "--workers", "1")
-            code, _, err = finish(Fork("tune", *new, folder=tmp_path))
-            assert code == 2, err
-            assert "No space left on device" in err
+            line = self.refusal(
+                cluster, tmp_path, "--local-directory", disk,
+                text=study_to_yaml(study()), then=fill,
+            )  # fmt: skip
+            assert "No space left on device" in line
         finally:
             cluster.close()
             subprocess.run(["umount", "--lazy", disk], check=True)

@@ -95,7 +95,8 @@ def _pool(
         make = partial(_on_bench, study, log_directory, ros_arguments, workers.benches)
     else:
         # Another host does not have the folder of the run.
-        own = Path(HOST_LOGS, log_directory.parent.name) if workers.scheduler else log_directory
+        relative = Path(HOST_LOGS, log_directory.resolve().parent.name)
+        own = relative if workers.scheduler else log_directory.resolve()
         make = partial(_on_own_nodes, study, own, ros_arguments)
     return WorkerPool(name, workers.count, make, interrupted, patience, cluster)
 
