@@ -180,6 +180,33 @@ class TestRefusals:
     def test_options(self, refused, options, said):
         assert said in refused(*options)
 
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            (
+                ("--benches", "left"),
+                "or namespaces such as /left, separated by commas, found 'left'",
+            ),
+            (("--benches", "233"), "expected ROS domains from 0 to 232, or namespaces"),
+            (("--benches", "1,"), "separated by commas, found ''"),
+            (("--benches", "1,2,1"), "--benches: expected each once, found 1 again"),
+            (("--benches", "/a,/a/"), "--benches: expected each once, found /a/ again"),
+            (("--benches", "1,2", "--workers", 3), "--workers: expected 2, one for each of"),
+            (("--benches", "1", "--no-attach"), "--benches: expected nodes that run, found"),
+            (("--benches", "1,2", "--record", "all"), "--record: expected none with 2 workers"),
+            (
+                ("--benches", "/a", "--ros-args", "-r", "__ns:=/x"),
+                "expected namespaces in full, such as /x/a, and none in --ros-args",
+            ),
+        ],
+    )
+    def test_benches(self, refused, options, said):
+        assert said in refused(*options)
+
+    def test_benches_are_of_nodes(self, refused):
+        line = refused("--benches", "1,2", backend="inprocess")
+        assert "--attach needs --backend ros" in line
+
     def test_measured_times_beside_more_workers_than_cores(self, refused):
         line = refused("--workers", 3, study="benchmark")
         assert "expected at most 2, the number of cores, found 3" in line
