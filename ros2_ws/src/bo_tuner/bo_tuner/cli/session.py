@@ -96,7 +96,7 @@ class RunOptions:
     stop_early
         Follow the advice to stop.
     workers
-        How many evaluations are run at once.
+        How many evaluations are run at once, and where.
     more
         Whether a run that is resumed goes on with trials although it was asked to finish.
     carried

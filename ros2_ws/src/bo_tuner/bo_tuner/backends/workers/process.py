@@ -112,9 +112,10 @@ class OwnBackend(WorkerPlugin):
             signal.signal(signum, lambda _signum, _frame: None)
 
     async def teardown(self, worker: Worker) -> None:
-        """Close what nobody has closed: the run may have been killed."""
+        """Close what nobody has closed, or is about to: the run may have been killed."""
         del worker
-        await self.close()
+        if not self._ending.is_set():
+            await self.close()
 
     def opened(self) -> Backend:
         """Return the backend, which is made and opened on the first call."""
