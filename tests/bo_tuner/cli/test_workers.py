@@ -8,7 +8,7 @@ import yaml
 from commands import finish
 from in_process import complaint
 from live_run import Page
-from waiting import wait_until
+from waiting import DEADLINE, wait_until
 from waiting_runs import Runs, waiting_study
 
 from bo_tuner.backends.workers import limits
@@ -130,7 +130,7 @@ class TestFaults:
         page.state_when(lambda state, _: state["now"]["paused"])
         in_pause = len(runs.places)
         process.kill()
-        finish(process)
+        process.wait(DEADLINE)
         assert len(runs.places) == in_pause
         code, _, err = finish(runs.start("tune", "--resume", "paused/latest"))
         assert code == 0, err
