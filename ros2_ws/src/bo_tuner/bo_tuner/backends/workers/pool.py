@@ -12,7 +12,6 @@ from typing import Any
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.backends.workers.clusters import (
     LOOK_AROUND,
-    STARTING,
     RunningCluster,
     local_cluster,
     workers_of,
@@ -91,7 +90,7 @@ class WorkerPool:
         try:
             self._start()
             addresses = sorted(workers_of(self._client))[: self.workers]
-            for answer in self._ask_each(self._process.begin, addresses, STARTING):
+            for answer in self._ask_each(self._process.begin, addresses):
                 if answer.problem:
                     raise BackendError(
                         f"worker {answer.worker} of {self.workers} cannot be started: "
@@ -223,17 +222,15 @@ class WorkerPool:
         list of str
             What went wrong, each in a line.
         """
-        answers = self._ask_each(self._process.park, workers_of(self._client), None)
+        answers = self._ask_each(self._process.park, workers_of(self._client))
         return [
             f"worker {answer.worker}: {problem}"
             for answer in answers
             for problem in (*answer.remarks, *filter(None, [answer.problem]))
         ]
 
-    def _ask_each(
-        self, act: Callable[[str], Answer], addresses: Iterable[str], timeout: float | None
-    ) -> Sequence[Answer]:
-        """Ask workers for the same, and wait for their answers."""
+    def _ask_each(self, act: Callable[[str], Answer], addresses: Iterable[str]) -> Sequence[Answer]:
+        """Ask workers for the same, and wait for their answers, which their backends see to."""
         known = workers_of(self._client)
         names = {address: self._name(address, known) for address in addresses}
         futures = {
@@ -242,11 +239,8 @@ class WorkerPool:
             )
             for address, name in names.items()
         }
-        deadline = None if timeout is None else time.monotonic() + timeout
         while pending := {n for n, future in futures.items() if future.status == "pending"}:
             self._interrupted()
-            if deadline is not None and time.monotonic() > deadline:
-                break
             # One that has died does not answer, and its successor has another address.
             known = workers_of(self._client)
             if not pending & {name for address, name in names.items() if address in known}:
