@@ -26,28 +26,22 @@ def page_processes(folder):
     return found
 
 
-class Run:
-    """A run with a page, held at an evaluation until it is let go."""
+class Page:
+    """The page of a run that has said where it is.
 
-    def __init__(self, folder, study, hold, *options, **environment):
-        write_study(folder, study)
-        self.counter = folder / "cuts"
-        self.said = folder / "said.txt"
-        with self.said.open("w") as said:
-            self.process = Fork(
-                *("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", *options),
-                folder=folder,
-                env={"CUTS": str(self.counter), "HOLD": str(hold)} | environment,
-                stderr=said,
-            )
-        wait_until(
-            lambda: count_in(self.counter) == hold, "the evaluation", self.process,
-            self.said.read_text,
-        )  # fmt: skip
-        self.address, port, self.token = ADDRESS.search(self.said.read_text()).groups()
+    Parameters
+    ----------
+    process
+        Of the run.
+    said
+        File that takes what it says.
+    """
+
+    def __init__(self, process, said):
+        self.process, self.said = process, said
+        self.address, port, self.token = ADDRESS.search(said.read_text()).groups()
         self.port = int(port)
         self.entrance = f"{self.address}?token={self.token}"
-        self.folder = folder / "runs" / "latest"
         self.origin = {"Origin": f"http://127.0.0.1:{self.port}"}
 
     def ask(self, path, *, method="GET", token=True, **headers):
@@ -87,6 +81,27 @@ class Run:
 
         wait_until(told, "the state", self.process)
         return sections
+
+
+class Run(Page):
+    """A run with a page, held at an evaluation until it is let go."""
+
+    def __init__(self, folder, study, hold, *options, **environment):
+        write_study(folder, study)
+        self.counter = folder / "cuts"
+        file = folder / "said.txt"
+        with file.open("w") as said:
+            process = Fork(
+                *("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", *options),
+                folder=folder,
+                env={"CUTS": str(self.counter), "HOLD": str(hold)} | environment,
+                stderr=said,
+            )
+        wait_until(
+            lambda: count_in(self.counter) == hold, "the evaluation", process, file.read_text
+        )
+        super().__init__(process, file)
+        self.folder = folder / "runs" / "latest"
 
     def go_on(self):
         Path(f"{self.counter}.go").touch()

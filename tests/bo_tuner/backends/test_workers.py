@@ -9,8 +9,10 @@ import pytest
 from functions import planned
 
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.backends.workers.pool import DEATHS, WorkerPool
-from bo_tuner.errors import BackendError
+from bo_tuner.backends.workers import process
+from bo_tuner.backends.workers.clusters import DEATHS
+from bo_tuner.backends.workers.pool import WorkerPool
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.trials import EvaluationState, Outcome
 
 FIRST, LAST, DEADLY, BROKEN = 0, 1, 2, 3
@@ -21,7 +23,7 @@ class Odd(SequentialBackend):
 
     name = "odd"
 
-    def __init__(self, study, folder, number, interrupted):
+    def __init__(self, study, folder, number, host_folder, interrupted):
         super().__init__(study)
         self._folder, self._number = folder, number
 
@@ -96,5 +98,29 @@ def test_an_evaluation_that_ends_each_worker_is_lost(pool, tmp_path):
 
 
 def test_a_backend_that_cannot_go_on_ends_the_run_and_is_named(pool):
-    with pytest.raises(BackendError, match=r"worker [12]: the bus is gone"):
+    with pytest.raises(RunError, match=r"worker [12]: the bus is gone"):
         list(pool.run([doing(BROKEN, 0)]))
+
+
+class Deserted:
+    """In place of a connection to a cluster whose workers have all gone."""
+
+    key = "never"
+
+    def submit(self, *_arguments, **_options):
+        return self
+
+    def add_done_callback(self, _call):
+        pass
+
+    def scheduler_info(self, n_workers):
+        return {"workers": {}}
+
+
+def test_workers_that_do_not_come_back_are_not_waited_for(monkeypatch):
+    for name in ("LEFT_ALONE", "LOOK_FOR_WORKERS"):
+        monkeypatch.setattr(f"bo_tuner.backends.workers.pool.{name}", 0.0)
+    pool = WorkerPool("odd", 2, Odd)
+    pool._client, pool._process = Deserted(), process
+    with pytest.raises(RunError, match="there has been no worker for"):
+        list(pool.run([doing(FIRST, 0)]))

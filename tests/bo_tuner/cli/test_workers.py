@@ -5,87 +5,22 @@ import signal
 
 import pytest
 import yaml
-from command_runs import RESULTS
-from commands import finish, start
+from commands import finish
 from in_process import complaint
-from waiting import wait_until
+from live_run import Page
+from waiting import DEADLINE, wait_until
+from waiting_runs import Runs, waiting_study
 
 from bo_tuner.backends.workers import limits
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli import tune, validate
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_to_mapping, study_to_yaml
 
-OBJECT = """\
-import os
-import time
-from pathlib import Path
-
-HERE = Path(__file__).parent
-
-
-class Axis:
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def evaluate(self):
-        with (HERE / "evaluations").open("a") as file:
-            file.write(f"{os.getpid()}\\n")
-        # Once for each file: one worker takes it, the others do not find it.
-        for order, act in (("kill", lambda: os.kill(os.getpid(), 9)),):
-            try:
-                (HERE / order).unlink()
-            except FileNotFoundError:
-                continue
-            act()
-        while (HERE / "hold").exists():
-            time.sleep(0.01)
-        # Whichever worker is the faster.
-        time.sleep(os.urandom(1)[0] / 5000.0)
-        return {
-            "status": "ok",
-            "error": 25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100)),
-            "peak": self.load * self.gain,
-        }
-"""
-
-
-class Runs:
-    """Runs of commands in a folder with the object."""
-
-    def __init__(self, folder, study):
-        self.folder = folder
-        (folder / "waiting_axis.py").write_text(OBJECT)
-        (folder / "axis.yaml").write_text(study_to_yaml(study))
-
-    @property
-    def evaluations(self):
-        return self.folder / "evaluations"
-
-    def latest(self, name):
-        return self.folder / name / "latest"
-
-    def start(self, *arguments):
-        return start(*arguments, folder=self.folder)
-
-    def begin(self, name, *arguments):
-        new = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
-        return self.start("tune", *new, *arguments)
-
-    def run(self, name, *arguments):
-        code, _, err = finish(self.begin(name, *arguments))
-        assert code == 0, err
-        return self.results(name)
-
-    def results(self, name):
-        return [(self.latest(name) / file).read_bytes() for file in RESULTS]
-
 
 @pytest.fixture(scope="module")
 def study(make_study):
-    node = {"node": "axis", "result": "~/cut_result", "object": "waiting_axis:Axis"}
-    return make_study(
-        nodes={"axis": node}, seed_parameter={"node": "axis", "parameter": "seed"}
-    ).replace(trials=6)
+    return waiting_study(make_study)
 
 
 @pytest.fixture(scope="module")
@@ -118,8 +53,7 @@ class TestAnswer:
     @pytest.mark.parametrize("workers", [2, 4])
     def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(self, runs, whole, workers):
         assert runs.run("several", "--workers", workers, "--window", 4) == whole
-        pids = set(runs.evaluations.read_text().split())
-        assert len(pids) == workers
+        assert len({pid for pid, _ in runs.places}) == workers
 
     def test_it_depends_on_the_window(self, shared, whole):
         assert shared.run("one", "--window", 1)[2] != whole[2]
@@ -147,9 +81,10 @@ class TestAnswer:
 
 
 class TestFaults:
-    def test_what_a_worker_had_that_died_is_run_again(self, runs, whole):
+    @pytest.mark.parametrize("workers", [2, pytest.param(4, marks=pytest.mark.slow)])
+    def test_what_a_worker_had_that_died_is_run_again(self, runs, whole, workers):
         (runs.folder / "kill").touch()
-        assert runs.run("killed", "--workers", 2, "--window", 4) == whole
+        assert runs.run("killed", "--workers", workers, "--window", 4) == whole
         assert not (runs.folder / "kill").exists()
 
     def test_a_run_that_was_killed_goes_on(self, runs, shared, whole):
@@ -165,8 +100,8 @@ class TestFaults:
 
     def test_ctrl_c_ends_the_workers(self, runs, whole):
         process = runs.begin("ended", "--workers", 4)
-        wait_until(lambda: lines(runs.evaluations) >= 6, "evaluations", process)
-        pids = {int(pid) for pid in runs.evaluations.read_text().split()}
+        wait_until(lambda: len(runs.places) >= 6, "evaluations", process)
+        pids = {int(pid) for pid, _ in runs.places}
         process.send_signal(signal.SIGINT)
         code, _, err = finish(process)
         assert code == 128 + signal.SIGINT, err
@@ -176,16 +111,37 @@ class TestFaults:
         assert code == 0, err
         assert runs.results("ended") == whole
 
+    @pytest.mark.slow
+    def test_a_pause_and_a_kill_in_it(self, runs, whole):
+        """Nothing is evaluated in the pause, and nothing is lost by it."""
+        said = runs.folder / "said.txt"
+        with said.open("w") as file:
+            process = runs.begin(
+                "paused", "--workers", 4, "--web", "--web-control", stdout=file, stderr=file
+            )
+        wait_until(lambda: len(runs.places) >= 3, "evaluations", process, said.read_text)
+        page = Page(process, said)
+        assert page.request("pause")[0] == 202
+        page.state_when(lambda state, _: state["now"]["paused"])
+        in_pause = len(runs.places)
+        assert page.request("continue")[0] == 202
+        wait_until(lambda: len(runs.places) > in_pause, "evaluations", process, said.read_text)
+        assert page.request("pause")[0] == 202
+        page.state_when(lambda state, _: state["now"]["paused"])
+        in_pause = len(runs.places)
+        process.kill()
+        process.wait(DEADLINE)
+        assert len(runs.places) == in_pause
+        code, _, err = finish(runs.start("tune", "--resume", "paused/latest"))
+        assert code == 0, err
+        assert runs.results("paused") == whole
+
     def test_one_that_cannot_be_started_is_named(self, alone):
         (alone.folder / "waiting_axis.py").write_text("raise OSError('no such bus')\n")
         code, out, err = finish(alone.begin("none", "--workers", 2))
         assert (code, out) == (2, ""), err
         assert err.startswith("error: worker 1 of 2 cannot be started: nodes.axis.object: ")
         assert "no such bus" in err
-
-
-def lines(file):
-    return len(file.read_text().split()) if file.exists() else 0
 
 
 def alive(pid):
@@ -224,6 +180,33 @@ class TestRefusals:
     def test_options(self, refused, options, said):
         assert said in refused(*options)
 
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            (
+                ("--benches", "left"),
+                "or namespaces such as /left, separated by commas, found 'left'",
+            ),
+            (("--benches", "233"), "expected ROS domains from 0 to 232, or namespaces"),
+            (("--benches", "1,"), "separated by commas, found ''"),
+            (("--benches", "1,2,1"), "--benches: expected each once, found 1 again"),
+            (("--benches", "/a,/a/"), "--benches: expected each once, found /a/ again"),
+            (("--benches", "1,2", "--workers", 3), "--workers: expected 2, one for each of"),
+            (("--benches", "1", "--no-attach"), "--benches: expected nodes that run, found"),
+            (("--benches", "1,2", "--record", "all"), "--record: expected none with 2 workers"),
+            (
+                ("--benches", "/a", "--ros-args", "-r", "__ns:=/x"),
+                "expected namespaces in full, such as /x/a, and none in --ros-args",
+            ),
+        ],
+    )
+    def test_benches(self, refused, options, said):
+        assert said in refused(*options)
+
+    def test_benches_are_of_nodes(self, refused):
+        line = refused("--benches", "1,2", backend="inprocess")
+        assert "--attach needs --backend ros" in line
+
     def test_measured_times_beside_more_workers_than_cores(self, refused):
         line = refused("--workers", 3, study="benchmark")
         assert "expected at most 2, the number of cores, found 3" in line
@@ -256,7 +239,7 @@ class TestRefusals:
     )
     def test_what_is_no_port_of_all(self, make_study, node):
         study = make_study(nodes={"axis": {"node": "axis", "result": "~/cut_result"} | node})
-        assert limits.problem_of_workers(study, "ros", 2, attach=False) == ""
+        assert limits.problem_of_workers(study, "ros", Workers(2), attach=False) == ""
 
     def test_the_study_says_how_many(self, alone, study, refused):
         budget = {"trials": 5, "initial_trials": 3, "workers": 2}

@@ -1,15 +1,32 @@
-"""Workers over ROS: each has nodes of its own, in a domain of its own."""
+"""Workers over ROS: each has nodes of its own, in a domain of its own, or a bench of its own."""
 
+import contextlib
+import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from example_nodes import UNCHANGED
+from commands import Fork, finish
+from dask_cluster import Cluster, Host
+from example_nodes import UNCHANGED, start_script
+from ros_processes import claim_domain
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 from waiting import wait_until
 
 from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.workers.workers import Bench, Workers
 from bo_tuner.errors import BackendError
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import (
+    load_study,
+    study_from_mapping,
+    study_to_mapping,
+    study_to_yaml,
+)
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
@@ -17,9 +34,10 @@ pytestmark = pytest.mark.ros
 TRIAL = {"kp": 2.0, "ki": 0.0, "kd": 0.375}
 
 
-def study(**nodes):
+def study(budget=None, **nodes):
     """The study of the example, whose nodes are started with the number of the worker."""
     mapping = study_to_mapping(load_study(str(UNCHANGED / "study.yaml")))
+    mapping["budget"] |= budget or {}
     for signal_of in mapping["signals"].values():
         signal_of["largest_gap"] = 5.0
     del mapping["run"]["abort_when"]
@@ -39,10 +57,10 @@ def opened(tmp_path):
     """Function that opens two workers of a study."""
     backends = []
 
-    def make(of):
+    def make(of, workers=Workers(2), attach=False):  # noqa: B008
         backends.append(
-            make_backend("ros", of, tmp_path, attach=False, ros_arguments=[],
-                         interrupted=lambda: None, workers=2)
+            make_backend("ros", of, tmp_path, attach=attach, ros_arguments=[],
+                         interrupted=lambda: None, workers=workers)
         )  # fmt: skip
         backends[-1].open()
         return backends[-1]
@@ -93,3 +111,204 @@ def test_one_whose_nodes_do_not_start_is_named(opened):
     with pytest.raises(BackendError, match=r"worker 1 of 2 cannot be started: .*no_such_program"):
         opened(study(pid=pid))
     assert not environments()
+
+
+SHORT = {"trials": 5, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3}
+
+
+@pytest.fixture
+def runs_here(tmp_path):
+    """Function that runs a command to its end in the folder of a study; returns what it says."""
+
+    def run(*arguments):
+        code, out, err = finish(Fork(*arguments, folder=tmp_path))
+        assert code in (0, 3), err
+        return out + err
+
+    return run
+
+
+def incomplete(folder):
+    """Outcomes on record of evaluations that were lost or have failed."""
+    outcomes = [evaluation.outcome for evaluation in read_run(folder).evaluations]
+    assert outcomes
+    return [outcome for outcome in outcomes if not outcome.complete]
+
+
+@pytest.mark.slow
+def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, tmp_path, runs_here):
+    (tmp_path / "study.yaml").write_text(study_to_yaml(study(budget=SHORT)))
+    peer = make_peer()
+    tune = Fork("tune", "--study", "study.yaml", "--workers", "2", folder=tmp_path)
+    try:
+        # The run is seen in the domain of the environment, and its nodes are not.
+        assert peer.call(SetBool, "tuner/pause", SetBool.Request(data=True)).success
+        assert peer.call(SetBool, "tuner/pause", SetBool.Request(data=False)).success
+        assert not [name for name in peer.node.get_node_names() if name in ("pid", "motor")]
+        code, _, err = finish(tune)
+    finally:
+        tune.kill()
+    assert code in (0, 3), err
+    run = tmp_path / "runs" / "latest"
+    assert not incomplete(run)
+    assert all((run / "log" / f"worker-{number}" / "motor.log").exists() for number in (1, 2))
+    assert not environments()
+    assert "certificate: " in runs_here("validate", "latest", "--draws", "60", "--workers", "2")
+    assert not environments()
+
+
+@pytest.fixture
+def start_bench(tmp_path):
+    """Function that starts the nodes of a bench: its name, ROS arguments, and the domain."""
+    started = []
+
+    def start(name, *arguments, domain):
+        env = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+        for node in ("motor", "pid"):
+            script, log = UNCHANGED / f"{node}_node.py", tmp_path / f"{name}-{node}.txt"
+            started.append(start_script(script, log, "--ros-args", *arguments, env=env))
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def bench_study(**changes):
+    """The study of the example with names that are relative to a namespace."""
+    text = study_to_yaml(study(**changes)).replace("topic: /", "topic: ")
+    return text.replace("service: /motor", "service: motor")
+
+
+@pytest.mark.slow
+def test_benches_in_namespaces(empty_domain, start_bench, make_peer, tmp_path, runs_here):
+    """A run, resumed on the same, and each bench is left as it was."""
+    (tmp_path / "study.yaml").write_text(bench_study(budget=SHORT))
+    names = ("/left", "/right")
+    for number, name in enumerate(names):
+        place = ("-r", f"__ns:={name}", "-p", f"kd:={0.25 + 0.125 * number}")
+        start_bench(name[1:], *place, domain=empty_domain)
+    peers = [make_peer(name) for name in names]
+    setpoints = [peer.record(Float64, "setpoint") for peer in peers]
+    for peer in peers:
+        peer.get_parameters("pid", ["kp"])
+    runs_here("tune", "--study", "study.yaml", "--benches", "/left,/right")
+    assert not incomplete(tmp_path / "runs" / "latest")
+    for peer, heard, kd in zip(peers, setpoints, (0.25, 0.375), strict=True):
+        # Each was at work.
+        peer.spin_until(lambda heard=heard: any(m.data == 1.0 for m in heard), "a run")
+        assert peer.get_parameters("pid", ["kd"]) == [kd]
+        heard.clear()
+    # Those on record are taken.
+    runs_here("tune", "--resume", "latest", "--trials", "7")
+    (*_, last) = read_journal(tmp_path / "runs" / "latest" / "journal.sqlite").sessions
+    assert (last["benches"], last["workers"]) == ("/left,/right", "2")
+    for peer, heard in zip(peers, setpoints, strict=True):
+        peer.spin_until(lambda heard=heard: any(m.data == 1.0 for m in heard), "a run")
+
+
+def test_benches_in_domains(start_bench, opened, monkeypatch):
+    claims = [claim_domain(os.environ.get("PYTEST_XDIST_WORKER", "gw")) for _ in range(2)]
+    benches = []
+    for domain, _ in claims:
+        start_bench(str(domain), domain=domain)
+        benches.append(Bench(str(domain), domain, "/"))
+    backend = opened(study(), workers=Workers(2, benches=tuple(benches)), attach=True)
+    planned = [Evaluation(0, k, Stage.DRAWN, TRIAL, {}, k) for k in range(2)]
+    done = list(backend.run(planned))
+    done += [] if len(done) == len(planned) else backend.run([])
+    assert all(e.outcome.state is EvaluationState.COMPLETE for e in done), done
+    assert {e.index for e in done} == {0, 1}
+    backend.close()
+    for _, lock in claims:
+        lock.close()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler, and as many hosts as there may be of each test."""
+    made = Cluster(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def hosts():
+    """Two hosts with addresses of their own."""
+    made = []
+    try:
+        made += [Host(1)]
+        made += [Host(2)]
+        yield made
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"no network namespaces: {error}")
+    finally:
+        for host in made:
+            host.close()
+
+
+@pytest.mark.slow
+def test_nodes_on_two_hosts(cluster, hosts, empty_domain, tmp_path, runs_here):
+    (tmp_path / "study.yaml").write_text(study_to_yaml(study(budget=SHORT)))
+    folders = [tmp_path / f"host-{number}" for number in (1, 2)]
+    for host, folder in zip(hosts, folders, strict=True):
+        cluster.worker("--local-directory", folder, host=host)
+    cluster.wait_for(2)
+    options = ("--scheduler", cluster.address, "--workers", "2")
+    said = runs_here("tune", "--study", "study.yaml", *options)
+    assert f"2 workers of the cluster {cluster.address}" in said
+    assert not incomplete(tmp_path / "runs" / "latest")
+    # Each host has what its own nodes have printed.
+    for folder in folders:
+        assert len(list(folder.glob("bo_tuner/*/worker-*/motor.log"))) == 1
+    assert not environments()
+
+
+@pytest.mark.slow
+class TestOddWorkers:
+    """A worker on which the nodes cannot be started is named."""
+
+    def refusal(self, cluster, tmp_path, *options, text, then=lambda: None, **variables):
+        (tmp_path / "study.yaml").write_text(text)
+        cluster.worker(*options, **variables)
+        cluster.wait_for(1)
+        then()
+        new = ("--study", "study.yaml", "--scheduler", cluster.address, "--workers", "1")
+        code, out, err = finish(Fork("tune", *new, folder=tmp_path))
+        assert (code, out) == (2, ""), err
+        assert err.startswith("error: worker tcp://127.0.0.1:"), err
+        assert not environments()
+        return err
+
+    def test_without_the_program(self, cluster, tmp_path, empty_domain, monkeypatch):
+        programs = tmp_path / "programs"
+        programs.mkdir()
+        (programs / "only_here").symlink_to(shutil.which("true"))
+        path = os.environ["PATH"]
+        monkeypatch.setenv("PATH", f"{programs}:{path}")
+        text = study_to_yaml(study(pid={"node": "pid", "command": "only_here --of {worker}"}))
+        line = self.refusal(cluster, tmp_path, text=text, PATH=path)
+        assert "there is no program only_here" in line
+
+    def test_with_a_full_disk(self, cluster, tmp_path, empty_domain):
+        disk = tmp_path / "disk"
+        disk.mkdir()
+        mount = ["mount", "-t", "tmpfs", "-o", "nr_inodes=50", "tmpfs", disk]
+        if subprocess.run(mount, capture_output=True, check=False).returncode:
+            pytest.skip("no disk of its own can be made")
+
+        def fill():
+            # Dask has room for what it has written, and all else is taken.
+            with contextlib.suppress(OSError):
+                for number in range(50):
+                    (disk / f"{number}").touch()
+
+        try:
+            line = self.refusal(
+                cluster, tmp_path, "--local-directory", disk,
+                text=study_to_yaml(study()), then=fill,
+            )  # fmt: skip
+            assert "No space left on device" in line
+        finally:
+            cluster.close()
+            subprocess.run(["umount", "--lazy", disk], check=True)

@@ -13,7 +13,7 @@ from typing import NoReturn
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.backends.ros.isolation import named_namespace
+from bo_tuner.backends.ros.isolation import in_namespace, named_namespace
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
@@ -299,8 +299,7 @@ def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str
     """
     if named_namespace(ros_arguments) or record.namespace in ("", "/"):
         return list(ros_arguments)
-    given = [argument for argument in ros_arguments if argument != "--"] or ["--ros-args"]
-    return [*given, "-r", f"__ns:={record.namespace}"]
+    return in_namespace(ros_arguments, record.namespace)
 
 
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:

@@ -14,9 +14,9 @@ from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.backends.ros.run_context import run_context
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
 from bo_tuner.backends.workers.pool import WorkerPool
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
-from bo_tuner.cli.workers import Workers
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
@@ -43,11 +43,13 @@ from bo_tuner.storage.journal_reader import JournalContent, read_journal
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
 from bo_tuner.storage.provenance import (
     ATTACHED,
+    BENCHES,
     CARRIED,
     CARRIED_FROM,
     NAMESPACE,
     RECORD,
     RECORD_LIMIT,
+    SCHEDULER,
     STOP_EARLY,
     WINDOW,
     WORKERS,
@@ -94,7 +96,7 @@ class RunOptions:
     stop_early
         Follow the advice to stop.
     workers
-        How many evaluations are run at once.
+        How many evaluations are run at once, and where.
     more
         Whether a run that is resumed goes on with trials although it was asked to finish.
     carried
@@ -159,7 +161,7 @@ class Session:
             ros_arguments=options.ros_arguments,
             interrupted=interruption.check,
             halt=self._halt,
-            workers=options.workers.count,
+            workers=options.workers,
         )
 
     def _halt(self, reason: str) -> None:
@@ -268,6 +270,10 @@ class Session:
             provenance[STOP_EARLY] = "yes"
         provenance[WINDOW] = str(options.workers.window)
         provenance[WORKERS] = str(options.workers.count)
+        if options.workers.scheduler:
+            provenance[SCHEDULER] = options.workers.scheduler
+        if options.workers.benches:
+            provenance[BENCHES] = ",".join(bench.name for bench in options.workers.benches)
         provenance[RECORD] = str(options.record.policy)
         provenance[RECORD_LIMIT] = str(options.record.limit)
         if options.carried is not None:
@@ -369,7 +375,9 @@ class Session:
                 ros.after_default = recording.skip
                 self._show_on_ros(ros.context, ros.park, stack)
             elif isinstance(pool, WorkerPool) and pool.name == ROS:
-                context = stack.enter_context(run_context(self._options.ros_arguments))
+                context = stack.enter_context(
+                    run_context(self._options.ros_arguments, self._options.workers.benches)
+                )
                 self._show_on_ros(context, pool.park, stack)
             if self._live_page is not None:
                 self._observers.add(self._live_page)

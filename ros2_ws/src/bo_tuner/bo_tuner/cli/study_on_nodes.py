@@ -8,6 +8,7 @@ from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.backends.workers.limits import problem_of_workers
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import BackendError
 from bo_tuner.monitoring.display import say
@@ -93,7 +94,7 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
                 f"parameters.{name}: the node has {described.value} now, the study's "
                 f"default is {shown(defaults[name])}"
             )
-    if problem := problem_of_workers(study, ROS, study.budget.workers or 1, attach=False):
+    if problem := problem_of_workers(study, ROS, Workers(study.budget.workers or 1), attach=False):
         problems.append(f"budget.workers: {problem}")
     if absent == len(study.nodes):
         # Of nodes that were not started, their topics and services are not worth a line each.

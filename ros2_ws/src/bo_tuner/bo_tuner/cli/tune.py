@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from bo_tuner.backends.ros.isolation import named_namespace, namespace_of
 from bo_tuner.backends.ros.processes import has_executable
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import (
     RUNS,
     Parser,
@@ -22,7 +23,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
-from bo_tuner.cli.workers import Workers, workers_of
+from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
@@ -41,6 +42,7 @@ from bo_tuner.storage.trust import is_trusted, trust
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
+from bo_tuner.text import counted
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
@@ -108,6 +110,7 @@ def _run(
         plan.study,
         plan.backend,
         attach=plan.attach,
+        ros_arguments=ros_arguments,
         provenance=None if plan.resumed is None else plan.resumed.provenance,
     )
     _check_options(plan, arguments, parser, workers)
@@ -149,7 +152,7 @@ def _recording(
         known = resumed.record_policy in list(Policy)
         policy = policy or (resumed.record_policy if known else None)
         limit = resumed.record_limit if limit is None else limit
-    if workers.count > 1:
+    if workers.pooled:
         policy = Policy.NONE
     default = RecordOptions()
     return RecordOptions(
@@ -312,10 +315,10 @@ def _check_options(
         parser.error("--web-control needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
-    if arguments.record not in (None, Policy.NONE) and workers.count > 1:
+    if arguments.record not in (None, Policy.NONE) and workers.pooled:
         parser.error(
-            f"--record: expected none with {workers.count} workers, each of which has its nodes in "
-            f"a ROS domain of its own, found {arguments.record}"
+            f"--record: expected none with {counted(workers.count, 'worker')}, whose nodes this "
+            f"process does not hear, found {arguments.record}"
         )
 
 

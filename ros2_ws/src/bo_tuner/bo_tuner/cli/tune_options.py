@@ -44,6 +44,7 @@ examples:
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
   tune --study my_axis.yaml --workers 4   four evaluations at once
+  tune --study my_axis.yaml --benches 11,12   on two sets of running nodes
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first

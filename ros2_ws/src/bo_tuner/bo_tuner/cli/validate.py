@@ -164,6 +164,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         record.study,
         backend,
         attach=attach,
+        ros_arguments=in_namespace_of(record, ros_arguments),
         provenance=record.provenance,
         keeps_window=False,
     )
@@ -199,7 +200,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 ros_arguments=in_namespace_of(record, ros_arguments),
                 interrupted=interruption.check,
                 earlier=record.evaluations,
-                workers=workers.count,
+                workers=workers,
             ),
             confidence,
             interruption,

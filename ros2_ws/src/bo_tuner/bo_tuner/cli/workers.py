@@ -1,46 +1,44 @@
-"""How many evaluations of a run are run at once, by its options, its study and its record."""
+"""By how many workers a run is run, and where: by its options, its study and its record."""
 
 import argparse
-from collections.abc import Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+from bo_tuner.backends.ros.isolation import LARGEST_DOMAIN, domain_of_environment, namespace_of
+from bo_tuner.backends.ros.tuner_node import NAMESPACE
 from bo_tuner.backends.workers.limits import problem_of_workers
+from bo_tuner.backends.workers.workers import Bench, Workers
 from bo_tuner.cli.common import Parser, whole_number
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.provenance import recorded_window, recorded_workers
+from bo_tuner.storage.provenance import BENCHES, SCHEDULER, recorded_window, recorded_workers
 from bo_tuner.study import maxima
-from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
+
+SCHEDULER_ADDRESS = re.compile(
+    r"(tcp|tls)://[^\s/:]+:\d{1,5}|(tcp|tls)://\[[0-9a-fA-F:]+\]:\d{1,5}"
+)
 
 
-@dataclass(frozen=True)
-class Workers:
-    """How many evaluations are run at once.
+class _Benches(argparse.Action):
+    """Takes the names of test benches, whose nodes run."""
 
-    Attributes
-    ----------
-    count
-        Number of workers.
-    window
-        Number of trials, or other tasks, that are planned at once.
-    """
-
-    count: int = 1
-    window: int = 1
-
-    def text(self, backend: str) -> str:
-        """Tell of several workers in a line; empty for one."""
-        if self.count == 1:
-            return ""
-        bags = "; no bags are recorded" if backend == ROS else ""
-        planned = counted(self.window, "task") + " planned at once"
-        return f"{self.count} workers, {planned}{bags}"
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        """Set the option, and with it that the nodes run."""
+        del parser, option_string
+        namespace.benches = values
+        namespace.attach = True
 
 
 def add_workers_arguments(parser: Parser, default: str) -> None:
     """Add the options for several workers; `default` is told in the help."""
-    group = parser.add_argument_group("several runs at once")
+    group = parser.add_argument_group("several evaluations at once")
     group.add_argument(
         "--workers",
         type=whole_number,
@@ -56,6 +54,20 @@ def add_workers_arguments(parser: Parser, default: str) -> None:
         "and not on that of the workers or on which of them is faster (default: as many as "
         "workers, or as the run that is resumed)",
     )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="use workers of the running Dask cluster with a scheduler at tcp://HOST:PORT, or "
+        "tls://HOST:PORT; whoever reaches that can run programs on its workers",
+    )
+    group.add_argument(
+        "--benches",
+        action=_Benches,
+        metavar="LIST",
+        help="running nodes for several workers, as with --attach: ROS domains or namespaces of "
+        "test benches that are alike, one a worker, such as 11,12,13 or /left,/right (default: as "
+        "in the run, if there is one)",
+    )
 
 
 def workers_of(
@@ -65,16 +77,17 @@ def workers_of(
     backend: str,
     *,
     attach: bool,
+    ros_arguments: Sequence[str],
     provenance: Mapping[str, str] | None = None,
     keeps_window: bool = True,
 ) -> Workers:
-    """Return how many evaluations are to be run at once.
+    """Return by how many workers a run is to be run, and where.
 
     Parameters
     ----------
     arguments, parser
         Of the command.
-    study, backend, attach
+    study, backend, attach, ros_arguments
         What is run, and where.
     provenance
         Of the run that goes on, or that the command is about; None for a new run.
@@ -91,19 +104,98 @@ def workers_of(
         if given is not None and not 1 <= given <= maxima.WORKERS:
             bound = "at least 1" if given < 1 else f"at most {maxima.WORKERS}"
             parser.error(f"--{name}: expected {bound}, found {given}")
-    count = arguments.workers
-    if count is None and provenance is not None:
-        # Of one that ran on other nodes before, these may be running ones.
-        count = 1 if attach else recorded_workers(provenance)
-    count = count or study.budget.workers or 1
-    if problem := problem_of_workers(study, backend, count, attach=attach):
+    known = provenance or {}
+    benches = _benches(arguments, parser, known, attach=attach, ros_arguments=ros_arguments)
+    scheduler = _scheduler(arguments, parser, attach=attach)
+    count = _count(arguments, parser, study, known, attach=attach, benches=benches)
+    workers = Workers(count, arguments.window or count, scheduler, benches)
+    if problem := problem_of_workers(study, backend, workers, attach=attach):
         raise StudyError(f"--workers: {problem}")
     if provenance is None or not keeps_window:
-        return Workers(count, arguments.window or count)
+        return workers
     window = recorded_window(provenance)
     if arguments.window not in (None, window):
         parser.error(
             f"--window: expected {window}, by which the trials of the run were planned, found "
             f"{arguments.window}; leave it out"
         )
-    return Workers(count, window)
+    return replace(workers, window=window)
+
+
+def _count(
+    arguments: argparse.Namespace,
+    parser: Parser,
+    study: Study,
+    known: Mapping[str, str],
+    *,
+    attach: bool,
+    benches: Sequence[Bench],
+) -> int:
+    """Return the number of workers: that given, that on record, or that of the study."""
+    given: int | None = arguments.workers
+    if benches:
+        if given not in (None, len(benches)):
+            parser.error(
+                f"--workers: expected {len(benches)}, one for each of --benches, found {given}"
+            )
+        return len(benches)
+    if given is not None:
+        return given
+    if known:
+        # Those of a session on other nodes, or of a cluster, say nothing of what is here.
+        elsewhere = SCHEDULER in known and not arguments.scheduler
+        return 1 if attach or elsewhere else recorded_workers(known)
+    if arguments.scheduler and study.budget.workers is None:
+        parser.error("--scheduler: expected --workers N, too: how many evaluations run at once")
+    return study.budget.workers or 1
+
+
+def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -> str:
+    """Return the address of the cluster that is to be used; empty for none."""
+    address: str = arguments.scheduler or ""
+    if address and not SCHEDULER_ADDRESS.fullmatch(address):
+        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {address}")
+    if address and attach:
+        parser.error("--scheduler: expected nodes that the workers start, found --attach")
+    return address
+
+
+def _benches(
+    arguments: argparse.Namespace,
+    parser: Parser,
+    known: Mapping[str, str],
+    *,
+    attach: bool,
+    ros_arguments: Sequence[str],
+) -> tuple[Bench, ...]:
+    """Return the test benches that are given, or those on record; empty for none."""
+    text: str = arguments.benches or ""
+    if text and not attach:
+        parser.error("--benches: expected nodes that run, found --no-attach")
+    if not text and attach and arguments.workers is None:
+        text = known.get(BENCHES, "")
+    benches = [_bench(name, parser, ros_arguments) for name in text.split(",") if text]
+    for index, bench in enumerate(benches):
+        if bench.place in {other.place for other in benches[:index]}:
+            parser.error(f"--benches: expected each once, found {bench.name} again")
+    if len(benches) > maxima.WORKERS:
+        parser.error(f"--benches: expected at most {maxima.WORKERS}, found {len(benches)}")
+    return tuple(benches)
+
+
+def _bench(name: str, parser: Parser, ros_arguments: Sequence[str]) -> Bench:
+    namespace = namespace_of(ros_arguments)
+    if name.isascii() and name.isdigit() and int(name) <= LARGEST_DOMAIN:
+        return Bench(name, int(name), namespace)
+    if not NAMESPACE.fullmatch(name):
+        parser.error(
+            f"--benches: expected ROS domains from 0 to {LARGEST_DOMAIN}, or namespaces such as "
+            f"/left, separated by commas, found {name!r}"
+        )
+    if namespace != "/":
+        parser.error(
+            f"--benches: expected namespaces in full, such as {namespace}{name}, and none in "
+            "--ros-args"
+        )
+    # Without a domain in the environment, nodes that run already are in 0.
+    return Bench(name, domain_of_environment() or 0, name.rstrip("/") or "/")

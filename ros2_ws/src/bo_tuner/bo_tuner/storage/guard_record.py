@@ -46,9 +46,17 @@ def add_act(path: Path, act: Act) -> None:
 
 
 def read_acts(log: Path) -> list[Act]:
-    """Return the acts on record in a log folder; what cannot be read is passed over."""
+    """Return the acts on record in a log folder, those of workers included, in the order of time.
+
+    What cannot be read is passed over.
+    """
+    records = [log / GUARD_RECORD, *log.glob(f"worker-*/{GUARD_RECORD}")]
+    return sorted((act for path in records for act in _acts(path)), key=lambda act: act.time)
+
+
+def _acts(record: Path) -> list[Act]:
     try:
-        lines = read_text(log / GUARD_RECORD).splitlines()
+        lines = read_text(record).splitlines()
     except (OSError, ValueError):
         return []
     acts = []

@@ -24,6 +24,10 @@ WINDOW = "window"
 """Key of the number of trials, or other tasks, that are planned at once."""
 WORKERS = "workers"
 """Key of the number of evaluations that a session runs at once."""
+SCHEDULER = "scheduler"
+"""Key of the cluster whose workers a session used."""
+BENCHES = "benches"
+"""Key of the sets of running nodes that a session used, one a worker."""
 ATTACHED = "attached"
 """Key that says that a session used running nodes."""
 NAMESPACE = "namespace"
@@ -99,15 +103,20 @@ def sources(study: Study, backend: str) -> dict[str, str]:
     dict from str to str
         ``sources_sha256`` for this package, ``sources_sha256.<package>`` for each other.
     """
-    folder = study.folder if backend == IN_PROCESS else ""
+    packages, folder = code_of(study, backend)
+    keys = {p: SOURCES if p == OWN_PACKAGE else f"{SOURCES}.{p}" for p in packages}
+    digests = {key: source_digest(package, folder) for package, key in keys.items()}
+    return {key: digest for key, digest in digests.items() if digest}
+
+
+def code_of(study: Study, backend: str) -> tuple[list[str], str]:
+    """Return which Python packages and modules evaluate a study, and the folder of its own ones."""
     if backend == IN_PROCESS:
         names = [node.object.split(":")[0] for node in study.nodes.values() if node.object]
     else:
         names = [node.package for node in study.nodes.values() if node.package]
-    packages = sorted({name.split(".")[0] for name in names} - {OWN_PACKAGE})
-    digests = {SOURCES: _digest(OWN_PACKAGE)}
-    digests |= {f"{SOURCES}.{p}": _digest(p, folder) for p in packages}
-    return {key: digest for key, digest in digests.items() if digest}
+    others = sorted({name.split(".")[0] for name in names} - {OWN_PACKAGE})
+    return [OWN_PACKAGE, *others], study.folder if backend == IN_PROCESS else ""
 
 
 def changed_sources(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
@@ -138,7 +147,7 @@ def commit() -> str:
     return named[0] if named else "unknown"
 
 
-def _digest(package: str, folder: str = "") -> str:
+def source_digest(package: str, folder: str = "") -> str:
     """Return the digest of a package's or module's code; empty if there is none.
 
     It is looked for in the study's `folder` last, as Python looks for the objects of a study.

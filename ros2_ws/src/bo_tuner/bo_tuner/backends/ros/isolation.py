@@ -1,17 +1,14 @@
 """The ROS environment of started nodes: a domain of their own, this machine only."""
 
-import fcntl
 import os
 import socket
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import IO
 
 from bo_tuner.errors import BackendError
 from bo_tuner.package_files import config_directory
 from bo_tuner.ros_distribution import distribution
-from bo_tuner.storage.run_files import open_file
+from bo_tuner.storage.host_lock import host_lock
 
 # RTPS maps domains to UDP ports; above 101 they reach into the ephemeral range.
 HIGHEST_DOMAIN = 101
@@ -54,7 +51,7 @@ class DomainClaim:
             if domain is None and _has_participant(candidate):
                 continue
             try:
-                self._lock = _lock(candidate, namespace)
+                self._lock = host_lock(place_name(candidate, namespace))
             except BackendError:
                 # Whatever bears the name of this lock, another domain will do.
                 if domain is None:
@@ -132,6 +129,12 @@ def named_namespace(ros_arguments: Sequence[str]) -> str:
     return ""
 
 
+def in_namespace(ros_arguments: Sequence[str], namespace: str) -> list[str]:
+    """Return ``--ros-args`` with another namespace."""
+    given = [argument for argument in ros_arguments if argument != "--"] or ["--ros-args"]
+    return [*given, "-r", f"__ns:={namespace}"]
+
+
 def _has_participant(domain: int) -> bool:
     port = FIRST_PORT + PORTS_PER_DOMAIN * domain + UNICAST_OFFSET
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -145,19 +148,3 @@ def _has_participant(domain: int) -> bool:
 def place_name(domain: int, namespace: str) -> str:
     """Return a name for files of a domain and namespace."""
     return f"domain{domain}{namespace.rstrip('/').replace('/', '-')}"
-
-
-def _lock(domain: int, namespace: str) -> IO[str] | None:
-    name = f"bo_tuner-{os.getuid()}-{place_name(domain, namespace)}.lock"
-    path = Path(tempfile.gettempdir()) / name
-    try:
-        # Not what anybody may have put there instead: the folder is open to all.
-        handle = os.fdopen(open_file(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "a")
-    except OSError as error:
-        raise BackendError(f"{path}: cannot be locked: {error.strerror}") from error
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        handle.close()
-        return None
-    return handle

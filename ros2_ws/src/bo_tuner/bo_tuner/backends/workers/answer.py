@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.trials import Evaluation
 
-MakeBackend = Callable[[int, Callable[[], None]], Backend]
-"""Makes the backend of a worker, by its number and by what to call while it waits."""
+MakeBackend = Callable[[int, Path, Callable[[], None]], Backend]
+"""Makes the backend of a worker: by its number, a folder of its host that it may write to, and what
+to call while it waits."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,7 @@ class Answer:
     Attributes
     ----------
     worker
-        Its number, from 1.
+        Its number, from 1, or in a cluster its address.
     evaluation
         That it has run; None for anything else.
     problem
@@ -26,7 +28,7 @@ class Answer:
         What went wrong beside, each in a line.
     """
 
-    worker: int
+    worker: str
     evaluation: Evaluation | None = None
     problem: str = ""
     remarks: tuple[str, ...] = ()

@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterator
 
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.nodes import WORKER, NodeSpec
 from bo_tuner.study.parts import ROS
@@ -21,8 +22,8 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def problem_of_workers(study: Study, backend: str, workers: int, *, attach: bool) -> str:
-    """Return why a study cannot be run by so many workers, in a line; empty if it can.
+def problem_of_workers(study: Study, backend: str, workers: Workers, *, attach: bool) -> str:
+    """Return why a study cannot be run by some workers, in a line; empty if it can.
 
     Parameters
     ----------
@@ -31,27 +32,30 @@ def problem_of_workers(study: Study, backend: str, workers: int, *, attach: bool
     backend
         One of `bo_tuner.study.parts.BACKENDS`.
     workers
-        Their number.
+        Those asked for.
     attach
         Whether nodes that run already are used.
     """
-    if workers == 1:
-        return ""
-    if attach:
+    count = workers.count
+    if attach and count > len(workers.benches or (1,)):
         return (
-            f"expected 1 with --attach, found {workers}: running nodes are one set, which runs "
-            "one evaluation at a time; let each worker start nodes of its own (--no-attach)"
+            f"expected 1 with --attach, found {count}: running nodes are one set, which runs one "
+            "evaluation at a time; name several sets (--benches), or let each worker start nodes "
+            "of its own (--no-attach)"
         )
-    if backend != ROS:
+    if count == 1 or backend != ROS:
         return ""
-    if workers > (most := cores()) and (timed := sorted(times_of_nodes(study))):
+    timed = () if workers.scheduler else sorted(times_of_nodes(study))
+    if timed and count > (most := cores()):
         return (
-            f"expected at most {most}, the number of cores, found {workers}: other workers make "
+            f"expected at most {most}, the number of cores, found {count}: other workers make "
             f"measured times longer ({', '.join(timed)})"
         )
+    if attach:
+        return ""
     return next(
         (
-            f"nodes.{key}: port {port} would be the same for all {workers} workers; write "
+            f"nodes.{key}: port {port} would be the same for all {count} workers; write "
             f"{WORKER} into it, which is the number of the worker, such as {port[:-1]}{WORKER}"
             for key, node in study.nodes.items()
             for port in ports(node)

@@ -1,35 +1,44 @@
-"""Evaluations in several processes of this machine at once: a cluster of Dask, of this run only."""
+"""Evaluations in several processes at once, of this machine or of a cluster, by Dask."""
 
 import contextlib
 import queue
+import threading
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
-from bo_tuner.errors import BackendError
+from bo_tuner.backends.workers.clusters import (
+    LOOK_AROUND,
+    RunningCluster,
+    local_cluster,
+    workers_of,
+)
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 EXTRA = "several workers need the packages of the extra: pip install 'bo_tuner[workers]'"
-DEATHS = 3
-"""Worker processes that may end while they run the same evaluation; then it is lost."""
-LOOK_AROUND = 0.1
-"""Time [s] after which a wait for results gives way to a signal."""
-STARTING = 60.0
-"""Time [s] that the processes of the workers have to come up."""
 CLOSING = 30.0
 """Time [s] that the backends of the workers have to close; then their processes are ended."""
 BREAKING_OFF = 5.0
 """Time [s] of that for one that is to break an evaluation off in process: foreign code looks for no
 request."""
+CLOSING_MARGIN = 2.0
+"""Time [s] that the workers have beyond that to say that they are done."""
+LEFT_ALONE = 60.0
+"""Time [s] without any worker after which the run ends: others may take the place of those that
+have died."""
+LOOK_FOR_WORKERS = 2.0
+"""Time [s] after which a wait for results looks whether there are workers."""
 
 
 class WorkerPool:
     """Runs as many evaluations at once as there are workers.
 
-    A worker is a process with a backend of its own. One that dies is started anew, and what it had
-    is run again, on any worker.
+    A worker is a process with a backend of its own. What one had that dies is run again, on any
+    worker. On this machine it is started anew.
 
     Parameters
     ----------
@@ -43,6 +52,8 @@ class WorkerPool:
         Asked while waiting; raises what shall end the wait.
     patience
         Time [s] that the backends have to close.
+    cluster
+        The cluster that has the workers; None for processes of this machine.
     """
 
     def __init__(
@@ -52,17 +63,21 @@ class WorkerPool:
         make: MakeBackend,
         interrupted: Callable[[], None] = lambda: None,
         patience: float = CLOSING,
+        cluster: RunningCluster | None = None,
     ) -> None:
         self.name = name
         self.workers = workers
         self._make = make
         self._interrupted = interrupted
         self._patience = patience
+        self._cluster = cluster
+        self._run = f"bo_tuner-{uuid.uuid4().hex}"
         self._client: Any = None
         self._process: Any = None
         self._stack = contextlib.ExitStack()
         self._running: dict[Any, Evaluation] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._last_seen = 0.0
 
     def open(self) -> None:
         """Start the workers, and open their backends.
@@ -74,50 +89,37 @@ class WorkerPool:
         """
         try:
             self._start()
-            for answer in self._ask_each(self._process.begin, STARTING):
+            addresses = sorted(workers_of(self._client))[: self.workers]
+            for answer in self._ask_each(self._process.begin, addresses):
                 if answer.problem:
                     raise BackendError(
                         f"worker {answer.worker} of {self.workers} cannot be started: "
                         f"{answer.problem}"
                     )
         except BaseException:
-            self.close()
+            with contextlib.suppress(BackendError):
+                self.close()
             raise
 
     def _start(self) -> None:
         try:
             # Dask takes its time to be imported, and is there where several workers are wanted.
-            from distributed import Client, LocalCluster, Security
-
             from bo_tuner.backends.workers import process
 
-            # Whoever reaches a scheduler runs code as its user: only who has this run's key does.
-            security = Security.temporary()  # type: ignore[no-untyped-call]
+            if self._cluster is None:
+                connection = local_cluster(self.workers)
+            else:
+                connection = self._cluster.connected(self._interrupted)
+            client = self._stack.enter_context(connection)
         except ImportError as error:
             raise BackendError(f"{EXTRA} ({error.name or error})") from None
-        enter = self._stack.enter_context
-        try:
-            cluster = enter(
-                LocalCluster(  # type: ignore[no-untyped-call]
-                    n_workers=self.workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    # Status pages have ports, too: any free one, of this machine only.
-                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                    worker_dashboard_address="127.0.0.1:0",
-                    memory_limit=0,
-                    security=security,
-                    silence_logs=50,
-                )
-            )
-            cluster.scheduler.allowed_failures = DEATHS - 1
-            client = enter(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
-            client.wait_for_workers(self.workers, timeout=STARTING)
-        except (OSError, TimeoutError, RuntimeError) as error:
-            raise BackendError(f"the workers cannot be started: {error}") from error
-        client.register_plugin(process.OwnBackend(self._make))
+        cluster = self._cluster
+        needs, expected = (None, {}) if cluster is None else (cluster.needs, cluster.expected)
+        order = process.Order(self._run, self._make, needs, expected, self._patience)
         self._client, self._process = client, process
+        if cluster is not None:
+            client.register_plugin(process.EndWithRun(self._run, client.id))
+        client.register_plugin(process.OwnBackend(order))
         self._interrupted()
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
@@ -128,7 +130,7 @@ class WorkerPool:
 
         Raises
         ------
-        BackendError
+        RunError
             If a worker that had to be started anew cannot be, or the workers are gone.
         """
         if self._client is None:
@@ -152,38 +154,65 @@ class WorkerPool:
         return True
 
     def _submit(self, planned: Evaluation) -> None:
-        future = self._client.submit(self._process.evaluate, planned, pure=False)
+        future = self._client.submit(self._process.evaluate, self._run, planned, pure=False)
         self._running[future.key] = planned
         future.add_done_callback(self._ended.put)
 
     def _next(self) -> Evaluation:
         """Wait for the next result."""
+        self._last_seen = time.monotonic()
+        look = self._last_seen + LOOK_FOR_WORKERS
         while True:
             self._interrupted()
             try:
                 future = self._ended.get(timeout=LOOK_AROUND)
             except queue.Empty:
+                if time.monotonic() > look:
+                    self._look_for_workers()
+                    look = time.monotonic() + LOOK_FOR_WORKERS
                 continue
             planned = self._running.pop(future.key, None)
             if planned is not None:
                 return self._result(future, planned)
+
+    def _look_for_workers(self) -> None:
+        """Refuse to wait for ever for workers that have gone.
+
+        Raises
+        ------
+        RunError
+            If there has been none for long.
+        """
+        if workers_of(self._client):
+            self._last_seen = time.monotonic()
+        elif (seconds := time.monotonic() - self._last_seen) > LEFT_ALONE:
+            raise RunError(f"there has been no worker for {seconds:.0f} s")
 
     def _result(self, future: Any, planned: Evaluation) -> Evaluation:
         from distributed import KilledWorker
 
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
-            reason = f"the process of the worker ended {DEATHS} times while it ran this"
+            deaths = error.allowed_failures + 1
+            reason = f"the process of the worker ended {deaths} times while it ran this"
             return replace(planned, outcome=Outcome(EvaluationState.LOST, {}, reason))
         if future.status != "finished":
             # Such as that of an interrupted run, whose signal came meanwhile.
             self._interrupted()
-            raise BackendError(f"the workers are gone ({error or future.status})")
+            raise RunError(self._gone(error or future.status))
         answer: Answer = future.result()
         if answer.evaluation is None:
             self._interrupted()
-            raise BackendError(f"worker {answer.worker}: {answer.problem}")
+            raise RunError(f"worker {answer.worker}: {answer.problem}")
         return answer.evaluation
+
+    def _gone(self, reason: object) -> str:
+        if self._cluster is None:
+            return f"the workers are gone ({reason})"
+        return (
+            f"the scheduler {self._cluster.address} is gone ({reason}); the run can go on with "
+            "another one, or without --scheduler"
+        )
 
     def park(self) -> list[str]:
         """Have each worker set the safe parameters, once its evaluation has ended.
@@ -193,51 +222,80 @@ class WorkerPool:
         list of str
             What went wrong, each in a line.
         """
-        answers = self._ask_each(self._process.park, None)
+        answers = self._ask_each(self._process.park, workers_of(self._client))
         return [
             f"worker {answer.worker}: {problem}"
             for answer in answers
             for problem in (*answer.remarks, *filter(None, [answer.problem]))
         ]
 
-    def _ask_each(self, act: Callable[[], Answer], timeout: float | None) -> Sequence[Answer]:
-        """Ask all workers for the same, and wait for their answers."""
-        addresses = self._client.scheduler_info(n_workers=-1)["workers"]
+    def _ask_each(self, act: Callable[[str], Answer], addresses: Iterable[str]) -> Sequence[Answer]:
+        """Ask workers for the same, and wait for their answers, which their backends see to."""
+        known = workers_of(self._client)
+        names = {address: self._name(address, known) for address in addresses}
         futures = {
-            int(str(worker["name"])) + 1: self._client.submit(
-                act, pure=False, workers=[address], allow_other_workers=False
+            name: self._client.submit(
+                act, self._run, pure=False, workers=[address], allow_other_workers=False
             )
-            for address, worker in addresses.items()
+            for address, name in names.items()
         }
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while any(future.status == "pending" for future in futures.values()):
+        while pending := {n for n, future in futures.items() if future.status == "pending"}:
             self._interrupted()
-            if deadline is not None and time.monotonic() > deadline:
+            # One that has died does not answer, and its successor has another address.
+            known = workers_of(self._client)
+            if not pending & {name for address, name in names.items() if address in known}:
                 break
             time.sleep(LOOK_AROUND)
-        return [
+        answers = [
             future.result()
             if future.status == "finished"
-            else Answer(number, problem=f"its process does not answer ({future.status})")
-            for number, future in sorted(futures.items())
+            else Answer(name, problem=f"its process does not answer ({future.status})")
+            for name, future in futures.items()
         ]
+        return sorted(answers, key=lambda answer: (len(answer.worker), answer.worker))
+
+    def _name(self, address: str, known: Any) -> str:
+        """Return what a worker is called, as it calls itself."""
+        if self._cluster is not None or address not in known:
+            return address
+        return str(int(str(known[address]["name"])) + 1)
 
     def close(self) -> None:
-        """Break off what runs, close the backends, and end the processes."""
+        """Break off what runs, close the backends, and end the processes.
+
+        Raises
+        ------
+        BackendError
+            If running nodes could not be left as they were; all else is closed then.
+        """
         client, self._client = self._client, None
         self._interrupted = lambda: None
+        problems: list[str] = []
         try:
-            if client is not None:
-                self._close_backends(client)
+            if client is not None and client.status == "running":
+                problems = self._close_backends(client)
         finally:
             self._running.clear()
             self._stack.close()
+        if problems:
+            raise BackendError("; ".join(problems))
 
-    def _close_backends(self, client: Any) -> None:
-        # What fails here ends with the processes.
-        with contextlib.suppress(Exception):
-            if self._running:
-                client.run(self._process.end)
-            self._client = client
-            self._ask_each(self._process.close, self._patience)
-        self._client = None
+    def _close_backends(self, client: Any) -> list[str]:
+        """Close the backends; returns what went wrong, each in a line."""
+        problems: list[str] = []
+
+        def close() -> None:
+            # What fails here ends with the processes, or when the connection does.
+            with contextlib.suppress(Exception):
+                answers = client.run(self._process.close, self._run, on_error="ignore")
+                for answer in answers.values():
+                    problems.extend(f"worker {answer.worker}: {text}" for text in answer.remarks)
+                if self._cluster is not None:
+                    client.unregister_worker_plugin(self._run)
+                    client.unregister_scheduler_plugin(f"{self._run}-end")
+
+        # A process in which foreign code has stopped all else answers nothing.
+        closing = threading.Thread(target=close, daemon=True)
+        closing.start()
+        closing.join(self._patience + CLOSING_MARGIN)
+        return problems
