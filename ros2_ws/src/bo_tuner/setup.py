@@ -70,8 +70,9 @@ setup(
         "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
         "pandas": ["pandas>=2.2,<4"],
         "test": ["pytest"],
-        # Several evaluations at once; cryptography is for TLS between a run and its workers.
-        "workers": ["cryptography>=42", "distributed>=2024.8"],
+        # Several evaluations at once, or a time limit for each of a function; cryptography is for TLS
+        # between a run and its workers.
+        "workers": ["cloudpickle>=3", "cryptography>=42", "distributed>=2024.8"],
     },
     keywords=[f"commit-{commit()}"],
     entry_points={

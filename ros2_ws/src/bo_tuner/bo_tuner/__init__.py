@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from bo_tuner.api.study import Study
     from bo_tuner.api.tuner import Run, Tuner
     from bo_tuner.errors import (
+        BackendError,
         BoTunerError,
         Failed,
+        FunctionError,
         JournalError,
         MetricsError,
         MissingPackageError,
@@ -43,8 +45,9 @@ _WHERE = {
     "api.study": ["Study"],
     "api.tuner": ["Run", "Tuner"],
     "errors": [
-        "BoTunerError", "Failed", "JournalError", "MetricsError", "MissingPackageError",
-        "OutputError", "RunError", "RunRecordError", "StudyError", "UnknownRunError", "WindowFull",
+        "BackendError", "BoTunerError", "Failed", "FunctionError", "JournalError", "MetricsError",
+        "MissingPackageError", "OutputError", "RunError", "RunRecordError", "StudyError",
+        "UnknownRunError", "WindowFull",
     ],
     "study.budget": ["Budget", "CertificateRequirement"],
     "study.distributions": ["Beta", "Discrete", "Triangular", "TruncatedNormal", "Uniform"],
@@ -53,9 +56,9 @@ _WHERE = {
 _MODULES = {name: f"{__name__}.{module}" for module, names in _WHERE.items() for name in names}
 
 __all__ = [
-    "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance", "Choice",
-    "Discrete", "Double", "Failed", "Integer", "JournalError", "MetricsError",
-    "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
+    "BackendError", "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance",
+    "Choice", "Discrete", "Double", "Failed", "FunctionError", "Integer", "JournalError",
+    "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
     "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal", "Tuner", "Uniform",
     "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
 ]  # fmt: skip

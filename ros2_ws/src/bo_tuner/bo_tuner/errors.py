@@ -120,6 +120,10 @@ class MetricsError(BoTunerError, ValueError):
     """What a function has returned, or was told of a run, is not a number for each metric."""
 
 
+class FunctionError(BoTunerError, TypeError):
+    """A function that cannot be called in another process."""
+
+
 class WindowFull(BoTunerError, RuntimeError):  # noqa: N818
     """Nothing more can be asked for until the result of a run that was asked for is told."""
 

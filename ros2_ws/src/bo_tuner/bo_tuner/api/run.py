@@ -28,6 +28,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import trials_are_over
+from bo_tuner.tuning.observer import NOBODY, Observers, RunObserver
 from bo_tuner.tuning.summary import Conclusion, continued, summarize
 
 NOTHING = JournalContent((), (), (), "")
@@ -50,6 +51,8 @@ class OpenRun:
         Of the run. The folder is made if need be.
     temporary
         Keeps a temporary folder; None for a folder of the user's.
+    display
+        Shows the run.
 
     Attributes
     ----------
@@ -58,7 +61,7 @@ class OpenRun:
     on_record
         Evaluations on record that are not of these.
     observers
-        Is told of each evaluation.
+        Are told of each step.
 
     Raises
     ------
@@ -67,7 +70,13 @@ class OpenRun:
     """
 
     def __init__(
-        self, study: Study, path: Path, algorithm: str, window: int, temporary: object = None
+        self,
+        study: Study,
+        path: Path,
+        algorithm: str,
+        window: int,
+        temporary: object = None,
+        display: RunObserver = NOBODY,
     ) -> None:
         self.study = study
         self.path = path.absolute()
@@ -75,6 +84,7 @@ class OpenRun:
         self.window = window
         self.temporary = temporary
         self.closed = False
+        self._display = display
         self._advisor = StopAdvisor(study, self.method)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -102,7 +112,10 @@ class OpenRun:
             folder.write_study(study)
             if not trials_are_over(study, earlier.trials, None):
                 withdraw_result(self.path)
-            self.observers = JournalObserver(self._journal, folder.check)
+            # What is on record first.
+            self.observers = Observers()
+            self.observers.add(JournalObserver(self._journal, folder.check))
+            self.observers.add(display)
             self._folder = folder
             self._open = stack.pop_all()
 
@@ -130,8 +143,12 @@ class OpenRun:
     def note_trial(self, trials: Sequence[Trial], *, recorded: bool) -> None:
         """Record the last of the trials, unless that is done, and look for advice to stop."""
         self._advisor.consider([trial.unchecked for trial in trials])
-        if not recorded:
-            self.observers.trial(trials[-1], None)
+        if recorded:
+            self.observers.recall(trials[-1:], None)
+            return
+        shown = self._display is not NOBODY
+        best = self.method.incumbent(self.study, trials) if shown else None
+        self.observers.trial(trials[-1], best)
 
     def finish(self, conclusion: Conclusion | None) -> None:
         """Write what the run has led to, and close it."""

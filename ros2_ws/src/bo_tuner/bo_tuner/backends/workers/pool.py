@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, MetricsError
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 EXTRA = "several workers need the packages of the extra: pip install 'bo_tuner[workers]'"
@@ -130,6 +130,8 @@ class WorkerPool:
         ------
         BackendError
             If a worker that had to be started anew cannot be, or the workers are gone.
+        MetricsError
+            If a function returns something else than a number for each metric.
         """
         if self._client is None:
             raise BackendError("the backend is not open")
@@ -182,6 +184,8 @@ class WorkerPool:
         answer: Answer = future.result()
         if answer.evaluation is None:
             self._interrupted()
+            if answer.returned:
+                raise MetricsError(answer.problem)
             raise BackendError(f"worker {answer.worker}: {answer.problem}")
         return answer.evaluation
 

@@ -15,7 +15,7 @@ from distributed import Worker, WorkerPlugin, get_worker
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
-from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.errors import BackendError, BoTunerError, MetricsError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import Evaluation
 
@@ -103,8 +103,8 @@ def _answered(act: Callable[[OwnBackend], Answer]) -> Answer:
         return act(own)
     except Interrupted:
         return Answer(own.number, problem="interrupted")
-    except (BackendError, StudyError) as error:
-        return Answer(own.number, problem=str(error))
+    except BoTunerError as error:
+        return Answer(own.number, problem=str(error), returned=isinstance(error, MetricsError))
     except Exception as error:
         return Answer(own.number, problem=f"{type(error).__name__}: {error}")
 
