@@ -9,10 +9,10 @@ import bo_tuner as bt
 
 PUBLIC = {
     "BackendError", "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance",
-    "Choice", "Discrete", "Double", "Failed", "FunctionError", "Integer", "JournalError",
-    "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
-    "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal", "Tuner", "Uniform",
-    "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
+    "Choice", "Discrete", "Double", "EarlierRun", "Failed", "FunctionError", "Integer",
+    "JournalError", "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result",
+    "Run", "RunError", "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal",
+    "Tuner", "Uniform", "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
 }  # fmt: skip
 OF = {
     "Study": {"defaults", "from_yaml", "name", "optimize", "to_yaml", "tuner"},

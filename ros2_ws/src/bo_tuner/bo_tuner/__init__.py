@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from bo_tuner.api.certifying import certify
+    from bo_tuner.api.earlier import EarlierRun
     from bo_tuner.api.entries import Boolean, Chance, Choice, Double, Integer, WorstCase
     from bo_tuner.api.result import Result, load
     from bo_tuner.api.study import Study
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "api.certifying": ["certify"],
+    "api.earlier": ["EarlierRun"],
     "api.entries": ["Boolean", "Chance", "Choice", "Double", "Integer", "WorstCase"],
     "api.result": ["Result", "load"],
     "api.study": ["Study"],
@@ -57,10 +59,10 @@ _MODULES = {name: f"{__name__}.{module}" for module, names in _WHERE.items() for
 
 __all__ = [
     "BackendError", "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance",
-    "Choice", "Discrete", "Double", "Failed", "FunctionError", "Integer", "JournalError",
-    "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
-    "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal", "Tuner", "Uniform",
-    "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
+    "Choice", "Discrete", "Double", "EarlierRun", "Failed", "FunctionError", "Integer",
+    "JournalError", "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result",
+    "Run", "RunError", "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal",
+    "Tuner", "Uniform", "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
 ]  # fmt: skip
 
 

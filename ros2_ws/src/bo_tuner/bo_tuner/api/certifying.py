@@ -19,13 +19,10 @@ from bo_tuner.evidence.certificate.making import make_certificate, write_certifi
 from bo_tuner.evidence.certificate.store import draws_of
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
-from bo_tuner.methods.registry import DEFAULT_METHOD
 from bo_tuner.numerics.sequential import spent
-from bo_tuner.storage.provenance import session_provenance
-from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.record import RunRecord, record_of_study
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
-from bo_tuner.study import study as checked
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.trials import TUNED, Trial, TrialState, Value
 from bo_tuner.tuning.driver import Driver
@@ -95,7 +92,7 @@ def certify(
             except OSError as error:
                 raise OutputError(f"{folder}: cannot write there: {error.strerror}") from error
         trial = Trial(0, values, "given", TrialState.COMPLETE)
-        record = _without_run(inner, path)
+        record = record_of_study(inner, path, FUNCTION)
         return certify_trial(
             record,
             trial,
@@ -166,23 +163,3 @@ def _progress() -> Iterator[RunObserver]:
 
     with CertificateProgress(plain_console(stderr=True)) as display:
         yield display
-
-
-def _without_run(study: checked.Study, path: Path) -> RunRecord:
-    """Return the record of a study of which nothing was run."""
-    return RunRecord(
-        path=path,
-        study=study,
-        algorithm=DEFAULT_METHOD,
-        backend=FUNCTION,
-        stop_early=False,
-        attached=False,
-        namespace="",
-        record_policy="",
-        record_limit=None,
-        provenance=session_provenance(study, FUNCTION, DEFAULT_METHOD),
-        trials=(),
-        evaluations=(),
-        summary=None,
-        damage="",
-    )

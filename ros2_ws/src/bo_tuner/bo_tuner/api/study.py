@@ -1,10 +1,11 @@
 """A study as a Python object, and what can be done with it."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from bo_tuner.api.earlier import EarlierRun
 from bo_tuner.api.entries import plain
 from bo_tuner.api.result import Result
 from bo_tuner.api.run import TemporaryFolder
@@ -135,6 +136,7 @@ class Study:
         window: int | None = None,
         timeout: float | None = None,
         progress: bool = True,
+        earlier: Iterable[EarlierRun] = (),
     ) -> Result:
         """Tune a function, from its first trial to the validation of the result.
 
@@ -159,6 +161,9 @@ class Study:
             is ended, and is a failed run.
         progress
             Whether a line for each trial goes to standard error, on a terminal with a bar.
+        earlier
+            Runs that were made before, by whatever, which the run begins with. Those of one
+            parameter set are a trial, and the budget counts them; a run that is continued has them.
 
         Returns
         -------
@@ -184,18 +189,25 @@ class Study:
             display = NOBODY
             if progress:
                 display = stack.enter_context(_progress(self._study, folder))
-            tuner = self._opened(folder, algorithm, window, by_backend=True, display=display)
+            tuner = self._opened(
+                folder, algorithm, window, by_backend=True, display=display, earlier=earlier
+            )
             stack.enter_context(tuner).carry_out(backend)
             return tuner.result()
 
     def tuner(
-        self, folder: str | Path | None = None, *, algorithm: str | None = None, window: int = 1
+        self,
+        folder: str | Path | None = None,
+        *,
+        algorithm: str | None = None,
+        window: int = 1,
+        earlier: Iterable[EarlierRun] = (),
     ) -> Tuner:
         """Begin or continue a run whose evaluations are asked for and told.
 
         Parameters
         ----------
-        folder, algorithm
+        folder, algorithm, earlier
             As in `optimize`.
         window
             How many trials are planned at once: with more than one, several runs can be asked for
@@ -211,7 +223,7 @@ class Study:
         JournalError
             If the record cannot be read or written.
         """
-        return self._opened(folder, algorithm, window)
+        return self._opened(folder, algorithm, window, earlier=earlier)
 
     def _opened(
         self,
@@ -221,6 +233,7 @@ class Study:
         *,
         by_backend: bool = False,
         display: RunObserver = NOBODY,
+        earlier: Iterable[EarlierRun] = (),
     ) -> Tuner:
         """Begin or continue a run, in a temporary folder if none is given; as `opened`."""
         temporary = None
@@ -235,6 +248,7 @@ class Study:
             by_backend=by_backend,
             temporary=temporary,
             display=display,
+            earlier=earlier,
         )
 
 

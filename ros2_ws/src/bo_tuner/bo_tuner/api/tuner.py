@@ -2,13 +2,14 @@
 
 import contextlib
 import time
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
+from bo_tuner.api.earlier import EarlierRun
 from bo_tuner.api.result import Result, load
 from bo_tuner.api.run import OpenRun
 from bo_tuner.backends.function import Returned, failed
@@ -334,12 +335,13 @@ def opened(
     by_backend: bool = False,
     temporary: object = None,
     display: RunObserver = NOBODY,
+    earlier: Iterable[EarlierRun] = (),
 ) -> Tuner:
     """Begin a run in a folder, or continue the one that is there; raises as `Study.tuner`.
 
     Parameters
     ----------
-    study, path, algorithm, window, temporary, display
+    study, path, algorithm, window, temporary, display, earlier
         As of `OpenRun`.
     by_backend
         Whether a backend runs the evaluations; it runs the default beside them where limits are
@@ -357,7 +359,7 @@ def opened(
         raise StudyError(
             f"expected 1, since limits are relative to the default, found {window}", ("window",)
         )
-    return Tuner(OpenRun(study, path, name, window, temporary, display))
+    return Tuner(OpenRun(study, path, name, window, temporary, display, earlier))
 
 
 def _recorded(study: Study, path: Path, algorithm: str | None) -> RunRecord | None:
