@@ -29,5 +29,7 @@ class Tank(Fmi2Slave):
         if possible == wanted:
             self.integral += self.ki * error * step_size
         self.flow += step_size * (possible - self.flow) / 3.0
-        self.level += step_size * (self.flow - self.outflow * max(self.level, 0.0) ** 0.5) / self.area
+        self.level += (
+            step_size * (self.flow - self.outflow * max(self.level, 0.0) ** 0.5) / self.area
+        )
         return True

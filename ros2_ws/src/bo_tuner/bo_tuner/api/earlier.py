@@ -88,7 +88,7 @@ def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Ca
 
 def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
     returned = Returned(study)
-    found: dict[ParameterSet, list[Evaluation]] = {}
+    by_set: dict[ParameterSet, list[Evaluation]] = {}
     for index, run in enumerate(runs):
         try:
             values = {**study.search_space().defaults, **_known(run.parameters, study.parameters)}
@@ -98,13 +98,13 @@ def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
             raise error.under(EARLIER, index) from None
         except MetricsError as error:
             raise MetricsError(f"{EARLIER}[{index}]: {error}") from None
-        of_set = found.setdefault(parameter_set(values), [])
+        of_set = by_set.setdefault(parameter_set(values), [])
         stage = Stage.SEARCH if study.contexts else Stage.DRAWN
-        planned = Evaluation(len(found) - 1, len(of_set), stage, values, context, index)
+        planned = Evaluation(len(by_set) - 1, len(of_set), stage, values, context, index)
         of_set.append(replace(planned, outcome=outcome))
-    if not found:
+    if not by_set:
         raise StudyError("expected at least one run", (EARLIER,))
-    return [_trial(number, evaluations) for number, evaluations in enumerate(found.values())]
+    return [_trial(number, evaluations) for number, evaluations in enumerate(by_set.values())]
 
 
 def _trial(number: int, evaluations: list[Evaluation]) -> Trial:

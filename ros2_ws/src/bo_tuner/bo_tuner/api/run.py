@@ -64,7 +64,7 @@ class OpenRun:
     on_record
         Evaluations on record that are not of these.
     observers
-        Are told of each step.
+        Are notified of each step.
 
     Raises
     ------

@@ -30,8 +30,8 @@ class BoTunerSampler(BaseSampler):
 
     The objective suggests parameters and context variables by their names in the study, in any
     order. It returns the metric to be minimized (several: with `further_objectives`), and sets each
-    other metric by ``trial.set_user_attr(name, value)``. `run` has the seed of the noise. A run that
-    fails for its parameters raises ``optuna.TrialPruned``. A trial that fails otherwise, or is
+    other metric by ``trial.set_user_attr(name, value)``. `run` has the seed of the noise. A run
+    that fails for its parameters raises ``optuna.TrialPruned``. A trial that fails otherwise, or is
     interrupted, tells nothing of them, as in Optuna: its run is made again by the next one.
 
     The Optuna study ends with the run. Its best trial is the luckiest single run; what is to be set
@@ -206,6 +206,6 @@ def earlier_runs(study: Study, optuna_study: OptunaStudy) -> list[EarlierRun]:
 def _metrics(study: Study, trial: FrozenTrial, values: Sequence[float]) -> dict[str, float]:
     """Return the metrics of a trial: what it returned, and its attributes of their names."""
     inner = study.checked
-    found = dict(zip((o.metric for o in inner.objectives), values, strict=False))
-    found |= trial.user_attrs
-    return {name: found[name] for name in returned_metrics(inner) if name in found}
+    reported = dict(zip((o.metric for o in inner.objectives), values, strict=False))
+    reported |= trial.user_attrs
+    return {name: reported[name] for name in returned_metrics(inner) if name in reported}

@@ -15,7 +15,7 @@ class PythonProcess:
     folder
         Where it works, and where modules are looked for last; empty for the present one.
     interrupted
-        Asked while waiting; raises what shall end the wait, and with it the process.
+        Called while waiting; what it raises ends the wait, and with it the process.
     """
 
     def __init__(self, folder: str, interrupted: Callable[[], None]) -> None:
@@ -32,14 +32,14 @@ class PythonProcess:
         return self._ask(path, None, None)[1]
 
     def compute(self, path: str, signals: Signals, timeout: float | None) -> float:
-        """Return what a function makes of signals.
+        """Return the value that a function computes from signals.
 
         Parameters
         ----------
         path
             The function.
         signals
-            What it is given.
+            Its argument.
         timeout
             Longest time [s] that it may take; None for any.
 

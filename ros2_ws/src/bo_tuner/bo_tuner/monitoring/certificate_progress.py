@@ -49,15 +49,15 @@ class CertificateProgress(RunObserver):
         self._progress.add_task(phase, total=total)
         if self._progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._tell(f"{phase}: {most}")
+            self._print(f"{phase}: {most}")
 
     def advance(self) -> None:
         """Count a step."""
         for task in self._progress.tasks:
             self._progress.advance(task.id)
             if self._progress.disable and self._lines.due:
-                self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+                self._print(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
 
-    def _tell(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
-        self._lines.told()
+        self._lines.printed()
