@@ -4,7 +4,7 @@ from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 
 class Tank(Fmi2Slave):
-    """Fills to 1 m; the pump gives up to 0.3 m^3/s, and follows with a lag of 3 s."""
+    """Fills to 1 m; the pump gives up to 0.3 m^3/s, and follows with a lag of 2 s."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -28,7 +28,7 @@ class Tank(Fmi2Slave):
         possible = min(max(wanted, 0.0), 0.3)
         if possible == wanted:
             self.integral += self.ki * error * step_size
-        self.flow += step_size * (possible - self.flow) / 3.0
+        self.flow += step_size * (possible - self.flow) / 2.0
         self.level += (
             step_size * (self.flow - self.outflow * max(self.level, 0.0) ** 0.5) / self.area
         )

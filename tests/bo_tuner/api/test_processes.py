@@ -32,7 +32,11 @@ def outcomes(folder):
 
 
 class TestWorkers:
-    @pytest.mark.parametrize("constraints", [None, RELATIVE], ids=["absolute", "relative"])
+    @pytest.mark.parametrize(
+        "constraints",
+        [None, pytest.param(RELATIVE, marks=pytest.mark.slow)],
+        ids=["absolute", "relative"],
+    )
     def test_the_result_depends_on_the_window_and_not_on_them(
         self, make_function_study, function, tmp_path, constraints
     ):
@@ -124,6 +128,7 @@ class TestTimeout:
         certificate = bt.certify(hangs, study, {"gain": 0.6}, draws=10, timeout=0.5)
         assert not certificate.passed
 
+    @pytest.mark.slow
     def test_by_workers_as_well(self, make_function_study, tmp_path):
         def hangs(parameters, context, seed):
             if parameters["gain"] > 0.45:
