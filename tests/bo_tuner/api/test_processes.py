@@ -91,6 +91,20 @@ class TestWorkers:
             with pytest.raises(bt.StudyError, match="workers: expected"):
                 bt.certify(function, study, workers=workers)
 
+    def test_a_script_that_each_of_them_would_run_again(self, make_function_study, tmp_path):
+        (tmp_path / "study.yaml").write_text(make_function_study().to_yaml(), encoding="utf-8")
+        script = tmp_path / "script.py"
+        script.write_text(
+            "import sys\nimport bo_tuner as bt\n"
+            "bt.Study.from_yaml(sys.argv[1]).optimize(lambda *_: {}, workers=2)\n",
+            encoding="utf-8",
+        )
+        command = [sys.executable, script, tmp_path / "study.yaml"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 1
+        last = done.stderr.splitlines()[-1]
+        assert f"each worker imports {script}, and would run all of it again; put the call" in last
+
     def test_without_their_packages(self, make_function_study, function, monkeypatch):
         study = make_function_study()
         monkeypatch.setitem(sys.modules, "distributed", None)

@@ -1,13 +1,15 @@
 """A function that is called in other processes: one after the other, or several at once."""
 
+import sys
 from functools import partial
+from pathlib import Path
 from typing import cast
 
 from bo_tuner.asked_process import AskedProcess, NoAnswerError
 from bo_tuner.backends.function import Function, FunctionBackend, failed
 from bo_tuner.backends.protocol import Backend, SequentialBackend
 from bo_tuner.backends.workers.pool import BREAKING_OFF, WorkerPool
-from bo_tuner.errors import FunctionError, MetricsError, MissingPackageError
+from bo_tuner.errors import BackendError, FunctionError, MetricsError, MissingPackageError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION, returned_metrics
 from bo_tuner.study.named_code import told
@@ -51,6 +53,8 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
         If the function is to be called in another process, and cannot be passed there.
     MissingPackageError
         If the package that passes it is not installed.
+    BackendError
+        If workers, which import the script that runs, would run all of it again.
     StudyError
         If the study has metrics that no function returns, or the timeout is no time.
     """
@@ -62,8 +66,23 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
     passed = _pickled(function)
     if workers == 1:
         return FunctionProcess(study, passed, timeout)
+    _check_script()
     make = partial(_of_worker, study, passed, timeout)
     return WorkerPool(FUNCTION, workers, make, patience=BREAKING_OFF)
+
+
+def _check_script() -> None:
+    """Refuse a script that runs as a whole when it is imported, as a new process does."""
+    path = getattr(sys.modules["__main__"], "__file__", None)
+    try:
+        text = "" if path is None else Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return
+    if text and "__name__" not in text:
+        raise BackendError(
+            f"each worker imports {path}, and would run all of it again; put the call below "
+            'if __name__ == "__main__":'
+        )
 
 
 def _pickled(function: Function) -> bytes:
