@@ -33,6 +33,7 @@ SECTIONS = {
     "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
     "parameter_effects": ("What a parameter moves", answers.effects),
     "suggestion_time": ("Time of a proposal", cost.suggestion),
+    "library": ("From Python", cost.library),
     "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),
     "recording": ("Cost of recording", cost.recording),
     "unchanged_system": ("A system that knows nothing of the tuner", cost.unchanged),

@@ -1,6 +1,7 @@
 """The documents as a site, by Sphinx: `make site`. Its pages ask for nothing from elsewhere."""
 
 import re
+import shutil
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -8,12 +9,18 @@ from sphinx.errors import ExtensionError
 
 project = "bo_tuner"
 html_title = "Robust tuning of ROS 2 controllers"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 root_doc = "README"
 exclude_patterns = ["records", "figures"]
 html_theme = "furo"
 html_copy_source = False
 html_show_sphinx = False
+# The notebooks are stored without what they put out.
+nb_execution_mode = "force"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_ipywidgets_js = {}
 myst_enable_extensions = ["attrs_inline"]
 # As GitHub makes them: the links in the documents are to these.
 myst_heading_anchors = 4
@@ -33,6 +40,10 @@ CONTENTS = {
         "live", "deploy", "guard", "procedure", "systems", "workers", "cluster", "python",
         "campaigns", "security", "troubleshooting",
     ],
+    "Notebooks": [
+        "notebooks/pid", "notebooks/worst_case", "notebooks/mpc_weights",
+        "notebooks/gymnasium_task", "notebooks/reading_a_run",
+    ],
     "Reference": ["commands", "study_file", "glossary", "interfaces", "python_reference"],
     "Explanation": [
         "method", "certificate", "architecture", "examples", "results", "performance",
@@ -40,7 +51,15 @@ CONTENTS = {
 }  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
+NOTEBOOKS = ROOT / "examples" / "notebooks"
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((\.\./[^)\s]+)\)")
+
+
+def _copy_notebooks(app: Sphinx) -> None:
+    """Have the notebooks among the documents: Sphinx looks nowhere else."""
+    folder = Path(app.srcdir) / "notebooks"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(NOTEBOOKS, folder, ignore=shutil.ignore_patterns(".*"))
 
 
 def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
@@ -49,6 +68,8 @@ def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
     def named(match: re.Match[str]) -> str:
         text, target = match.groups()
         path = target.removeprefix("../").split("#")[0]
+        if (ROOT / path).parent == NOTEBOOKS:
+            return f"[{text}](notebooks/{Path(path).name})"
         if not (ROOT / path).exists():
             raise ExtensionError(f"{document}: links to {target}, which is not there")
         return text if path in text else f"{text} (`{path}`)"
@@ -62,4 +83,5 @@ def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
 
 def setup(app: Sphinx) -> None:
     """Register what differs between the documents and the pages."""
+    app.connect("builder-inited", _copy_notebooks)
     app.connect("source-read", _name_files)

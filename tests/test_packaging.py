@@ -54,7 +54,7 @@ PIP_PACKAGES = {
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}
 # Parts of Python, or of extras: imported only when they are asked for.
 NOT_DECLARED = {
-    *sys.stdlib_module_names, "setuptools", "distributed",
+    *sys.stdlib_module_names, "setuptools", "cloudpickle", "distributed",
     "ConfigSpace", "botorch", "cma", "cobyqa", "gpytorch", "greenlet", "optuna", "pandas", "smac",
     "torch",
 }  # fmt: skip

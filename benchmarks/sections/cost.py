@@ -60,6 +60,24 @@ def _ratio(summary: Result, base: str) -> str:
     return f"{median:.2f} ({low:.2f} … {high:.2f})"
 
 
+def library(result: Result) -> list[str]:
+    """Lines, import and overhead of the interface from Python."""
+    overhead = {name: statistics.median(v) for name, v in result["overhead"].items()}
+    return [
+        f"The smallest program that tunes a function within a limit, and certifies the result, has "
+        f"{result['lines']} lines. Beyond NumPy, `import bo_tuner` takes "
+        f"{statistics.median(result['import']['bo_tuner']):.2f} s, and all of its names "
+        f"{statistics.median(result['import']['names']):.2f} s.",
+        f"Of a function that takes 1 ms, with {result['calls']} calls, one thread:",
+        markdown(
+            ["", "time of the processor for a call, beyond the function's [ms]"],
+            [[name, f"{1e3 * seconds:.1f}"] for name, seconds in overhead.items()],
+        ),
+        "That of Optuna is ask and tell with its default sampler, which models one value over the "
+        "parameters, and keeps its trials in memory.",
+    ]
+
+
 def closed_loop(result: Result) -> list[str]:
     """Cost of a cut over that of its parts."""
     rows = [

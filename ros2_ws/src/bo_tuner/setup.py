@@ -68,10 +68,17 @@ setup(
     extras_require={
         "jazzy": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "kilted": ["ros-kilted-rclpy[fastrtps]", "ros-kilted-common-interfaces"],
+        "optuna": ["optuna>=4,<6"],
+        # With which examples of docs/python.md work.
+        "casadi": ["casadi>=3.6,<4"],
+        "control": ["control>=0.10,<0.12"],
+        "fmu": ["fmpy>=0.3.20,<0.4"],
+        "mujoco": ["gymnasium[mujoco]>=1,<2"],
         "pandas": ["pandas>=2.2,<4"],
         "test": ["pytest"],
-        # Several evaluations at once; cryptography is for TLS between a run and its workers.
-        "workers": ["cryptography>=42", "distributed>=2024.8"],
+        # Several evaluations at once, and functions with a time limit; cryptography is for TLS
+        # between a run and its workers.
+        "workers": ["cloudpickle>=3", "cryptography>=42", "distributed>=2024.8"],
     },
     keywords=[f"commit-{commit()}"],
     entry_points={

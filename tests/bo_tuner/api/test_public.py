@@ -8,11 +8,11 @@ import pytest
 import bo_tuner as bt
 
 PUBLIC = {
-    "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance", "Choice",
-    "Discrete", "Double", "Failed", "Integer", "JournalError", "MetricsError",
-    "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
-    "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal", "Tuner", "Uniform",
-    "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
+    "BackendError", "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance",
+    "Choice", "Discrete", "Double", "EarlierRun", "Failed", "FunctionError", "Integer",
+    "JournalError", "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result",
+    "Run", "RunError", "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal",
+    "Tuner", "Uniform", "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
 }  # fmt: skip
 OF = {
     "Study": {"defaults", "from_yaml", "name", "optimize", "to_yaml", "tuner"},
@@ -68,3 +68,4 @@ def test_neither_ros_nor_plots_are_loaded_until_they_are_needed():
     loaded = set(done.stdout.split())
     assert "bo_tuner" in loaded
     assert not loaded & {"rclpy", "std_msgs", "matplotlib", "plotly", "sklearn", "pandas"}
+    assert not loaded & {"cloudpickle", "distributed"}

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from bo_tuner.api.certifying import certify
+    from bo_tuner.api.earlier import EarlierRun
     from bo_tuner.api.entries import Boolean, Chance, Choice, Double, Integer, WorstCase
     from bo_tuner.api.result import Result, load
     from bo_tuner.api.study import Study
     from bo_tuner.api.tuner import Run, Tuner
     from bo_tuner.errors import (
+        BackendError,
         BoTunerError,
         Failed,
+        FunctionError,
         JournalError,
         MetricsError,
         MissingPackageError,
@@ -38,13 +41,15 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "api.certifying": ["certify"],
+    "api.earlier": ["EarlierRun"],
     "api.entries": ["Boolean", "Chance", "Choice", "Double", "Integer", "WorstCase"],
     "api.result": ["Result", "load"],
     "api.study": ["Study"],
     "api.tuner": ["Run", "Tuner"],
     "errors": [
-        "BoTunerError", "Failed", "JournalError", "MetricsError", "MissingPackageError",
-        "OutputError", "RunError", "RunRecordError", "StudyError", "UnknownRunError", "WindowFull",
+        "BackendError", "BoTunerError", "Failed", "FunctionError", "JournalError", "MetricsError",
+        "MissingPackageError", "OutputError", "RunError", "RunRecordError", "StudyError",
+        "UnknownRunError", "WindowFull",
     ],
     "study.budget": ["Budget", "CertificateRequirement"],
     "study.distributions": ["Beta", "Discrete", "Triangular", "TruncatedNormal", "Uniform"],
@@ -53,11 +58,11 @@ _WHERE = {
 _MODULES = {name: f"{__name__}.{module}" for module, names in _WHERE.items() for name in names}
 
 __all__ = [
-    "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance", "Choice",
-    "Discrete", "Double", "Failed", "Integer", "JournalError", "MetricsError",
-    "MissingPackageError", "Objective", "OutputError", "Result", "Run", "RunError",
-    "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal", "Tuner", "Uniform",
-    "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
+    "BackendError", "Beta", "BoTunerError", "Boolean", "Budget", "CertificateRequirement", "Chance",
+    "Choice", "Discrete", "Double", "EarlierRun", "Failed", "FunctionError", "Integer",
+    "JournalError", "MetricsError", "MissingPackageError", "Objective", "OutputError", "Result",
+    "Run", "RunError", "RunRecordError", "Study", "StudyError", "Triangular", "TruncatedNormal",
+    "Tuner", "Uniform", "UnknownRunError", "WindowFull", "WorstCase", "certify", "load",
 ]  # fmt: skip
 
 

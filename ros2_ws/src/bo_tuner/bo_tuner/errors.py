@@ -120,6 +120,10 @@ class MetricsError(BoTunerError, ValueError):
     """The result of a function or of a run is not a number for each metric."""
 
 
+class FunctionError(BoTunerError, TypeError):
+    """A function that cannot be called in another process."""
+
+
 class WindowFull(BoTunerError, RuntimeError):  # noqa: N818
     """No further run can be asked for until the result of one that was asked for is reported."""
 

@@ -2,13 +2,15 @@
 
 import contextlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.api.study import Study
-from bo_tuner.backends.function import Function, FunctionBackend
+from bo_tuner.backends.function import Function
+from bo_tuner.backends.passed_function import backend_of, workers_of
+from bo_tuner.backends.protocol import opened_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
 from bo_tuner.evidence.certificate.certificate import Certificate
@@ -17,16 +19,14 @@ from bo_tuner.evidence.certificate.making import make_certificate, write_certifi
 from bo_tuner.evidence.certificate.store import draws_of
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
-from bo_tuner.methods.registry import DEFAULT_METHOD
 from bo_tuner.numerics.sequential import spent
-from bo_tuner.storage.provenance import session_provenance
-from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.record import RunRecord, record_of_study
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
-from bo_tuner.study import study as checked
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.trials import TUNED, Trial, TrialState, Value
 from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.observer import Observers, RunObserver
 
 
 def certify(
@@ -37,6 +37,9 @@ def certify(
     folder: str | Path | None = None,
     draws: int | None = None,
     confidence: float | None = None,
+    workers: int | None = None,
+    timeout: float | None = None,
+    progress: bool = True,
 ) -> Certificate:
     """Certify a parameter set by fresh runs of a function, whoever has tuned it.
 
@@ -56,6 +59,10 @@ def certify(
         Largest number of draws; unless given as many as the study requires.
     confidence
         Between 0 and 1, of all certificates in the folder together; unless given that of the study.
+    workers, timeout
+        As in `Study.optimize`.
+    progress
+        Whether standard error has a line for each phase and now and then, on a terminal a bar.
 
     Returns
     -------
@@ -69,6 +76,8 @@ def certify(
         If the values are no parameter set of the study, or the draws cannot show its limits.
     MetricsError
         If the function returns something else than a number for each metric.
+    FunctionError, BackendError, MissingPackageError
+        As in `Study.optimize`.
     OutputError
         If the folder cannot be written to, or another process works in it.
     """
@@ -84,8 +93,17 @@ def certify(
             except OSError as error:
                 raise OutputError(f"{folder}: cannot write there: {error.strerror}") from error
         trial = Trial(0, values, "given", TrialState.COMPLETE)
-        record = _without_run(inner, path)
-        return certify_trial(record, trial, function, draws=draws, confidence=confidence)
+        record = record_of_study(inner, path, FUNCTION)
+        return certify_trial(
+            record,
+            trial,
+            function,
+            draws=draws,
+            confidence=confidence,
+            workers=workers,
+            timeout=timeout,
+            progress=progress,
+        )
 
 
 def certify_trial(
@@ -95,9 +113,15 @@ def certify_trial(
     *,
     draws: int | None,
     confidence: float | None,
+    workers: int | None,
+    timeout: float | None,
+    progress: bool,
 ) -> Certificate:
     """Certify the parameter set of a trial, and write the certificate to the folder of its run."""
-    study, folder = record.study, RunFolder(record.path)
+    study = record.study
+    count = workers_of(study, workers)
+    nodes = backend_of(study, function, count, timeout)
+    folder = RunFolder(record.path)
     with contextlib.closing(folder), threadpool_limits(1):
         level = confidence
         if level is None:
@@ -107,12 +131,16 @@ def certify_trial(
         most = draws_of(study, level, attempt, draws)
         subjects = subjects_of(record, trial, FUNCTION, with_default=False)
         unfinished = Unfinished(record.path, study, trial.parameters, FUNCTION, attempt)
-        with contextlib.closing(unfinished):
-            nodes = FunctionBackend(study, function)
+        with contextlib.closing(unfinished), contextlib.ExitStack() as stack:
+            observers = Observers()
+            observers.add(unfinished)
+            if progress:
+                observers.add(stack.enter_context(_progress()))
             backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
+            stack.enter_context(opened_backend(backend))
             certification = Certification(
                 study,
-                Driver(backend, unfinished),
+                Driver(backend, observers, window=count),
                 confidence=spent(level, attempt, 1),
                 attempt=attempt,
             )
@@ -127,21 +155,12 @@ def certify_trial(
         return made
 
 
-def _without_run(study: checked.Study, path: Path) -> RunRecord:
-    """Return the record of a study of which nothing was run."""
-    return RunRecord(
-        path=path,
-        study=study,
-        algorithm=DEFAULT_METHOD,
-        backend=FUNCTION,
-        stop_early=False,
-        attached=False,
-        namespace="",
-        record_policy="",
-        record_limit=None,
-        provenance=session_provenance(study, FUNCTION, DEFAULT_METHOD),
-        trials=(),
-        evaluations=(),
-        summary=None,
-        damage="",
-    )
+@contextlib.contextmanager
+def _progress() -> Iterator[RunObserver]:
+    """Show a certificate in the making on standard error."""
+    # What draws it takes its time to load.
+    from bo_tuner.monitoring.certificate_progress import CertificateProgress
+    from bo_tuner.monitoring.display import plain_console
+
+    with CertificateProgress(plain_console(stderr=True)) as display:
+        yield display

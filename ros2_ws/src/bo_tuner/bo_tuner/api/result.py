@@ -100,7 +100,14 @@ class Result:
         return _frame(map(evaluation_row, self._record.evaluations), "trial")
 
     def certify(
-        self, function: Function, *, draws: int | None = None, confidence: float | None = None
+        self,
+        function: Function,
+        *,
+        draws: int | None = None,
+        confidence: float | None = None,
+        workers: int | None = None,
+        timeout: float | None = None,
+        progress: bool = True,
     ) -> Certificate:
         """Certify the result by fresh runs of the function; the certificate stays in the folder.
 
@@ -118,7 +125,14 @@ class Result:
         if trial is None:
             raise RunRecordError(f"{self.folder}: has no result to certify")
         certificate = certify_trial(
-            self._record, trial, function, draws=draws, confidence=confidence
+            self._record,
+            trial,
+            function,
+            draws=draws,
+            confidence=confidence,
+            workers=workers,
+            timeout=timeout,
+            progress=progress,
         )
         self._record = with_verdict(self._record)
         return certificate

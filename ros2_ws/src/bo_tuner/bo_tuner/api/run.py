@@ -5,10 +5,11 @@ import shutil
 import tempfile
 import warnings
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bo_tuner.api.earlier import EarlierRun, first_trials
 from bo_tuner.backends.recorded import OnRecord
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -20,7 +21,7 @@ from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
-from bo_tuner.storage.provenance import WINDOW, session_provenance
+from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM, WINDOW, session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, LOCK, STUDY, SUMMARY, RunFolder
 from bo_tuner.study.function_study import FUNCTION
@@ -28,6 +29,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import trials_are_over
+from bo_tuner.tuning.observer import NOBODY, Observers, RunObserver
 from bo_tuner.tuning.summary import Conclusion, continued, summarize
 
 NOTHING = JournalContent((), (), (), "")
@@ -50,6 +52,10 @@ class OpenRun:
         Of the run. The folder is made if need be.
     temporary
         Keeps a temporary folder; None for a folder of the user's.
+    display
+        Shows the run.
+    earlier
+        Runs that it begins with; those of one that is continued are on record.
 
     Attributes
     ----------
@@ -58,7 +64,7 @@ class OpenRun:
     on_record
         Evaluations on record that are not of these.
     observers
-        Is notified of each evaluation.
+        Are notified of each step.
 
     Raises
     ------
@@ -67,7 +73,14 @@ class OpenRun:
     """
 
     def __init__(
-        self, study: Study, path: Path, algorithm: str, window: int, temporary: object = None
+        self,
+        study: Study,
+        path: Path,
+        algorithm: str,
+        window: int,
+        temporary: object = None,
+        display: RunObserver = NOBODY,
+        earlier: Iterable[EarlierRun] = (),
     ) -> None:
         self.study = study
         self.path = path.absolute()
@@ -75,6 +88,7 @@ class OpenRun:
         self.window = window
         self.temporary = temporary
         self.closed = False
+        self._display = display
         self._advisor = StopAdvisor(study, self.method)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -82,27 +96,35 @@ class OpenRun:
             raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(contextlib.closing(RunFolder(self.path)))
-            earlier, damage = NOTHING, ""
+            known, damage, carried = NOTHING, "", None
             if folder.journal.exists():
-                earlier, damage = salvage(folder.journal)
-                earlier = withdraw_lost(folder.journal, earlier)
-            self.on_record = OnRecord(study, earlier.to_give_again)
+                known, damage = salvage(folder.journal)
+                known = withdraw_lost(folder.journal, known)
+            elif first := list(earlier):
+                carried = first_trials(study, self.method, first)
+                known = carried.content
+            self.on_record = OnRecord(study, known.to_give_again)
             self.known = continued(
-                study, self.method, earlier.trials, earlier.evaluations, stop_early=False
+                study, self.method, known.trials, known.evaluations, stop_early=False
             )
             provenance = session_provenance(study, FUNCTION, algorithm) | {WINDOW: str(window)}
             if damage:
                 warnings.warn(f"the record was damaged: {damage}", RuntimeWarning, stacklevel=5)
                 provenance["salvaged"] = damage
+            if carried is not None:
+                provenance |= {CARRIED_FROM: carried.run, CARRIED: carried.text}
             if not folder.journal.exists():
                 # A journal without its study is no run.
                 folder.write_study(study)
-            self._journal = stack.enter_context(Journal(folder.journal, provenance))
+            self._journal = stack.enter_context(Journal(folder.journal, provenance, known.trials))
             # A file of fewer trials is that of an earlier session.
             folder.write_study(study)
-            if not trials_are_over(study, earlier.trials, None):
+            if not trials_are_over(study, known.trials, None):
                 withdraw_result(self.path)
-            self.observers = JournalObserver(self._journal, folder.check)
+            # What is on record first.
+            self.observers = Observers()
+            self.observers.add(JournalObserver(self._journal, folder.check))
+            self.observers.add(display)
             self._folder = folder
             self._open = stack.pop_all()
 
@@ -130,8 +152,12 @@ class OpenRun:
     def note_trial(self, trials: Sequence[Trial], *, recorded: bool) -> None:
         """Record the last of the trials, unless that is done, and look for advice to stop."""
         self._advisor.consider([trial.unchecked for trial in trials])
-        if not recorded:
-            self.observers.trial(trials[-1], None)
+        if recorded:
+            self.observers.recall(trials[-1:], None)
+            return
+        shown = self._display is not NOBODY
+        best = self.method.incumbent(self.study, trials) if shown else None
+        self.observers.trial(trials[-1], best)
 
     def finish(self, conclusion: Conclusion | None) -> None:
         """Write what the run has led to, and close it."""

@@ -1,21 +1,24 @@
 """A study as a Python object, and what can be done with it."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from bo_tuner.api.earlier import EarlierRun
 from bo_tuner.api.entries import plain
 from bo_tuner.api.result import Result
 from bo_tuner.api.run import TemporaryFolder
 from bo_tuner.api.tuner import Tuner, opened
-from bo_tuner.backends.function import Function, FunctionBackend
+from bo_tuner.backends.function import Function
+from bo_tuner.backends.passed_function import backend_of, workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study import study as checked
-from bo_tuner.study.function_study import returned_metrics, with_function
+from bo_tuner.study.function_study import FUNCTION, returned_metrics, with_function
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import Value
+from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
 class Study:
@@ -129,6 +132,11 @@ class Study:
         folder: str | Path | None = None,
         *,
         algorithm: str | None = None,
+        workers: int | None = None,
+        window: int | None = None,
+        timeout: float | None = None,
+        progress: bool = True,
+        earlier: Iterable[EarlierRun] = (),
     ) -> Result:
         """Tune a function, from its first trial to the validation of the result.
 
@@ -142,6 +150,20 @@ class Study:
             Of the run; one that exists is continued. Without it, nothing is kept beyond the result.
         algorithm
             As ``--algorithm`` of ``tune``; unless given that of the run, or the default.
+        workers
+            Number of runs at once, each in a process of its own, to which the function is passed by
+            pickle; unless given ``budget.workers`` of the study, or 1.
+        window
+            How many trials are planned at once; the result depends on it and not on the workers.
+            Unless given that of the run, or as many as there are workers.
+        timeout
+            Longest time [s] of a run, which is then in a process of its own; one that takes longer
+            is ended, and is a failed run.
+        progress
+            Whether a line for each trial goes to standard error, on a terminal with a bar.
+        earlier
+            Runs that were made before, by whatever, which the run begins with. Those of one
+            parameter set are a trial, and the budget counts them; a run that is continued has them.
 
         Returns
         -------
@@ -152,23 +174,40 @@ class Study:
         ------
         MetricsError
             If the function returns something else than a number for each metric.
+        FunctionError
+            If it is to run in another process, and cannot be passed there.
+        BackendError, MissingPackageError
+            If the workers cannot be started, or packages for them are not installed.
         RunRecordError, OutputError, JournalError
             As `tuner`.
         """
-        backend = FunctionBackend(self._study, function)
-        with self.tuner(folder, algorithm=algorithm) as tuner:
-            while (run := tuner.ask()) is not None:
-                tuner.tell_outcome(run, backend.outcome(run.evaluation))
+        count = workers_of(self._study, workers)
+        backend = backend_of(self._study, function, count, timeout)
+        if window is None:
+            window = count
+        with contextlib.ExitStack() as stack:
+            display = NOBODY
+            if progress:
+                display = stack.enter_context(_progress(self._study, folder))
+            tuner = self._opened(
+                folder, algorithm, window, by_backend=True, display=display, earlier=earlier
+            )
+            stack.enter_context(tuner).carry_out(backend)
             return tuner.result()
 
     def tuner(
-        self, folder: str | Path | None = None, *, algorithm: str | None = None, window: int = 1
+        self,
+        folder: str | Path | None = None,
+        *,
+        algorithm: str | None = None,
+        window: int = 1,
+        earlier: Iterable[EarlierRun] = (),
     ) -> Tuner:
         """Begin or continue a run whose evaluations are asked for and told.
 
         Parameters
         ----------
-        folder, algorithm
+        folder, algorithm, earlier
             As in `optimize`.
         window
             How many trials are planned at once: with more than one, several runs can be asked for
@@ -184,10 +223,33 @@ class Study:
         JournalError
             If the record cannot be read or written.
         """
+        return self._opened(folder, algorithm, window, earlier=earlier)
+
+    def _opened(
+        self,
+        folder: str | Path | None,
+        algorithm: str | None,
+        window: int,
+        *,
+        by_backend: bool = False,
+        display: RunObserver = NOBODY,
+        earlier: Iterable[EarlierRun] = (),
+    ) -> Tuner:
+        """Begin or continue a run, in a temporary folder if none is given; as `opened`."""
+        temporary = None
         if folder is None:
             temporary = TemporaryFolder()
-            return opened(self._study, temporary.path / self.name, algorithm, window, temporary)
-        return opened(self._study, Path(folder), algorithm, window)
+            folder = temporary.path / self.name
+        return opened(
+            self._study,
+            Path(folder),
+            algorithm,
+            window,
+            by_backend=by_backend,
+            temporary=temporary,
+            display=display,
+            earlier=earlier,
+        )
 
 
 def _by_name(metrics: object) -> Mapping[str, object]:
@@ -201,6 +263,19 @@ def _by_name(metrics: object) -> Mapping[str, object]:
             ("metrics",),
         )
     return {name: {} for name in names}
+
+
+@contextlib.contextmanager
+def _progress(study: checked.Study, folder: str | Path | None) -> Iterator[RunObserver]:
+    """Show a run on standard error."""
+    # What draws it takes its time to load.
+    from bo_tuner.monitoring.display import plain_console
+    from bo_tuner.monitoring.progress import RunProgress
+
+    with RunProgress(plain_console(stderr=True), study) as display:
+        if folder is not None:
+            display.start(Path(folder), FUNCTION, "")
+        yield display
 
 
 @contextlib.contextmanager

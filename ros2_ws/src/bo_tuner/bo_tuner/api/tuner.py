@@ -2,17 +2,19 @@
 
 import contextlib
 import time
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
+from bo_tuner.api.earlier import EarlierRun
 from bo_tuner.api.result import Result, load
 from bo_tuner.api.run import OpenRun
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.backends.paired import DefaultBeside
+from bo_tuner.backends.protocol import Backend, opened_backend
 from bo_tuner.errors import (
     RunError,
     RunRecordError,
@@ -21,7 +23,7 @@ from bo_tuner.errors import (
     WindowFull,
 )
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, problem_of
-from bo_tuner.plans import Phases
+from bo_tuner.plans import Phases, Plan
 from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study import checks
@@ -32,6 +34,7 @@ from bo_tuner.text import brief
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, Value, parameter_set
 from bo_tuner.tuning.driver import Steps
 from bo_tuner.tuning.loop import TrialPlan
+from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.summary import Conclusion, concluding
 
 LARGEST_WINDOW = 1000
@@ -110,7 +113,7 @@ class Tuner:
         self._beside = DefaultBeside(run.study)
         self._threads = ThreadpoolController()
         self._pending: dict[tuple[object, ...], _Pending] = {}
-        self._plan: object = None
+        self._plan: Plan[Any] | None = None
         self._steps: Steps[Any] | None = None
         self._over = False
         with self._working():
@@ -225,6 +228,25 @@ class Tuner:
             self.close()
             raise
 
+    def carry_out(self, backend: Backend) -> None:
+        """Have a backend run all that is to be asked for; not part of the interface."""
+        if self._over:
+            return
+        with opened_backend(backend):
+            while not self._over:
+                for evaluation in backend.run(self._due()):
+                    with self._working():
+                        self._take(evaluation)
+
+    def _due(self) -> Iterator[Evaluation]:
+        """Yield what can be run now; pulled when there is room for it."""
+        while not self._over:
+            with self._working():
+                planned = self._next_planned()
+            if planned is None:
+                return
+            yield planned
+
     def _awaited(self, run: Run) -> _Pending:
         if not isinstance(run, Run):
             raise UnknownRunError(f"expected a run that was asked for, found {checks.show(run)}")
@@ -236,21 +258,29 @@ class Tuner:
         return pending
 
     def _next_run(self) -> Run | None:
-        """Return the next run, and take all results ahead of it that are on record."""
+        """Return the next run: what an evaluation has beside it comes first."""
         waiting = next((item for item in self._pending.values() if not item.asked_for), None)
-        while waiting is None:
-            planned = None if self._steps is None else next(self._steps.due(), None)
+        if waiting is None:
+            planned = self._next_planned()
             if planned is None:
                 return None
-            recorded = self._run.on_record.take(planned)
-            if recorded is not None:
-                self._take(recorded)
-                continue
             runs = self._beside.runs(planned)
             waiting = _Pending(planned, runs, next(runs))
             self._pending[_key(waiting.due)] = waiting
         waiting.asked_for = True
         return Run.of(waiting.due)
+
+    def _next_planned(self) -> Evaluation | None:
+        """Return the next evaluation to run, and take all ahead of it that are on record."""
+        while self._steps is not None:
+            planned = next(self._steps.due(), None)
+            if planned is None:
+                return None
+            recorded = self._run.on_record.take(planned)
+            if recorded is None:
+                return planned
+            self._take(recorded)
+        return None
 
     def _all_phases(self) -> Phases[Conclusion | None]:
         """Yield the plans of the run, one after the other: those of ``tune``."""
@@ -265,13 +295,17 @@ class Tuner:
             self._go_on()
 
     def _next_phase(self) -> None:
+        observers = self._run.observers
+        if self._plan is not None:
+            observers.end(self._plan.phase)
         try:
             self._plan = plan = next(self._phases)
         except StopIteration as end:
             self._steps, self._over = None, True
             self._run.finish(end.value)
             return
-        self._steps = Steps(plan, self._run.observers, window=self._run.window)
+        observers.begin(plan.phase, plan.steps)
+        self._steps = Steps(plan, observers, window=self._run.window)
         self._note(self._steps.begin())
         self._go_on()
 
@@ -293,9 +327,26 @@ def _key(evaluation: Evaluation) -> tuple[object, ...]:
 
 
 def opened(
-    study: Study, path: Path, algorithm: str | None, window: int, temporary: object = None
+    study: Study,
+    path: Path,
+    algorithm: str | None,
+    window: int,
+    *,
+    by_backend: bool = False,
+    temporary: object = None,
+    display: RunObserver = NOBODY,
+    earlier: Iterable[EarlierRun] = (),
 ) -> Tuner:
-    """Begin a run in a folder, or continue the one that is there; raises as `Study.tuner`."""
+    """Begin a run in a folder, or continue the one that is there; raises as `Study.tuner`.
+
+    Parameters
+    ----------
+    study, path, algorithm, window, temporary, display, earlier
+        As of `OpenRun`.
+    by_backend
+        Whether a backend runs the evaluations; it runs the default beside them where limits are
+        relative to that.
+    """
     checks.integer(window, "window", at_least=1, at_most=LARGEST_WINDOW)
     name = algorithm or DEFAULT_METHOD
     checks.choice(name, tuple(METHODS), "algorithm")
@@ -304,11 +355,11 @@ def opened(
         name, window = record.algorithm, recorded_window(record.provenance)
     if problem := problem_of(name, study):
         raise StudyError(problem, ("algorithm",))
-    if window > 1 and study.relative_metrics:
+    if window > 1 and study.relative_metrics and not by_backend:
         raise StudyError(
             f"expected 1, since limits are relative to the default, found {window}", ("window",)
         )
-    return Tuner(OpenRun(study, path, name, window, temporary))
+    return Tuner(OpenRun(study, path, name, window, temporary, display, earlier))
 
 
 def _recorded(study: Study, path: Path, algorithm: str | None) -> RunRecord | None:

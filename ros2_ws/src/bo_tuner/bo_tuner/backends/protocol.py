@@ -1,5 +1,6 @@
 """What the loop asks of a backend: to run evaluations."""
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -35,6 +36,16 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """Let go of everything that `open` took; may be called more than once."""
+
+
+@contextlib.contextmanager
+def opened_backend(backend: Backend) -> Iterator[Backend]:
+    """Open a backend, and close it whatever happens."""
+    try:
+        backend.open()
+        yield backend
+    finally:
+        backend.close()
 
 
 class SequentialBackend(ABC):

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.cli.common import opened
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import (
-    DRAWS,
     Certification,
     Subject,
     most_evaluations,
@@ -22,7 +20,7 @@ from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
-from bo_tuner.monitoring.now_and_then import NowAndThen
+from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
@@ -31,7 +29,7 @@ from bo_tuner.text import counted
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
-from bo_tuner.tuning.observer import Observers, RunObserver
+from bo_tuner.tuning.observer import Observers
 
 
 @dataclass(frozen=True)
@@ -112,9 +110,9 @@ class Certifier:
             )
         backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
         try:
-            bar, observers = _Bar(self.console), Observers()
+            shown, observers = CertificateProgress(self.console), Observers()
             observers.add(unfinished)
-            observers.add(bar)
+            observers.add(shown)
             certification = Certification(
                 study,
                 Driver(
@@ -126,7 +124,7 @@ class Certifier:
                 confidence=confidence,
                 attempt=attempt,
             )
-            with opened(backend, self.interruption, again=self.more) as left, bar.progress:
+            with opened(backend, self.interruption, again=self.more) as left, shown:
                 collected = certification.collect(subjects, draws)
         finally:
             unfinished.close()
@@ -181,37 +179,3 @@ class Certifier:
                 f"probably {probable} evaluations{each}, by the margins of the run, if it passes",
                 soft_wrap=True,
             )
-
-
-class _Bar(RunObserver):
-    """A bar for one phase after the other; without a terminal a line for each, and now and then."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._lines = NowAndThen()
-        self.progress = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(bar_width=12),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
-
-    def begin(self, phase: str, total: int) -> None:
-        for task in self.progress.task_ids:
-            self.progress.remove_task(task)
-        self.progress.add_task(phase, total=total)
-        if self.progress.disable:
-            most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._print(f"{phase}: {most}")
-
-    def advance(self) -> None:
-        for task in self.progress.tasks:
-            self.progress.advance(task.id)
-            if self.progress.disable and self._lines.due:
-                self._print(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
-
-    def _print(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
-        self._lines.printed()

@@ -206,8 +206,7 @@ class Session:
                 earlier, damage = salvage(folder.journal)
                 earlier = withdraw_lost(folder.journal, earlier)
             elif (carried := self._options.carried) is not None:
-                every = tuple(e for trial in carried.trials for e in trial.evaluations)
-                earlier = JournalContent((), carried.trials, every, "")
+                earlier = carried.content
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             if isinstance(self._backend, RosBackend):

@@ -30,6 +30,7 @@ from bo_tuner.methods.protocol import Method
 from bo_tuner.metrics.collect import judged
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import Proposal
+from bo_tuner.storage.journal_reader import JournalContent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
@@ -85,6 +86,12 @@ class Carried:
     trials: tuple[Trial, ...]
     text: str
 
+    @property
+    def content(self) -> JournalContent:
+        """What a journal has that begins with it."""
+        evaluations = tuple(e for trial in self.trials for e in trial.evaluations)
+        return JournalContent((), self.trials, evaluations, "")
+
 
 class _LeftOutError(Exception):
     """A trial or an evaluation cannot be data of the new study, for this reason."""
@@ -124,7 +131,12 @@ def check_comparable(record: RunRecord, study: Study, method: Method) -> None:
 
 
 def carry_over(
-    record: RunRecord, study: Study, method: Method, measure: Measure | None = None
+    record: RunRecord,
+    study: Study,
+    method: Method,
+    measure: Measure | None = None,
+    *,
+    run: str = "",
 ) -> Carried:
     """Take the trials of a run as far as they are data of a study.
 
@@ -138,13 +150,16 @@ def carry_over(
         Of both runs; `check_comparable` has not refused them.
     measure
         Computes metrics again where there are any `remeasured`.
+    run
+        What the trials are said to come from; unless given, the folder of the run.
 
     Raises
     ------
     RunRecordError
         If no trial is left.
     """
-    taking = _Taking(record, study, method, measure)
+    run = run or str(record.path.resolve())
+    taking = _Taking(record, study, method, measure, run)
     taken = list(taking.trials())
     if not taken:
         raise RunRecordError(
@@ -152,7 +167,6 @@ def carry_over(
             f"{taking.left_out}"
         )
     trials = _with_worst_cases(study, method, taken)
-    run = str(record.path.resolve())
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
 
@@ -160,9 +174,15 @@ class _Taking:
     """Goes through the trials of a run, and counts what it leaves out."""
 
     def __init__(
-        self, record: RunRecord, study: Study, method: Method, measure: Measure | None
+        self,
+        record: RunRecord,
+        study: Study,
+        method: Method,
+        measure: Measure | None,
+        run: str,
     ) -> None:
         self._record = record
+        self._run = run
         self._then, self._study, self._method = record.study, study, method
         self._space = study.search_space()
         self._measure = measure
@@ -236,7 +256,7 @@ class _Taking:
         )
 
     def _origin(self, trial: Trial) -> str:
-        return f"{trial.origin} ({ORIGIN} {self._record.path.resolve()}, trial {trial.number})"
+        return f"{trial.origin} ({ORIGIN} {self._run}, trial {trial.number})"
 
     def _check_parameters(self, trial: Trial) -> None:
         """Refuse a parameter set that the study does not permit, and say why in a few words."""

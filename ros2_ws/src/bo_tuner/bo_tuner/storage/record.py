@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.methods.protocol import Method
-from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.plans import Event, finished_after
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
@@ -18,6 +18,7 @@ from bo_tuner.storage.provenance import (
     RECORD_LIMIT,
     STOP_EARLY,
     STUDY_YAML,
+    session_provenance,
 )
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
@@ -153,6 +154,26 @@ def read_run(path: Path) -> RunRecord:
         summary=_summary(path / SUMMARY),
         damage=content.damage,
         events=content.events,
+    )
+
+
+def record_of_study(study: Study, path: Path, backend: str) -> RunRecord:
+    """Return the record of a study of which nothing was run."""
+    return RunRecord(
+        path=path,
+        study=study,
+        algorithm=DEFAULT_METHOD,
+        backend=backend,
+        stop_early=False,
+        attached=False,
+        namespace="",
+        record_policy="",
+        record_limit=None,
+        provenance=session_provenance(study, backend, DEFAULT_METHOD),
+        trials=(),
+        evaluations=(),
+        summary=None,
+        damage="",
     )
 
 

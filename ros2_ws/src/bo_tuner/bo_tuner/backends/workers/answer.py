@@ -26,9 +26,12 @@ class Answer:
         Why it cannot go on; empty if it can.
     remarks
         What went wrong beside, each in a line.
+    returned
+        Whether the problem is what a function has returned, which is no result.
     """
 
     worker: str
     evaluation: Evaluation | None = None
     problem: str = ""
     remarks: tuple[str, ...] = ()
+    returned: bool = False

@@ -16,7 +16,7 @@ from bo_tuner.backends.workers.clusters import (
     local_cluster,
     workers_of,
 )
-from bo_tuner.errors import BackendError, RunError
+from bo_tuner.errors import BackendError, MetricsError, RunError
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 EXTRA = "several workers need the packages of the extra: pip install 'bo_tuner[workers]'"
@@ -132,6 +132,8 @@ class WorkerPool:
         ------
         RunError
             If a worker that had to be started anew cannot be, or the workers are gone.
+        MetricsError
+            If a function returns something else than a number for each metric.
         """
         if self._client is None:
             raise BackendError("the backend is not open")
@@ -203,6 +205,8 @@ class WorkerPool:
         answer: Answer = future.result()
         if answer.evaluation is None:
             self._interrupted()
+            if answer.returned:
+                raise MetricsError(answer.problem)
             raise RunError(f"worker {answer.worker}: {answer.problem}")
         return answer.evaluation
 

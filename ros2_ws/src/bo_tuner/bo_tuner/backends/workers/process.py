@@ -20,7 +20,7 @@ from distributed import Scheduler, SchedulerPlugin, Worker, WorkerPlugin, get_wo
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.backends.workers.identity import Needs, differences, identity
-from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.errors import BackendError, BoTunerError, MetricsError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.host_lock import host_lock
 from bo_tuner.study import maxima
@@ -234,8 +234,8 @@ def _answered(run: str, act: Callable[[OwnBackend], Answer]) -> Answer:
             return act(own)
     except Interrupted:
         return Answer(own.label, problem="interrupted")
-    except (BackendError, StudyError) as error:
-        return Answer(own.label, problem=str(error))
+    except BoTunerError as error:
+        return Answer(own.label, problem=str(error), returned=isinstance(error, MetricsError))
     except Exception as error:
         return Answer(own.label, problem=f"{type(error).__name__}: {error}")
 

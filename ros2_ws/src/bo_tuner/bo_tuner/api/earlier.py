@@ -1,0 +1,130 @@
+"""Runs of earlier times, by whatever they were made, as the first trials of a new run."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from bo_tuner.backends.function import Returned, failed
+from bo_tuner.errors import MetricsError, StudyError
+from bo_tuner.methods.protocol import Method
+from bo_tuner.storage.carrying import Carried, carry_over
+from bo_tuner.storage.record import record_of_study
+from bo_tuner.study.function_study import FUNCTION
+from bo_tuner.study.study import Study
+from bo_tuner.trials import (
+    Context,
+    Evaluation,
+    ParameterSet,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    count_evaluations,
+    count_trials,
+    parameter_set,
+)
+
+EARLIER = "earlier"
+"""Name of where they come from."""
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """A run that was made before, by whatever.
+
+    Attributes
+    ----------
+    parameters
+        Its values by name; what is left out had the default.
+    metrics
+        As a function returns them; empty for a run that failed.
+    context
+        In which it was, by name; what is left out was nominal.
+    failure
+        Why it failed; empty if it did not.
+    """
+
+    parameters: Mapping[str, Value]
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    context: Mapping[str, Value] = field(default_factory=dict)
+    failure: str = ""
+
+
+def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Carried:
+    """Make trials of earlier runs, those of one parameter set in one.
+
+    Nobody knows how their contexts were chosen: they count as those of a search, and not as drawn.
+
+    Parameters
+    ----------
+    study, method
+        Of the new run.
+    runs
+        The earlier ones.
+
+    Raises
+    ------
+    StudyError
+        If one has something that the study does not have, or no trial remains to be made.
+    MetricsError
+        If one has not a number for each metric.
+    RunRecordError
+        If the study permits none of their parameter sets.
+    """
+    if study.relative_metrics:
+        raise StudyError("expected none, since limits are relative to the default", (EARLIER,))
+    trials = _trials(study, runs)
+    record = replace(record_of_study(study, Path(EARLIER), FUNCTION), trials=tuple(trials))
+    carried = carry_over(record, study, method, run=f"{EARLIER} runs")
+    count, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
+    if study.budget.is_spent(count, evaluations):
+        raise StudyError(
+            f"expected more than the {count} trials and {evaluations} evaluations of the earlier "
+            "runs, which count",
+            ("budget",),
+        )
+    return carried
+
+
+def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
+    returned = Returned(study)
+    by_set: dict[ParameterSet, list[Evaluation]] = {}
+    for index, run in enumerate(runs):
+        try:
+            values = {**study.search_space().defaults, **_known(run.parameters, study.parameters)}
+            context = _context(study, run.context)
+            outcome = failed(run.failure) if run.failure else returned.outcome(run.metrics)
+        except StudyError as error:
+            raise error.under(EARLIER, index) from None
+        except MetricsError as error:
+            raise MetricsError(f"{EARLIER}[{index}]: {error}") from None
+        of_set = by_set.setdefault(parameter_set(values), [])
+        stage = Stage.SEARCH if study.contexts else Stage.DRAWN
+        planned = Evaluation(len(by_set) - 1, len(of_set), stage, values, context, index)
+        of_set.append(replace(planned, outcome=outcome))
+    if not by_set:
+        raise StudyError("expected at least one run", (EARLIER,))
+    return [_trial(number, evaluations) for number, evaluations in enumerate(by_set.values())]
+
+
+def _trial(number: int, evaluations: list[Evaluation]) -> Trial:
+    problems = [e.outcome.reason for e in evaluations if not e.outcome.complete]
+    return Trial(
+        number,
+        evaluations[0].parameters,
+        EARLIER,
+        TrialState.FAILED if problems else TrialState.COMPLETE,
+        problems[0] if problems else "",
+        tuple(replace(e, trial=number) for e in evaluations),
+    )
+
+
+def _context(study: Study, given: Mapping[str, Value]) -> Context:
+    space = study.context_space()
+    return {**space.to_dict(space.nominal()), **_known(given, study.contexts)}
+
+
+def _known(given: Mapping[str, Value], names: Iterable[str]) -> Mapping[str, Value]:
+    if unknown := [name for name in given if name not in names]:
+        raise StudyError(f"unknown; expected one of {', '.join(names)}", (unknown[0],))
+    return given

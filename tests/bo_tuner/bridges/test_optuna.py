@@ -1,0 +1,129 @@
+"""Optuna's studies carry out a run, and are read as earlier runs."""
+
+import optuna
+import pytest
+
+import bo_tuner as bt
+from bo_tuner.bridges.optuna import BoTunerSampler, earlier_runs
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.trials import EvaluationState
+
+RESULTS = ("trials.csv", "evaluations.csv", "best.yaml", "summary.json")
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+
+
+def response(gain, load):
+    """Error and peak; the error is least at a gain of 0.3."""
+    return 1.0 + load * (gain - 0.3) ** 2, 2.0 * gain * load
+
+
+def objective(trial):
+    error, peak = response(trial.suggest_float("gain", 0.0, 1.0), trial.suggest_float("load", 1, 2))
+    trial.set_user_attr("peak", peak)
+    return error
+
+
+@pytest.fixture
+def study():
+    return bt.Study(
+        name="axis",
+        parameters={"gain": bt.Double(0.0, 1.0, default=0.5)},
+        contexts={"load": bt.Uniform(bounds=(1.0, 2.0))},
+        metrics=["error", "peak"],
+        objective="error",
+        constraints={"peak": bt.WorstCase("peak", upper=1.0)},
+        budget=bt.Budget(
+            trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=2, validation_draws=4
+        ),
+    )
+
+
+def test_a_study_of_optuna_carries_out_the_run(study, tmp_path):
+    """It is the same as that of `optimize`, and ends the study with it."""
+
+    def function(parameters, context, seed):
+        error, peak = response(parameters["gain"], context["load"])
+        return {"error": error, "peak": peak}
+
+    expected = study.optimize(function, tmp_path / "optimized", progress=False)
+    sampler = BoTunerSampler(study, tmp_path / "sampled")
+    of_optuna = optuna.create_study(sampler=sampler)
+    of_optuna.optimize(objective)
+    assert sampler.result().best == expected.best
+    for name in RESULTS:
+        found = (tmp_path / "sampled" / name).read_bytes()
+        assert found == (tmp_path / "optimized" / name).read_bytes(), name
+    evaluations = read_journal(tmp_path / "sampled" / "journal.sqlite").evaluations
+    assert [t.params["load"] for t in of_optuna.trials] == [e.context["load"] for e in evaluations]
+    with pytest.raises(bt.RunError, match="the run is over"):
+        of_optuna.optimize(objective)
+
+
+def test_pruned_failed_and_interrupted_trials(study, tmp_path):
+    """A pruned one has failed for its parameters; the run of the others is made again."""
+    seeds = []
+    raised = iter([optuna.TrialPruned, KeyboardInterrupt, None, ZeroDivisionError, None])
+
+    def fails(trial):
+        seeds.append(sampler.run(trial).seed)
+        if (error := next(raised)) is not None:
+            raise error
+        return objective(trial)
+
+    sampler = BoTunerSampler(study, tmp_path / "run")
+    of_optuna = optuna.create_study(sampler=sampler)
+    with pytest.raises(KeyboardInterrupt):
+        of_optuna.optimize(fails)
+    of_optuna.optimize(fails, n_trials=3, catch=[ZeroDivisionError])
+    assert (seeds[1], seeds[3]) == (seeds[2], seeds[4])
+    found = read_journal(tmp_path / "run" / "journal.sqlite").evaluations
+    lost = "the objective failed, or was interrupted"
+    assert [e.outcome.reason for e in found] == ["pruned", lost, "", lost, ""]
+    assert [e.outcome.state for e in found[:2]] == [EvaluationState.FAILED, EvaluationState.LOST]
+    sampler.close()
+    study.tuner(tmp_path / "run").close()
+
+
+@pytest.mark.parametrize(
+    ("suggest", "said"),
+    [
+        (lambda trial: trial.suggest_float("gian", 0, 1), "gian: .* did you mean 'gain'"),
+        (lambda trial: trial.suggest_float("gain", 3, 4), "gain: expected a range with .* 3 to 4"),
+    ],
+)
+def test_what_the_study_does_not_have(study, suggest, said):
+    of_optuna = optuna.create_study(sampler=BoTunerSampler(study))
+    with pytest.raises(bt.StudyError, match=said):
+        of_optuna.optimize(suggest)
+
+
+def test_studies_that_do_not_fit(study):
+    sampler = BoTunerSampler(study)
+    for directions in (["maximize"], ["minimize", "minimize"]):
+        with pytest.raises(bt.StudyError, match="must minimize 1 value"):
+            optuna.create_study(sampler=sampler, directions=directions).optimize(objective)
+    enqueued = optuna.create_study(sampler=sampler)
+    enqueued.enqueue_trial({"gain": 0.123})
+    with pytest.raises(bt.StudyError, match=r"found 0\.123: trials cannot be enqueued"):
+        enqueued.optimize(objective, n_trials=1)
+
+
+def test_a_metric_that_is_missing(study):
+    of_optuna = optuna.create_study(sampler=BoTunerSampler(study))
+    with pytest.raises(bt.MetricsError, match="metric peak is missing"):
+        of_optuna.optimize(lambda trial: trial.suggest_float("gain", 0, 1))
+
+
+def test_its_trials_are_earlier_runs(study, tmp_path):
+    of_optuna = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
+    of_optuna.optimize(objective, n_trials=3)
+    with pytest.raises(ZeroDivisionError):
+        of_optuna.optimize(lambda trial: 1 / 0)
+    runs = earlier_runs(study, of_optuna)
+    for run, trial in zip(runs, of_optuna.trials[:3], strict=True):
+        assert run.parameters == {"gain": trial.params["gain"]}
+        assert run.context == {"load": trial.params["load"]}
+        assert run.metrics == {"error": trial.value, "peak": trial.user_attrs["peak"]}
+    with study.tuner(tmp_path / "run", earlier=runs) as tuner:
+        assert tuner.ask().trial == 3
