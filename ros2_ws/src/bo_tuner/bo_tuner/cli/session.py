@@ -16,6 +16,7 @@ from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
 from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.web_options import tell_address
 from bo_tuner.cli.workers import Workers
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -193,7 +194,7 @@ class Session:
         with LivePage(self._study, folder, status, address, display.warn, control) as page:
             self._live_page = page
             show = display.warn if self._options.output is Output.QUIET else display.tell
-            show(f"live page: {address.url}")
+            tell_address(address, "live page", show, code=self._options.output is Output.PROGRESS)
             yield
 
     def _run_on_record(self) -> int:

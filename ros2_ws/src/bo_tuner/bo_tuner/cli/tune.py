@@ -123,7 +123,7 @@ def _run(
         more=plan.resumed is not None
         and not (arguments.trials is None and arguments.evaluations is None),
         carried=plan.carried,
-        web=None if arguments.web is None else listen(arguments.web),
+        web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
     )
     if plan.resumed is not None:
@@ -310,6 +310,8 @@ def _check_options(
         parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
+    if arguments.web_host is not None and arguments.web is None:
+        parser.error("--web-host needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
     if arguments.record not in (None, Policy.NONE) and workers.count > 1:

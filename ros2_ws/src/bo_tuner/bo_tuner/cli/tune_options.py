@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
+from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
@@ -57,8 +58,6 @@ examples:
 """
 
 STUDY = "benchmark"
-LARGEST_PORT = 65535
-
 
 OTHER_COMMANDS = {"--init": "init", "--check": "check"}
 """Options in place of which there are commands."""
@@ -201,26 +200,20 @@ def _add_output(group: Group) -> None:
 def _add_web(group: Group) -> None:
     group.add_argument(
         "--web",
-        type=_port,
+        type=port,
         nargs="?",
         const=0,
         metavar="PORT",
         help="serve the report of the run in progress, read-only, on this machine only, at an "
         "address with a token that is printed (default: any free port); it lists and "
-        "compares the other runs in the same folder, too",
+        "compares the other runs in the same folder, too (report --serve does without a run)",
     )
     group.add_argument(
         "--web-control",
         action="store_true",
-        help="with --web: the page may pause, continue and end the run",
+        help="with --web: the page may pause, continue and end the run, and take notes",
     )
-
-
-def _port(text: str) -> int:
-    """Read the number of a port; 0 stands for any."""
-    if not text.isdecimal() or int(text) > LARGEST_PORT:
-        raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
-    return int(text)
+    add_host_argument(group, "--web")
 
 
 def _megabytes(text: str) -> int:

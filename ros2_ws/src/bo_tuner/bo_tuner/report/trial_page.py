@@ -82,7 +82,7 @@ def _in_words(analysis: Analysis, trial: Trial) -> str:
         (TrialOutcome.UNCERTAIN, uncertain(analysis.study, trial)),
     )
     outcome = analysis.outcome(trial)
-    found = [f"{kind} of {', '.join(names)}" for kind, names in kinds if names]
+    found = [f"{kind} ({', '.join(names)})" for kind, names in kinds if names]
     return "; ".join(found) if outcome in OF_VALUE and found else str(outcome)
 
 
@@ -106,7 +106,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     ]
     worst = _worst(analysis, trial)
     return Section(
-        name="evaluations",
+        name="test-runs",
         title="Test runs",
         lead="In the order in which they ran; the worst one is marked.",
         tables=[

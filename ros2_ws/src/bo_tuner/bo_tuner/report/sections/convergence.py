@@ -225,6 +225,7 @@ def outcome_points(
                     size=size,
                     filled=filled,
                     hover=[describe(analysis, trials[int(k)]) for k in chosen],
+                    trials=[trials[int(k)].number for k in chosen],
                 )
             )
     return drawn
@@ -245,6 +246,7 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
                     marker=Marker.STAR,
                     size=11,
                     hover=[describe(analysis, trial)],
+                    trials=[trial.number],
                 )
             )
     return drawn
@@ -333,6 +335,7 @@ def _incumbent_lines(
                     dash=dash,
                     step=True,
                     hover=[f"{name}: trial {c.trial.number}" for _, c in found],
+                    trials=[c.trial.number for _, c in found],
                 )
             )
     return lines
@@ -421,6 +424,7 @@ def _off_scale(
                 f"{describe(analysis, analysis.trials[k])}"
                 for k in far
             ],
+            trials=[analysis.trials[k].number for k in far],
         )
     ]
 

@@ -125,6 +125,7 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
                 f"{second} {_in_words(p.means[second])}"
                 for p in points
             ],
+            trials=[p.trial for p in points],
         ),
     ]
     across, up = (mean_axis(analysis.study, objective) for objective in pair)

@@ -77,5 +77,14 @@ def _lines(
         f"{name}: trial {trial.number}\n{values(analysis.tuned_values(trial.parameters))}"
         for trial in trials
     ]
-    hover = [text for text in texts for _ in range(space.dimension + 1)]
-    return Line(x=x, y=y, name=name, color=color, dash=dash, width=width, hover=hover)
+    points = space.dimension + 1
+    return Line(
+        x=x,
+        y=y,
+        name=name,
+        color=color,
+        dash=dash,
+        width=width,
+        hover=[text for text in texts for _ in range(points)],
+        trials=[trial.number for trial in trials for _ in range(points)],
+    )

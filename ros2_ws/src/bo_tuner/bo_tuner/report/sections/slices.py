@@ -167,6 +167,7 @@ def _near_points(
         Points(
             x=[float(trial.parameters[grid.name]) for trial in near], y=y, name="trials nearby",
             color=Color.GRAY, filled=False, hover=[describe(analysis, trial) for trial in near],
+            trials=[trial.number for trial in near],
         )
     ]  # fmt: skip
 

@@ -112,6 +112,7 @@ def _figure(
                         color=Color.INK,
                         dash=Dash.DOTTED,
                         hover=[f"front: trial {trials[k].number}" for k in front],
+                        trials=[trials[k].number for k in front],
                     ),
                     *_default(analysis, constraint),
                     *trial_points(analysis, trials, worst, means),

@@ -91,7 +91,6 @@
     } else {
       main.append(section);
     }
-    linkTrials(section);
     section.dispatchEvent(new CustomEvent("replaced", { bubbles: true }));
     if (old) keepTables(old, section);
   }
@@ -117,20 +116,6 @@
       const clicks = table.tHead.rows[0].cells[column].getAttribute("aria-sort") === "descending" ? 2 : 1;
       for (let n = 0; n < clicks; n += 1) head.querySelector("button").click();
     });
-  }
-
-  function linkTrials(section) {
-    for (const table of section.querySelectorAll("table")) {
-      if (table.tHead.rows[0].cells[0].textContent.trim() !== "trial") continue;
-      for (const row of table.tBodies[0].rows) {
-        const number = row.cells[0].textContent.trim();
-        if (!/^\d+$/.test(number)) continue;
-        const link = document.createElement("a");
-        link.href = `trials/${number}`;
-        link.textContent = number;
-        row.cells[0].replaceChildren(link);
-      }
-    }
   }
 
   function putInOrder(titles) {
