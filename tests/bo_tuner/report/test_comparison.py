@@ -80,7 +80,7 @@ def test_values_in_other_units_have_rows_of_their_own(both):
 
 
 def test_the_last_column_has_the_difference(both):
-    """Of two runs that of the second from the first, of more that of the smallest and the largest."""
+    """Of two runs the second minus the first, of more the largest minus the smallest."""
     runs = []
     for gain in (0.2, 0.5, 0.4):
         answer = replace(both[0].answer, parameters={"gain": gain})

@@ -26,7 +26,7 @@ from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.terminal import print_line
+from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.text import counted
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.driver import Driver
@@ -212,5 +212,5 @@ class _Bar(RunObserver):
                 self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
 
     def _tell(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
+        print_line(self._console, text, INDENT)
         self._lines.told()

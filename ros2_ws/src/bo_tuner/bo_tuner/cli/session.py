@@ -305,7 +305,7 @@ class Session:
         elif earlier.evaluations:
             self._display.tell(
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
-                f"{counted(len(earlier.evaluations), 'evaluation')} on record"
+                f"{counted(len(earlier.evaluations), 'test run')} on record"
             )
         if acts := read_acts(self._folder.log):
             self._display.warn(f"on record, {acts[-1]}")
@@ -325,6 +325,8 @@ class Session:
         tuning = Tuning(study, driver, self._method, trials=known, finished=finished)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
+            if finished is not None:
+                self._status.finish_after(finished)
             if tuning.trials:
                 observers.recall(tuning.trials, self._best(tuning))
                 # What others have made of them took its time, which is none of a trial.
@@ -406,6 +408,7 @@ class Session:
             found,
             self._advisor.advice,
             stop_early=self._options.stop_early,
+            on_request=self._status.now.finish is not None,
             trials=trials,
             evaluations=journal.count_evaluations(),
         )

@@ -50,9 +50,13 @@ def run_verdict(record: RunRecord) -> Verdict:
     """
     verdict = _latest(record)
     trial = record.result
+    if trial is not None and record.finished is not None:
+        made = counted(count_trials(record.trials), "trial")
+        remark = f"The trials were ended on request: {made} of {record.study.budget.trials}."
+        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
-            f"An unfinished certificate has {counted(begun, 'evaluation')} on record; validate "
+            f"An unfinished certificate has {counted(begun, 'test run')} on record; validate "
             "continues from there."
         )
         verdict = replace(verdict, remarks=(*verdict.remarks, remark))

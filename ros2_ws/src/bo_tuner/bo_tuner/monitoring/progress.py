@@ -15,15 +15,16 @@ from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.study.limits import WITHIN, outcome_on_screen
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line
-from bo_tuner.text import JOIN, percent, printable, shown
+from bo_tuner.text import JOIN, counted, percent, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 
 NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""
 
+BEST = "best so far"
 INDENT = " " * 16
 """Of the lines that continue that of a trial."""
 
@@ -111,8 +112,10 @@ class RunProgress(Display):
         self._show(steps=1)
         mark = ""
         if incumbent is not None and incumbent.trial.number == trial.number:
-            mark = "best" if incumbent.believed_feasible else ""
-        self._print(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}", INDENT)
+            mark = BEST if incumbent.believed_feasible else ""
+        self._print(
+            f"trial {trial.number:3d} {mark:{len(BEST)}}  {describe(trial, self._study)}", INDENT
+        )
         for warning in trial.warnings:
             self._print(f"           warning: {warning}", INDENT)
 
@@ -196,7 +199,7 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
     metric = study.metrics[study.objective.metric]
     value = f"{best.objective:.4g} {metric.unit}".rstrip()
     return (
-        f"best so far: trial {best.trial.number}, {metric.name} {value}, "
+        f"{BEST}: trial {best.trial.number}, {metric.name} {value}, "
         f"{percent(best.feasibility)} likely within limits"
     )
 
@@ -219,7 +222,7 @@ def advice_in_words(advice: StopAdvice, study: Study) -> str:
     return (
         f"advice: stop here; according to the models, the {advice.remaining} remaining trials are "
         f"expected to gain {advice.expected_gain:.2g}{unit} in {metric.name}, less than the "
-        f"standard error of the incumbent, {advice.noise:.2g}{unit}"
+        f"standard error of the best so far, {advice.noise:.2g}{unit}"
     )
 
 
@@ -258,7 +261,7 @@ def describe(trial: Trial, study: Study) -> str:
         name = f"worst {worst.limited}".replace(" ", JOIN)
         value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if (found := outcome_in_words(study, trial)) != WITHIN:
+    if (found := outcome_on_screen(study, trial)) != WITHIN:
         text += f"  {found}"
     count = len(trial.evaluations)
-    return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"
+    return f"{text}  [{counted(count, 'test run').replace(' ', JOIN)}]"

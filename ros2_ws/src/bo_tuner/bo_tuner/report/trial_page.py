@@ -7,12 +7,12 @@ from functools import partial
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.report.analysis import OF_VALUE, Analysis, TrialOutcome
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
 from bo_tuner.storage.run_files import BAGS, bag_name
-from bo_tuner.study.limits import uncertain, violated
+from bo_tuner.study.limits import outcome_on_screen
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 
@@ -77,13 +77,8 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
 
 def _in_words(analysis: Analysis, trial: Trial) -> str:
     """Return the outcome of a trial; of limits that it may not keep the names, too."""
-    kinds = (
-        (TrialOutcome.VIOLATES, violated(analysis.study, trial)),
-        (TrialOutcome.UNCERTAIN, uncertain(analysis.study, trial)),
-    )
     outcome = analysis.outcome(trial)
-    found = [f"{kind} ({', '.join(names)})" for kind, names in kinds if names]
-    return "; ".join(found) if outcome in OF_VALUE and found else str(outcome)
+    return outcome_on_screen(analysis.study, trial) if outcome in OF_VALUE else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:

@@ -16,7 +16,7 @@ from bo_tuner.report.page import chapters, fill, render, trial_html
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.notes import Note, Notes, read_notes, write_note
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
-from bo_tuner.text import counted, with_unit
+from bo_tuner.text import counted, csv_cell, with_unit
 from bo_tuner.trials import Value
 from bo_tuner.web.files import files_of, size_in_words
 from bo_tuner.web.places import HOME, RUNS, file_address, run_address, trials_address
@@ -250,7 +250,7 @@ class Runs:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(columns), restval="")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: csv_cell(cell) for name, cell in row.items()} for row in rows)
         return text.getvalue()
 
     def file(self, name: str, path: str) -> Path | None:

@@ -50,6 +50,11 @@ class Neighbour:
     excess: float
 
     @property
+    def loss_in_words(self) -> str:
+        """The loss, with its sign."""
+        return f"{100.0 * self.loss:+.0f} %"
+
+    @property
     def tolerable(self) -> bool:
         """Whether neither loss nor excess is above `TOLERABLE`."""
         return max(self.loss, self.excess) <= TOLERABLE
@@ -86,7 +91,7 @@ class ParameterSensitivity:
             return ""
         steps = "; ".join(
             ", ".join(f"{name} {shown(value)}" for name, value in n.changed.items())
-            + f" (objective {100.0 * n.loss:+.0f} %"
+            + f" (objective {n.loss_in_words}"
             + (f", {100.0 * n.excess:.0f} % over a limit)" if n.excess > 0.0 else ")")
             for n in self.narrow
         )

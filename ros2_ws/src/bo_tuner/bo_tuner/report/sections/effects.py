@@ -120,11 +120,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
         _change(name, optimum.parameters[name], value, alone=len(neighbour.changed) == 1)
         for name, value in neighbour.changed.items()
     )
-    axis = predicted_axis(analysis.study)
-    if optimum.objective > 0.0:
-        text = f"{step}: {100.0 * (neighbour.objective / optimum.objective - 1.0):+.1f} %"
-    else:  # A percentage of it would say nothing.
-        text = f"{step}: {neighbour.objective - optimum.objective:+.3g} {axis.unit}".rstrip()
+    text = f"{step}: {neighbour.loss_in_words}"
     if analysis.study.constraints:
         text += f", {100.0 * neighbour.feasibility:.0f} % likely within limits"
     return text
@@ -228,8 +224,10 @@ def _notes(
         within = (
             f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
         )
+        several = len(analysis.study.objectives) > 1
+        of = ", in percent of the spread of that cost" if several else ""
         notes.append(
-            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it. A step "
+            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it{of}. A step "
             f"is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A step "
             f"is tolerable if neither loss nor excess is above {100.0 * TOLERABLE:.0f} %. The "
             f"sensitivity score, the mean loss beyond that, is {steps.score:.3g}."
