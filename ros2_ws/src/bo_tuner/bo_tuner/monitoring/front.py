@@ -31,7 +31,7 @@ def print_front(
     study
         The study.
     front
-        The points as a summary has them, see `bo_tuner.tuning.front`.
+        The points of the front, in the form in which a summary has them.
     result
         Number of the trial of the result.
     run
@@ -40,8 +40,8 @@ def print_front(
     if not front:
         print_line(
             console,
-            "each parameter set that is likely within limits broke a limit in its own test runs, so "
-            "there is no Pareto front",
+            "each parameter set that is likely within limits broke a limit in its own test runs, "
+            "so there is no Pareto front",
             "",
         )
         return

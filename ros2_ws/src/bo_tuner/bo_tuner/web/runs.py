@@ -96,7 +96,7 @@ class Runs:
 
     def names(self) -> list[str]:
         """Return the names of the run folders, the latest first."""
-        found = []
+        runs = []
         with os.scandir(self._folder) as entries:
             for entry in entries:
                 journal = Path(entry.path) / JOURNAL
@@ -108,8 +108,8 @@ class Runs:
                     ]
                     # A run may be deleted meanwhile.
                     if times:
-                        found.append((max(times), entry.name))
-        return [name for _, name in sorted(found, reverse=True)]
+                        runs.append((max(times), entry.name))
+        return [name for _, name in sorted(runs, reverse=True)]
 
     def listing(self, page: int = 0) -> str | None:
         """Return a page of the list of runs, counted from 0; None if there is no such page."""
@@ -357,7 +357,7 @@ def _of_journal(folder: Path) -> list[Path]:
 
 def _signature(path: Path) -> tuple[int, int] | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size
+    return status.st_mtime_ns, status.st_size
