@@ -147,6 +147,7 @@ class Session:
         self._observers = Observers()
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
+        self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
         self._gate = Gate(interruption.check, self._observers)
         self._control = RunControl(self._gate, interruption, folder.path)
@@ -167,6 +168,16 @@ class Session:
         """Let the run wait: the guard has taken over, and somebody must see to the machine."""
         self._gate.halt(reason)
         self._display.warn(f"{reason}; the run waits until you have looked at the machine")
+
+    @property
+    def headline(self) -> str:
+        """What has come of the run, in a line, once it has ended."""
+        verdict = self._status.now.verdict
+        return self._ended_by or ("" if verdict is None else verdict.headline)
+
+    def warn(self, text: str) -> None:
+        """Show a warning."""
+        self._display.warn(text)
 
     def run(self) -> int:
         """Tune, validate and report; returns the exit code.
@@ -237,13 +248,15 @@ class Session:
             except Interrupted as interrupt:
                 if not folder.journal.exists():
                     raise
-                self._display.warn(f"interrupted by {interrupt}; {how_to_resume(folder.path)}")
+                self._ended_by = f"interrupted by {interrupt}"
+                self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
                 if not begun:
                     # There is nothing to go on with.
                     raise
-                self._display.warn(f"error: {error}; {how_to_resume(folder.path)}")
+                self._ended_by = f"error: {error}"
+                self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
                 return EXIT_FAULT
 
     def _goes_on(self, earlier: JournalContent) -> bool:

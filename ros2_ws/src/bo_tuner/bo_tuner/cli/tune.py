@@ -19,6 +19,7 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
+from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
@@ -131,10 +132,13 @@ def _run(
     else:
         folder = RunFolder.create(arguments.output or RUNS, plan.study)
     try:
-        return Session(plan.study, folder, options, interruption).run()
+        session = Session(plan.study, folder, options, interruption)
+        code = session.run()
     except BaseException:
         folder.discard()
         raise
+    notify(arguments.notify, folder.path, code, session.headline, session.warn)
+    return code
 
 
 def _recording(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
+from bo_tuner.cli.notify import add_notify_argument
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
@@ -53,6 +54,7 @@ examples:
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
+  tune --notify 'notify-send "$BO_TUNER_HEADLINE"'   a message at the end
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
@@ -195,6 +197,7 @@ def _add_output(group: Group) -> None:
         const=Output.JSON_LINES,
         help="write each event as one line of JSON to stdout, for other programs",
     )
+    add_notify_argument(group)
 
 
 def _add_web(group: Group) -> None:

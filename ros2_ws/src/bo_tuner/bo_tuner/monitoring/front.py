@@ -48,8 +48,8 @@ def print_front(
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("trial", justify="right")
     for objective in study.objectives:
-        unit = study.metrics[objective.metric].unit
-        table.add_column(with_unit(f"mean {objective.metric}", unit), justify="right")
+        metric = study.metrics[objective.metric]
+        table.add_column(with_unit(f"mean {metric.title}", metric.unit), justify="right")
     table.add_column("likely within limits", justify="right")
     table.add_column("")
     for point in front:

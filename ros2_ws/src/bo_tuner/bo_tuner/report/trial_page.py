@@ -51,14 +51,14 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
         sentences.append(f"{trial.reason}.")
     for objective in study.objectives:
         if (mean := trial.mean(objective.metric)) is not None:
-            unit = study.metrics[objective.metric].unit
-            sentences.append(f"Mean {objective.metric} {quantity(mean, unit)}.")
+            metric = study.metrics[objective.metric]
+            sentences.append(f"Mean {metric.title} {quantity(mean, metric.unit)}.")
     for constraint in study.worst_case_constraints:
         if (worst := trial.worst_cases.get(constraint.name)) is not None:
-            unit = study.metrics[constraint.metric].unit
+            metric = study.metrics[constraint.metric]
             sentences.append(
-                f"Worst {constraint.metric} {quantity(worst.value, unit)}, limit "
-                f"{quantity(constraint.limit, unit)}, at {values(worst.context)}."
+                f"Worst {metric.title} {quantity(worst.value, metric.unit)}, limit "
+                f"{quantity(constraint.limit, metric.unit)}, at {values(worst.context)}."
             )
     return Section(
         name="trial",
@@ -91,7 +91,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     study = analysis.study
     contexts = list(study.context_space().names)
     header = ["test run", "stage", *contexts]
-    header += [with_unit(m.name, m.unit) for m in study.metrics.values()]
+    header += [with_unit(m.title, m.unit) for m in study.metrics.values()]
     header += ["seed", "time [s]", "state"]
     rows = [
         [

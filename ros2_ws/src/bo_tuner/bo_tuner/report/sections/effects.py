@@ -22,10 +22,12 @@ from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import predicted_axis
+from bo_tuner.study.metrics import Metric
 from bo_tuner.study.search_space import STEP
+from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Trial, Value, pooled
-from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
+from bo_tuner.tuning.effects import ERROR, FAILURES, Effect, ParameterEffects
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -52,12 +54,12 @@ def effects(analysis: Analysis) -> Section | None:
         header.append("seen to move")
     rows = []
     for k, name in enumerate(names):
-        row = [name, number(answer.parameters[name])]
+        row = [study.parameters[name].title, number(answer.parameters[name])]
         if steps is not None:
             row += _steps(analysis, steps, name)
         row += [_share(totals[k]) for totals in shares.values()]
         if by_parameter:
-            row.append(_moved(by_parameter.get(name)))
+            row.append(_moved(study, by_parameter.get(name)))
         rows.append(row)
     count = 0 if steps is None else 2
     return Section(
@@ -90,14 +92,17 @@ def _lead(steps: ParameterSensitivity | None) -> list[str]:
 
 def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
     """Name the parameter that matters most for each response."""
-    names, parameters = analysis.study.search_space().names, analysis.verdict.effects
+    study, parameters = analysis.study, analysis.verdict.effects
+    titles = [study.parameters[name].title for name in study.search_space().names]
     moved = {e.metric for item in parameters for e in item.effects if e.seen}
     # Where no parameter was seen to move a response, the model has explained noise.
-    still = {_mean(name) for name in analysis.study.metrics if parameters and name not in moved}
+    still = {
+        _mean(metric) for name, metric in study.metrics.items() if parameters and name not in moved
+    }
     return [
         f"{response}: no effect was seen."
         if response in still
-        else f"{response}: most by {names[int(np.argmax(totals))]}."
+        else f"{response}: most by {titles[int(np.argmax(totals))]}."
         for response, totals in shares.items()
     ]
 
@@ -134,20 +139,25 @@ def _change(name: str, old: Value, new: Value, *, alone: bool) -> str:
     return f"{of}{difference:+d}" if isinstance(difference, int) else f"{of}{difference:+.3g}"
 
 
-def _moved(parameter: ParameterEffects | None) -> str:
+def _moved(study: Study, parameter: ParameterEffects | None) -> str:
     """Return the metrics that a parameter was seen to move, with the largest differences."""
     if parameter is None:
         return "–"
-    seen = [f"{e.metric} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
+    seen = [f"{_title(study, e)} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
     if seen:
         return ", ".join(seen)
-    visible = [_visible(e) for e in parameter.effects if not isinf(e.visible)]
+    visible = [_visible(study, e) for e in parameter.effects if not isinf(e.visible)]
     return f"nothing; visible would have been {', '.join(visible)}" if visible else "nothing"
 
 
-def _visible(effect: Effect) -> str:
+def _title(study: Study, effect: Effect) -> str:
+    """Return what moves: a metric, or the share of failures."""
+    return effect.metric if effect.metric == FAILURES else study.metrics[effect.metric].title
+
+
+def _visible(study: Study, effect: Effect) -> str:
     size = f"{amount(effect.visible, effect)} of " if effect.visible else "any of "
-    return f"{size}{effect.metric}"
+    return f"{size}{_title(study, effect)}"
 
 
 def _shares(analysis: Analysis) -> dict[str, Array]:
@@ -172,20 +182,20 @@ def _shares(analysis: Analysis) -> dict[str, Array]:
     }
 
 
-def _mean(metric: str) -> str:
-    return f"mean {metric}"
+def _mean(metric: Metric) -> str:
+    return f"mean {metric.title}"
 
 
 def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
     """Return each response by its name, with its value (N,) in each of the trials."""
     study = analysis.study
     means = [
-        (_mean(name), np.array([np.mean(trial.observations(name)) for trial in trials]))
-        for name in study.metrics
+        (_mean(metric), np.array([np.mean(trial.observations(name)) for trial in trials]))
+        for name, metric in study.metrics.items()
     ]
     worst = [
         (
-            f"{item.extreme} {item.metric} in the worst context",
+            f"{item.extreme} {study.metrics[item.metric].title} in the worst context",
             np.array([trial.worst_cases[item.name].value for trial in trials]),
         )
         for item in study.worst_case_constraints

@@ -62,7 +62,7 @@ def _ends(analysis: Analysis, name: str) -> str:
     """Return the name of a parameter with the ends of its axis."""
     item = analysis.study.parameters[name]
     ends = item.levels or item.bounds
-    return name if not ends else f"{name}\n{shown(ends[0])} … {shown(ends[-1])}"
+    return item.title if not ends else f"{item.title}\n{shown(ends[0])} … {shown(ends[-1])}"
 
 
 def _lines(
