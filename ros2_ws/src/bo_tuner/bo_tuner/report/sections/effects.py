@@ -8,6 +8,8 @@ import numpy as np
 from bo_tuner.evidence.certificate.parameter_sensitivity import (
     Neighbour,
     ParameterSensitivity,
+    change_in_words,
+    narrow_in_words,
     parameter_sensitivity,
 )
 from bo_tuner.evidence.effects import amount
@@ -65,7 +67,9 @@ def effects(analysis: Analysis) -> Section | None:
     return Section(
         name="effects",
         title="What does each parameter do?",
-        lead=" ".join([*_lead(steps), *_most(analysis, shares), *analysis.verdict.of_parameters]),
+        lead=" ".join(
+            [*_lead(study, steps), *_most(analysis, shares), *analysis.verdict.of_parameters]
+        ),
         tables=[
             Table(
                 caption=f"The tuned parameters, around the {analysis.answer_set}",
@@ -78,12 +82,12 @@ def effects(analysis: Analysis) -> Section | None:
     )
 
 
-def _lead(steps: ParameterSensitivity | None) -> list[str]:
+def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
     """Say whether a step away from the answer is tolerable."""
     if steps is None or not steps.neighbours:
         return []
-    if steps.warning:
-        return [f"{steps.warning[:1].upper()}{steps.warning[1:]}."]
+    if warning := narrow_in_words(study, steps):
+        return [f"{warning[:1].upper()}{warning[1:]}."]
     return [
         f"None of {len(steps.neighbours)} steps to a neighbour loses more than "
         f"{100.0 * TOLERABLE:.0f} % of the objective or exceeds a limit by more than that."
@@ -125,7 +129,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
         _change(name, optimum.parameters[name], value, alone=len(neighbour.changed) == 1)
         for name, value in neighbour.changed.items()
     )
-    text = f"{step}: {neighbour.loss_in_words}"
+    text = f"{step}: {change_in_words(analysis.study, optimum, neighbour)}"
     if analysis.study.constraints:
         text += f", {100.0 * neighbour.feasibility:.0f} % likely within limits"
     return text
