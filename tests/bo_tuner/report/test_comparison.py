@@ -104,7 +104,7 @@ def test_a_run_without_an_incumbent_is_named(both, parts):
     (figure,) = parts["convergence"].figures
     lines = [line.name for panel in figure.panels for line in panel.elements]
     assert lines == names(both)[:1]
-    assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is believed feasible."]
+    assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is likely within limits."]
 
 
 def test_runs_of_which_none_has_an_incumbent(both):

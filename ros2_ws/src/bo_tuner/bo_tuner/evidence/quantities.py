@@ -122,7 +122,7 @@ def _of_constraint(
     parts = [remark] if remark else []
     if on_record:
         farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
-        parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
+        parts.append(f"{constraint.extreme} of {len(on_record)} test runs on record {farthest}")
     return Quantity(
         label=study.titled(constraint, label),
         metric=metric,

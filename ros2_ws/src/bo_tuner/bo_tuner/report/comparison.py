@@ -156,7 +156,7 @@ def _side_by_side(caption: str, cells: Mapping[str, Mapping[Row, Cell]]) -> Tabl
         texts = [text for text, _ in of_runs]
         rows.append([with_unit(*name), *texts, _difference([value for _, value in of_runs])])
     last = "difference" if len(cells) == 2 else "largest difference"
-    return Table(caption=caption, header=["", *cells, last], rows=rows)
+    return Table(caption=caption, header=["", *cells, last], rows=rows, numeric=[1 + len(cells)])
 
 
 def _difference(values: Sequence[Value | None]) -> str:
@@ -206,7 +206,7 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         title="Convergence",
         lead="How soon each run found what it found, by its own models.",
         figures=[_incumbents(panels, scales)] if panels else [],
-        notes=[f"{name}: no trial is believed feasible." for name in without],
+        notes=[f"{name}: no trial is likely within limits." for name in without],
     )
 
 
@@ -215,9 +215,9 @@ def _incumbents(
 ) -> Figure:
     return Figure(
         name="comparison",
-        title="The incumbent of each run",
+        title="The best so far of each run",
         caption="The parameter set that would be the result if the run ended there, by the "
-        "posterior mean of the run's own surrogate; a line begins where one is believed feasible.",
+        "mean that the run's own models predict; a line begins where one is likely within limits.",
         alternative="; ".join(
             f"{line.name}: {number(float(line.y[-1]))} at the end"
             for lines in panels.values()

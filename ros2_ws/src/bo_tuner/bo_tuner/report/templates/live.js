@@ -17,12 +17,13 @@
   function showNow({ now: state, problem, stamp }) {
     const counted = state.total ? ` ${state.done} of ${state.total}` : "";
     const left = state.time_left ? `, ${state.time_left} left` : "";
-    let text = `${state.phase || "starting"}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
+    const phase = state.phase || "starting";
+    let text = `${phase[0].toUpperCase()}${phase.slice(1)}${counted && `:${counted}`}${left}${state.paused ? ", PAUSED" : ""}`;
     if (state.verdict) text = state.verdict;
     if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; see the terminal of tune";
     if (title.textContent !== text) title.textContent = text;
     if (state.ended) of("kind").textContent = "Tuning run, which has ended";
-    now.querySelector(".stamp").textContent = stamp ? `${stamp}: all that follows.` : "";
+    now.querySelector(".stamp").textContent = stamp ? `${stamp}: all that is below.` : "";
     document.title = `${text} - ${document.querySelector("h1").textContent}`;
     const bar = now.querySelector("progress");
     bar.max = state.total || 1;
