@@ -80,10 +80,10 @@ def test_a_trial_has_a_page(chromium, shown_run):
     chromium.open(shown_run.entrance)
     chromium.wait_for("document.querySelector('#trials tbody a') !== null")
     link = chromium.evaluate("document.querySelector('#trials tbody a').href")
-    assert link == f"{shown_run.address}trials/0"
+    assert link == f"{shown_run.address}runs/{shown_run.name}/trials/0"
     chromium.open(link)
     assert chromium.evaluate("document.querySelector('h1').textContent").endswith("trial 0")
-    assert chromium.evaluate("document.querySelectorAll('#evaluations tbody tr').length") > 1
+    assert chromium.evaluate("document.querySelectorAll('#test-runs tbody tr').length") > 1
     assert chromium.evaluate("'harmed' in window") is False
     assert chromium.errors == []
 
@@ -95,7 +95,7 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
     chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
     assert axe(chromium) == []
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
-    for page in ("trials/0", "runs"):
+    for page in (f"runs/{shown_run.name}/trials/0", "runs"):
         chromium.open(shown_run.address + page, theme=theme, width=width)
         chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []

@@ -1,15 +1,12 @@
 """A run with a live page, as the tests of the page and those of a browser ask it."""
 
-import http.client
 import json
-import re
 from pathlib import Path
 
 from axis import write_study
 from commands import Fork
+from pages import Pages
 from waiting import DEADLINE, count_in, wait_until
-
-ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:(\d+)/)\?token=([\w-]+)")
 
 
 def page_processes(folder):
@@ -26,7 +23,7 @@ def page_processes(folder):
     return found
 
 
-class Page:
+class Page(Pages):
     """The page of a run that has said where it is.
 
     Parameters
@@ -39,23 +36,7 @@ class Page:
 
     def __init__(self, process, said):
         self.process, self.said = process, said
-        self.address, port, self.token = ADDRESS.search(said.read_text()).groups()
-        self.port = int(port)
-        self.entrance = f"{self.address}?token={self.token}"
-        self.origin = {"Origin": f"http://127.0.0.1:{self.port}"}
-
-    def ask(self, path, *, method="GET", token=True, **headers):
-        """Status, headers and text of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE)
-        cookie = {"Cookie": f"bo_tuner_{self.port}={self.token}"} if token else {}
-        connection.request(method, path, headers=cookie | headers)
-        answer = connection.getresponse()
-        text = answer.read().decode()
-        connection.close()
-        return answer.status, answer.headers, text
-
-    def control_token(self):
-        return re.search(r'data-token="([\w-]+)"', self.ask("/")[2]).group(1)
+        super().__init__(said.read_text())
 
     def request(self, name, **headers):
         """Status and text of the answer to a request of the page, with some headers changed."""
@@ -102,6 +83,7 @@ class Run(Page):
         )
         super().__init__(process, file)
         self.folder = folder / "runs" / "latest"
+        self.name = self.folder.resolve().name
 
     def go_on(self):
         Path(f"{self.counter}.go").touch()

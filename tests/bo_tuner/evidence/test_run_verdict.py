@@ -190,7 +190,7 @@ def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     verdict = run_verdict(run)
     (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
-    assert f"largest of {known + found.tuned.evaluations} evaluations on record 1.4" in worst.remark
+    assert f"largest of {known + found.tuned.evaluations} test runs on record 1.4" in worst.remark
     # Both columns are of the draws that both have, those of the validation.
     assert (error.default, error.tuned, error.difference.mean) == pytest.approx((1.0, 1.0, 0.0))
     assert verdict.observed[1].values("peak") == [0.6] * 40

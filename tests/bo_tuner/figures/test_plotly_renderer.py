@@ -72,6 +72,17 @@ def test_the_data_stay_what_they_are():
     assert trace["z"] == [[1.0, 2.0], [3.0, None], [5.0, 6.0]]
 
 
+def test_points_that_are_trials_lead_to_them():
+    """A page asks a point that is clicked for its number; other points have none."""
+    points = Points(x=[1.0, 2.0], y=[3.0, 4.0], trials=[7, 12])
+    line = Line(x=[1.0, 2.0], y=[3.0, 4.0])
+    of_points, of_line = panel_data(panel_of(points, line), 300)["data"]
+    assert of_points["customdata"] == [7, 12]
+    assert "customdata" not in of_line
+    with pytest.raises(ValueError, match="expected 2 values in trials as in x, found 1"):
+        Points(x=[1.0, 2.0], y=[3.0, 4.0], trials=[7])
+
+
 def test_texts_are_no_markup():
     line = Line(x=[1], y=[1], name="<b>a</b> & b", hover=["<i>one</i>\ntwo"])
     data = panel_data(panel_of(line, Limit(value=1.0, name="<u>")), 300)

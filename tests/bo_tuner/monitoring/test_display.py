@@ -16,6 +16,8 @@ from bo_tuner.evidence.table import (
     verdict_table,
 )
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.monitoring import display
+from bo_tuner.monitoring.display import say
 from bo_tuner.study.study_file import load_study
 from bo_tuner.terminal import print_line, print_table
 from bo_tuner.text import with_unit
@@ -50,6 +52,18 @@ def verdict(study, draws=25):
             {},
         ),
     )
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_what_a_command_says_is_broken_between_words(width, monkeypatch):
+    out = console(width, terminal=True)
+    monkeypatch.setattr(display, "plain_console", lambda: out)
+    line = "stream on /joint_states: 100 messages a second, of which the study takes one in ten"
+    say(line)
+    lines = text(out).splitlines()
+    assert max(map(len, lines)) <= width
+    # Put together again it is the same, so that no word was broken.
+    assert " ".join(" ".join(lines).split()) == line
 
 
 class TestTable:

@@ -20,6 +20,6 @@ def test_an_empty_front_tells_what_a_point_of_it_needs(make_study, make_trial):
     out = Console(file=io.StringIO(), width=60)
     print_front(out, study, front, 0, Path("runs/a b"))
     assert out.file.getvalue() == (
-        "each parameter set that is believed feasible broke a limit in its own evaluations, so "
+        "each parameter set that is likely within limits broke a limit in its own test runs, so "
         "there is no Pareto front\n"
     )

@@ -58,8 +58,8 @@ class TestLines:
         lines = text(out).splitlines()
         assert len(lines) == 3
         assert lines[2] == (
-            "trial   2       gain 0.5        error 1.5        worst peak 0.5       limit 1"
-            "  [2 evaluations]"
+            "trial   2              gain 0.5        error 1.5        worst peak 0.5       limit 1"
+            "  [2 test runs]"
         )
         assert not ESCAPE.search(text(out))
 
@@ -141,22 +141,22 @@ class TestLines:
         assert outcome_in_words(study, trial) == outcome.ending == word.lower()
         assert TrialOutcome(trial.ending) == word.lower()
 
-    def test_one_evaluation(self, make_study, make_trial):
+    def test_one_test_run(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0]), make_study())
-        assert line.replace(JOIN, " ").endswith("  [1 evaluation]")
+        assert line.replace(JOIN, " ").endswith("  [1 test run]")
 
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
-        assert "worst peak 1.25      limit 1  violates peak" in line.replace(JOIN, " ")
+        assert "worst peak 1.25      limit 1  over the limit (peak)" in line.replace(JOIN, " ")
 
     def test_a_new_best_is_marked(self, make_study, make_trial):
         out = console()
         trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(2)]
         follow(out, make_study(), trials, candidate(trials[1]))
-        assert [line[10:14] for line in text(out).splitlines()] == ["    ", "best"]
+        assert [line[10:21].strip() for line in text(out).splitlines()] == ["", "best so far"]
         out = console()
         follow(out, make_study(), trials[1:], candidate(trials[1], feasibility=0.01))
-        assert "best" not in text(out)
+        assert "best so far" not in text(out)
 
     def test_brackets_of_a_reason_are_no_markup(self, make_study, make_trial):
         reason = "[/tmp/axis] says [bold]no[/] :warning:"
@@ -180,11 +180,11 @@ class TestTerminal:
         follow(out, make_study(), [make_trial(0, {"gain": -0.00123456}, [1.5])], None)
         shown = [line.rstrip() for line in ESCAPE.sub("", text(out)).splitlines()]
         start = next(k for k, line in enumerate(shown) if line.startswith("trial   0"))
-        lines = list(itertools.takewhile(lambda line: "evaluation]" not in line, shown[start:]))
+        lines = list(itertools.takewhile(lambda line: "test run]" not in line, shown[start:]))
         lines.append(shown[start + len(lines)])
         assert max(map(len, lines)) <= width
         whole = " ".join(" ".join(lines).split())
-        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 evaluation]")
+        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 test run]")
         ends = ("gain", "error", "worst", "peak", "limit")
         assert not any(line.endswith(ends) for line in lines)
 

@@ -10,7 +10,7 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.diagnostics import Level, progress, safety, surrogate, trial_result
 from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.plans import Phase
+from bo_tuner.plans import Event, EventKind, Phase
 from bo_tuner.trials import EvaluationState
 
 
@@ -47,6 +47,16 @@ class TestTimes:
         assert status.now.done == status.now.trials == 2
         # 4 s of proposals, 4 s of evaluations.
         assert status.now.overhead == 0.5
+
+    def test_a_request_to_finish_ends_the_count(self, status, make_trial):
+        status.begin(Phase.TUNING, 5)
+        tell(status, make_trial(0, {"gain": 0.5}, [1.0, 1.0]))
+        status.event(Event(Phase.TUNING, 1, EventKind.PAUSE))
+        assert (status.now.total, status.now.finish) == (5, None)
+        status.event(Event(Phase.TUNING, 2, EventKind.FINISH))
+        assert (status.now.total, status.now.finish) == (2, 2)
+        tell(status, make_trial(1, {"gain": 0.5}, [1.0, 1.0]))
+        assert (status.now.done, status.now.total) == (2, 2)
 
     def test_time_left_in_each_phase(self, make_study, make_trial):
         now = 0.0

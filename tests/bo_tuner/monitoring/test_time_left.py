@@ -196,3 +196,15 @@ def test_evaluations_on_record_do_not_shorten_those_to_come(machine):
     assert run.left.estimate() == 2.0
     run.evaluations(1)
     assert run.left.estimate() == 1.0
+
+
+def test_a_run_that_is_to_finish_has_no_further_trials(machine):
+    """One trial of 2 s is under way when somebody asks for the end."""
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    run.left.finish(2)
+    # The trial; 2 checks of 20 evaluations, and 2 x 5 of the validation, 1 s each.
+    assert run.left.estimate() == 2.0 + 40.0 + 10.0
+    run.trial()
+    assert run.left.estimate() == 40.0 + 10.0

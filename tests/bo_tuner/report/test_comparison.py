@@ -47,8 +47,12 @@ def test_parameters_and_numbers_stand_side_by_side(both, parts):
     results = [number(analysis.answer.parameters["gain"]) for analysis in both]
     ((name, values),) = rows(parts["parameters"]).items()
     assert name.startswith("gain [")
+    *values, difference = values
     assert values == [f"{result} (0.5)" for result in results]
+    first, second = (analysis.answer.parameters["gain"] for analysis in both)
+    assert float(difference.split()[0]) == pytest.approx(second - first, rel=1e-3)
     (cells,) = [cells for name, cells in rows(parts["numbers"]).items() if "mean error" in name]
+    *cells, _ = cells
     for cell, analysis in zip(cells, both, strict=True):
         (quantity,) = [q for q in analysis.verdict.quantities if q.label == "mean error"]
         assert cell.startswith(f"{number(quantity.tuned)} ({number(quantity.default)})")
@@ -71,15 +75,36 @@ def test_values_in_other_units_have_rows_of_their_own(both):
     in_kilonewtons = [cells for name, cells in numbers.items() if name.endswith("[kN]")]
     assert in_kilonewtons
     assert [cells for name, cells in numbers.items() if name.endswith("[N]")] == [
-        [value, "–"] for _, value in in_kilonewtons
+        [value, "–", "–"] for _, value, _ in in_kilonewtons
     ]
+
+
+def test_the_last_column_has_the_difference(both):
+    """Of two runs the second minus the first, of more the largest minus the smallest."""
+    runs = []
+    for gain in (0.2, 0.5, 0.4):
+        answer = replace(both[0].answer, parameters={"gain": gain})
+        run = Analysis(both[0].record)
+        # What is computed once is kept under its name.
+        vars(run)["answer"] = answer
+        runs.append(run)
+
+    def last(*chosen):
+        parts = {s.name: s for s in comparison(dict(zip("abc", chosen, strict=False)))}
+        (table,) = parts["parameters"].tables
+        return table.header[-1], table.rows[0][-1]
+
+    assert last(runs[0], runs[1]) == ("difference", "+0.3 (+150.0 %)")
+    assert last(runs[1], runs[0]) == ("difference", "-0.3 (-60.0 %)")
+    assert last(runs[0], runs[0]) == ("difference", "none")
+    assert last(*runs) == ("largest difference", "0.3")
 
 
 def test_a_run_without_an_incumbent_is_named(both, parts):
     (figure,) = parts["convergence"].figures
     lines = [line.name for panel in figure.panels for line in panel.elements]
     assert lines == names(both)[:1]
-    assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is believed feasible."]
+    assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is likely within limits."]
 
 
 def test_runs_of_which_none_has_an_incumbent(both):

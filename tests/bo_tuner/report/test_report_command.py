@@ -57,13 +57,35 @@ def test_latest_is_the_last_run(report, tuned, tmp_path, monkeypatch):
     assert (code, out) == (0, "report: page.html\n")
 
 
+def test_a_run_folder_is_no_folder_of_runs(report, tuned):
+    code, out, err = report("--serve", tuned.path)
+    assert (code, out) == (2, "")
+    assert err == f"error: --serve {tuned.path}: expected a folder of runs, found a run folder\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["nowhere"], "nowhere: no such run folder"),
         (["latest"], "runs/latest: no such run folder"),
         (["."], "no run folder"),
-        ([], "the following arguments are required: RUN"),
+        ([], "expected a run folder, or --serve FOLDER"),
+        (["--serve", "nowhere"], "--serve nowhere: expected a folder of runs, found no folder"),
+        (["--serve", ".", "a_run"], "--serve shows all runs of a folder; leave a run out"),
+        (["--serve", ".", "--trial", "1"], "--serve shows all runs of a folder; leave --trial out"),
+        (["a_run", "--web-port", "8080"], "--web-port needs --serve"),
+        (["a_run", "--web-host", "0.0.0.0"], "--web-host needs --serve"),
+        (
+            ["--serve", ".", "--web-port", "x"],
+            "argument --web-port: x: expected a port, 0 to 65535",
+        ),
+        (
+            ["--serve", ".", "--web-host", "example.org"],
+            "argument --web-host: example.org: expected an IPv4 address of this machine, or "
+            "0.0.0.0 for all of them",
+        ),
+        # An address of documentation (RFC 5737), which no machine has.
+        (["--serve", ".", "--web-host", "192.0.2.1"], "--web-host 192.0.2.1: cannot listen on"),
         ([".", "--format", "gif"], "argument --format: gif: expected one or more of png, svg"),
         ([".", ".", "--trial", "1"], "--trial: expected one run"),
         ([".", "--colour"], "unrecognized arguments: --colour"),

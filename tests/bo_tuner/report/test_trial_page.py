@@ -34,7 +34,7 @@ def page_of(analysis, state):
 
 def test_every_evaluation_is_listed_and_the_worst_one_is_marked(traced):
     trial, parts = page_of(traced, TrialState.COMPLETE)
-    (table,) = parts["evaluations"].tables
+    (table,) = parts["test-runs"].tables
     column = table.header.index("peak [N]")
     peaks = [float(row[column]) for row in table.rows]
     expected = [evaluation.outcome.metrics["peak"] for evaluation in trial.evaluations]
@@ -75,7 +75,7 @@ def test_gaps_in_the_signals_are_told_beside_the_metrics_and_with_the_failures(t
     )
     analysis = Analysis(record)
     trial = next(t for t in analysis.trials if t.number == number)
-    (table,) = next(s for s in trial_sections(analysis, trial) if s.name == "evaluations").tables
+    (table,) = next(s for s in trial_sections(analysis, trial) if s.name == "test-runs").tables
     states = [row[table.header.index("state")] for row in table.rows]
     assert states == [f"complete: {said}", *["complete"] * (len(states) - 1)]
     expected = f"Gaps in signals, trial {number}, evaluation 0: {said}."
@@ -130,5 +130,5 @@ def test_a_failed_trial_tells_its_reason(traced):
     assert parts["trial"].title == f"Trial {trial.number}: failed"
     assert trial.reason in parts["trial"].lead
     assert parts["signals"].lead.startswith("No signals: the evaluation failed: ")
-    (table,) = parts["evaluations"].tables
+    (table,) = parts["test-runs"].tables
     assert "window.harmed" in table.rows[0][-1]

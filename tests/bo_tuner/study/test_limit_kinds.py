@@ -97,7 +97,7 @@ def test_its_words_name_the_limit_and_what_was_found(rule):
     assert "may be" in said
     assert rule.asked(everywhere=False)
     assert rule.asked(everywhere=True).endswith(" in every context") or not rule.in_every_context
-    assert "m" in rule.predicted(quantile=False).split()
+    assert "m" in rule.predicted("m", quantile=False).split()
 
 
 def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):

@@ -14,6 +14,22 @@ NUMBERS_REFUSED = [
 ]
 
 
+class TestLabels:
+    @pytest.mark.parametrize("path", [("parameters", "gains.kp"), ("metrics", "peak")])
+    @pytest.mark.parametrize(
+        ("label", "found"),
+        [
+            (3, "text, found 3"),
+            ("x" * 61, "at most 60 printable characters"),
+            ("solve\ntime", "at most 60 printable characters"),
+            (" solve time", "at most 60 printable characters"),
+        ],
+    )
+    def test_one_that_does_not_fit_into_a_line(self, path, label, found):
+        message = refusal(put(label, *path, "label"))
+        assert message.startswith(f"{'.'.join(path)}.label: expected {found}")
+
+
 class TestRefusedTypes:
     @pytest.mark.parametrize(("value", "found"), [(3.0, "found 3.0"), *NUMBERS_REFUSED[:2]])
     @pytest.mark.parametrize("key", ["default", "fixed"])

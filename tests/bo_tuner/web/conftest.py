@@ -45,6 +45,5 @@ def beside(tmp_path_factory, make_study):
         for path in (folder / "runs").iterdir()
         if (path / "best.yaml").exists() and not path.is_symlink()
     )
-    run.name = run.folder.resolve().name
     yield run
     run.end()

@@ -29,7 +29,18 @@ class TestWhoMayRead:
         assert run.token not in (run.folder / "log" / "web.log").read_text()
 
     @pytest.mark.parametrize(
-        "path", ["/", "/state?after=-1", "/trials/0", "/study.yaml", "/runs", "/compare"]
+        "path",
+        [
+            "/",
+            "/state?after=-1",
+            "/runs/x/trials/0",
+            "/study.yaml",
+            "/runs",
+            "/compare",
+            "/runs.csv",
+            "/runs/x",
+            "/runs/x/files/study.yaml",
+        ],
     )
     @pytest.mark.parametrize("query", ["", "token=", "token=wrong"])
     def test_others_are_refused(self, run, path, query):
@@ -67,7 +78,8 @@ class TestWhoMayRead:
         assert read_run(run.folder) == before
 
     @pytest.mark.parametrize(
-        "path", ["/study.yaml", "/../study.yaml", "/trials/99", "/trials/x", "//evil.example/"]
+        "path",
+        ["/study.yaml", "/../study.yaml", "/trials/0", "/runs/x/trials/0", "//evil.example/"],
     )
     def test_what_is_not_there(self, run, path):
         status, _, text = run.ask(path)

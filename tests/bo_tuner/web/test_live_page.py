@@ -58,7 +58,7 @@ class TestWhatItShows:
         run = held(3, FAILING="1000")
         sections = run.state_when(lambda state, made: "details" in made)
         assert "axis: stalled [/x] for good" in sections["details"]
-        status, _, page = run.ask("/trials/0")
+        status, _, page = run.ask(f"/runs/{run.name}/trials/0")
         assert status == 200
         assert "Trial 0: failed" in page
         assert "axis: stalled [/x] for good" in page
@@ -139,7 +139,7 @@ def test_before_there_is_a_record_the_page_loads_itself_again(tmp_path, make_stu
     (tmp_path / "run" / "study.yaml").write_text(study_to_yaml(study))
     with LivePage(study, tmp_path / "run", status, address, pytest.fail):
         answers = {}
-        for path in ("/", "/trials/0"):
+        for path in ("/", "/runs/run"):
             connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=DEADLINE)
             cookie = {"Cookie": f"bo_tuner_{address.port}={address.token}"}
             connection.request("GET", path, headers=cookie)
@@ -150,8 +150,8 @@ def test_before_there_is_a_record_the_page_loads_itself_again(tmp_path, make_stu
     assert (code, refresh) == (503, "1")
     assert len(text.splitlines()) == 1
     assert "journal" in text
-    code, refresh, text = answers["/trials/0"]
-    assert (code, refresh) == (409, None)
+    code, refresh, text = answers["/runs/run"]
+    assert (code, refresh) == (404, None)
     assert len(text.splitlines()) == 1
     assert (tmp_path / "run" / "log" / "web.log").read_text() == ""
 

@@ -5,10 +5,11 @@ import json
 from commands import Fork, finish
 from waiting import count_in
 
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
-from bo_tuner.tuning.summary import summary_from_record
+from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 
 class TestRequests:
@@ -76,6 +77,10 @@ class TestRequests:
         assert whole.events == (Event("tuning", 2, EventKind.FINISH),)
         summary = json.loads((run.folder / "summary.json").read_text())
         assert summary["trial"] in (0, 1)
+        assert summary["ended_on_request"] is True
+        # Verdict, and with it terminal and report, say so, too.
+        remark = "The trials were ended on request: 2 trials of 5."
+        assert remark in run_verdict(with_summary(read_run(run.folder), str)).sentences
 
         def resume(*options):
             code, _, err = finish(
@@ -92,7 +97,7 @@ class TestRequests:
         # To fewer trials than the budget was, and then to no more than these.
         resume("--trials", "4")
         assert len(read_journal(journal).trials) == 4
-        resume()
+        assert resume()["ended_on_request"] is False
         content = read_journal(journal)
         assert len(content.trials) == 4
         assert content.events == (*whole.events, Event("tuning", 2, EventKind.EXTEND))

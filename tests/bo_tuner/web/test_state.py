@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-from types import SimpleNamespace
 
 import pytest
 from waiting import DEADLINE
@@ -37,7 +36,7 @@ class Page:
 
     def __init__(self):
         self.sections = Sections()
-        self.state = LiveState(self.sections, SimpleNamespace(), None)
+        self.state = LiveState(self.sections)
         self.state.watch()
 
     def advance(self, trials, **now):

@@ -59,7 +59,7 @@ class TestInterruption:
             for remark in run_verdict(with_summary(read_run(folder), pytest.fail)).remarks
             if "unfinished" in remark
         ]
-        assert begun.startswith("An unfinished certificate has 59 evaluations")
+        assert begun.startswith("An unfinished certificate has 59 test runs")
         # A line that was cut off counts as not made.
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)

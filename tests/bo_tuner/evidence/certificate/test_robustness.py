@@ -13,7 +13,13 @@ from bo_tuner.evidence.certificate.context_tolerance import (
     MOST_CONTEXTS,
     context_tolerances,
 )
-from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.certificate.parameter_sensitivity import (
+    Neighbour,
+    ParameterSensitivity,
+    change_in_words,
+    narrow_in_words,
+    parameter_sensitivity,
+)
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.ranking import TOLERABLE
@@ -262,12 +268,36 @@ class TestNeighbourhood:
         changed = [set(n.changed.items()) for n in narrow.narrow]
         assert {("prediction_horizon", 3)} in changed
         assert {("control_horizon", 2)} in changed
-        assert narrow.warning.startswith("narrow optimum: ")
-        assert "prediction_horizon 3" in narrow.warning
+        said = narrow_in_words(study, narrow)
+        assert said.startswith("narrow optimum: ")
+        assert "prediction_horizon 3" in said
         # What the table has there.
         (three,) = [n for n in narrow.neighbours if n.changed == {"prediction_horizon": 3}]
         assert three.excess == pytest.approx(0.125 / 0.09 - 1.0, abs=0.15)
         assert three.loss == pytest.approx(math.log(0.140 / 0.165), abs=0.15)
+
+    @pytest.mark.parametrize(
+        ("sections", "optimum", "change"),
+        [
+            ({}, 2.0, "+50.0 %"),
+            # A percentage of it would have the wrong sign.
+            ({}, -2.0, "+1"),
+            # Of a compromise: relative to the spread of its cost, whatever that cost is.
+            ({"further_objectives": [{"metric": "peak"}]}, 2.0, "+30.0 %"),
+            ({"further_objectives": [{"metric": "peak"}]}, -2.0, "+30.0 %"),
+        ],
+    )
+    def test_the_sentence_has_the_change_that_the_table_has(
+        self, make_study, sections, optimum, change
+    ):
+        study = make_study(**sections)
+        best, beside = (
+            Neighbour({"gain": gain}, {"gain": gain}, objective, 0.9, loss, -0.5)
+            for gain, objective, loss in ((0.5, optimum, 0.0), (0.6, optimum + 1.0, 0.3))
+        )
+        assert change_in_words(study, best, beside) == change
+        around = ParameterSensitivity(best, (beside,), 0.2)
+        assert f"gain 0.6 (objective {change})" in narrow_in_words(study, around)
 
     def test_a_calm_one(self, make_study, make_trial):
         study = make_study(objective={"metric": "error", "scale": "log"})
@@ -277,7 +307,7 @@ class TestNeighbourhood:
         ]
         models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
-        assert (around.score, around.narrow, around.warning) == (0.0, (), "")
+        assert (around.score, around.narrow, narrow_in_words(study, around)) == (0.0, (), "")
         assert [n.changed["gain"] for n in around.neighbours] == pytest.approx([0.45, 0.55])
         assert around.optimum.loss == 0.0
         assert around.optimum.excess == pytest.approx(0.6 - 1.0, abs=0.02)

@@ -168,6 +168,7 @@ class OpenRun:
                 conclusion,
                 self._advisor.advice,
                 stop_early=False,
+                on_request=False,
                 trials=len(record.trials),
                 evaluations=self._journal.count_evaluations(),
             )

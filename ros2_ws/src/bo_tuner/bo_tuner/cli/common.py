@@ -66,11 +66,11 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_run_argument(self, what: str = "run folder", *, several: bool = False) -> None:
-        """Add the positional argument ``run``; if there may be `several`, it is a list."""
+        """Add the positional argument ``run``; if there may be `several`, a list, maybe empty."""
         self.add_argument(
             "run",
             type=Path,
-            nargs="+" if several else None,
+            nargs="*" if several else None,
             metavar="RUN",
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )

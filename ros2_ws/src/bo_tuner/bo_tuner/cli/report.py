@@ -3,10 +3,12 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from bo_tuner.cli.common import Parser, guarded, read_result, trial_of, whole_number
 from bo_tuner.cli.exit_codes import EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
+from bo_tuner.cli.web_options import add_host_argument, port, tell_address
 from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
@@ -23,14 +25,18 @@ from bo_tuner.report.page import (
     write_trial,
 )
 from bo_tuner.report.trial_page import trial_sections
-from bo_tuner.storage.run_folder import REPORT
+from bo_tuner.storage.run_folder import JOURNAL, REPORT
 from bo_tuner.storage.trust import trust
+from bo_tuner.web.address import listen
+from bo_tuner.web.run_pages import serve_runs
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the result first, then the evidence for it, the
 signals, what the parameters do, the trials, and details.
 The file needs no network; the run may still be in progress. Of several runs,
-compare verdicts, parameters, numbers, convergence and trajectories.
+compare verdicts, parameters, numbers, convergence and trajectories. With --serve,
+look at all runs of a folder in a browser: list, filter, compare, trials, notes,
+files.
 """
 
 EPILOG = """\
@@ -39,7 +45,7 @@ exit codes:
   1    standard output cannot be written
   2    bad input: run folder, option, or a file that cannot be written
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: the output pipe was closed)
+       141: the output pipe was closed); --serve ends like that
 
 examples:
   report latest                           the latest run in runs/
@@ -48,6 +54,7 @@ examples:
   report runs/a runs/b runs/c             compared, as comparison.html
   report latest --trial 12                one trial, with its signals
   report latest --figures plots --format png,svg
+  report --serve runs                     all runs in this folder, in a browser
 """
 
 COMPARISON = "comparison.html"
@@ -81,6 +88,21 @@ def make_parser() -> Parser:
         help="formats of the figures (default: all)",
     )
     parser.add_trust_argument()
+    group = parser.add_argument_group("in a browser")
+    group.add_argument(
+        "--serve",
+        type=Path,
+        metavar="FOLDER",
+        help="serve all runs in this folder until Ctrl-C, on this machine only, at an address with "
+        "a token that is printed; only notes and tags can be changed",
+    )
+    group.add_argument(
+        "--web-port",
+        type=port,
+        metavar="PORT",
+        help="with --serve: take this port (default: any that is free)",
+    )
+    add_host_argument(group, "--serve")
     return parser
 
 
@@ -89,6 +111,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     parser = make_parser()
     arguments = parser.parse_args(argv)
+    if arguments.serve is not None:
+        _serve(arguments, parser, interruption)
+    _refuse_without_serve(arguments, parser)
     if arguments.trial is not None and len(arguments.run) > 1:
         parser.error("--trial: expected one run")
     analyses = _read(arguments.run)
@@ -125,6 +150,30 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 say(f"figure: {written}")
             interruption.check()
     return EXIT_OK
+
+
+def _serve(arguments: argparse.Namespace, parser: Parser, interruption: Interruption) -> NoReturn:
+    """Serve the runs in a folder until a signal ends it."""
+    for name in ("run", "output", "trial", "figures", "trust"):
+        if getattr(arguments, name) not in (None, False, []):
+            given = "a run" if name == "run" else f"--{name}"
+            parser.error(f"--serve shows all runs of a folder; leave {given} out")
+    folder: Path = arguments.serve
+    if not folder.is_dir() or (folder / JOURNAL).exists():
+        found = "a run folder" if folder.is_dir() else "no folder"
+        raise RunRecordError(f"--serve {folder}: expected a folder of runs, found {found}")
+    address = listen(arguments.web_port or 0, arguments.web_host, "--web-port")
+    tell_address(address, f"runs in {folder}", say)
+    serve_runs(address, folder, interruption)
+
+
+def _refuse_without_serve(arguments: argparse.Namespace, parser: Parser) -> None:
+    """Refuse what is of use with --serve alone, and no run without it."""
+    for name in ("web_port", "web_host"):
+        if getattr(arguments, name) is not None:
+            parser.error(f"--{name.replace('_', '-')} needs --serve")
+    if not arguments.run:
+        parser.error("expected a run folder, or --serve FOLDER")
 
 
 def _read(runs: Sequence[Path]) -> list[Analysis]:

@@ -17,6 +17,7 @@ from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
@@ -148,6 +149,7 @@ class Session:
         self._observers = Observers()
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
+        self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
         self._gate = Gate(interruption.check, self._observers)
         self._control = RunControl(self._gate, interruption, folder.path)
@@ -168,6 +170,16 @@ class Session:
         """Let the run wait: the guard has taken over, and somebody must see to the machine."""
         self._gate.halt(reason)
         self._display.warn(f"{reason}; the run waits until you have looked at the machine")
+
+    @property
+    def headline(self) -> str:
+        """What has come of the run, in a line, once it has ended."""
+        verdict = self._status.now.verdict
+        return self._ended_by or ("" if verdict is None else verdict.headline)
+
+    def warn(self, text: str) -> None:
+        """Show a warning."""
+        self._display.warn(text)
 
     def run(self) -> int:
         """Tune, validate and report; returns the exit code.
@@ -195,7 +207,7 @@ class Session:
         with LivePage(self._study, folder, status, address, display.warn, control) as page:
             self._live_page = page
             show = display.warn if self._options.output is Output.QUIET else display.inform
-            show(f"live page: {address.url}")
+            tell_address(address, "live page", show, code=self._options.output is Output.PROGRESS)
             yield
 
     def _run_on_record(self) -> int:
@@ -237,13 +249,15 @@ class Session:
             except Interrupted as interrupt:
                 if not folder.journal.exists():
                     raise
-                self._display.warn(f"interrupted by {interrupt}; {how_to_resume(folder.path)}")
+                self._ended_by = f"interrupted by {interrupt}"
+                self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
                 if not begun:
                     # There is nothing to go on with.
                     raise
-                self._display.warn(f"error: {error}; {how_to_resume(folder.path)}")
+                self._ended_by = f"error: {error}"
+                self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
                 return EXIT_FAULT
 
     def _goes_on(self, earlier: JournalContent) -> bool:
@@ -309,7 +323,7 @@ class Session:
         elif earlier.evaluations:
             self._display.inform(
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
-                f"{counted(len(earlier.evaluations), 'evaluation')} on record"
+                f"{counted(len(earlier.evaluations), 'test run')} on record"
             )
         if acts := read_acts(self._folder.log):
             self._display.warn(f"on record, {acts[-1]}")
@@ -329,6 +343,8 @@ class Session:
         tuning = Tuning(study, driver, self._method, trials=known, finished=finished)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
+            if finished is not None:
+                self._status.finish_after(finished)
             if tuning.trials:
                 observers.recall(tuning.trials, self._best(tuning))
                 # The time that observers took for these trials is none of the next trial's.
@@ -416,6 +432,7 @@ class Session:
             conclusion,
             self._advisor.advice,
             stop_early=self._options.stop_early,
+            on_request=self._status.now.finish is not None,
             trials=trials,
             evaluations=journal.count_evaluations(),
         )

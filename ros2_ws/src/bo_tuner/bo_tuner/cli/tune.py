@@ -20,6 +20,7 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
+from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
@@ -126,7 +127,7 @@ def _run(
         more=plan.resumed is not None
         and not (arguments.trials is None and arguments.evaluations is None),
         carried=plan.carried,
-        web=None if arguments.web is None else listen(arguments.web),
+        web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
     )
     if plan.resumed is not None:
@@ -134,10 +135,13 @@ def _run(
     else:
         folder = RunFolder.create(arguments.output or RUNS, plan.study)
     try:
-        return Session(plan.study, folder, options, interruption).run()
+        session = Session(plan.study, folder, options, interruption)
+        code = session.run()
     except BaseException:
         folder.discard()
         raise
+    notify(arguments.notify, folder.path, code, session.headline, session.warn)
+    return code
 
 
 def _recording(
@@ -313,6 +317,8 @@ def _check_options(
         parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
+    if arguments.web_host is not None and arguments.web is None:
+        parser.error("--web-host needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
     if arguments.record not in (None, Policy.NONE) and workers.pooled:

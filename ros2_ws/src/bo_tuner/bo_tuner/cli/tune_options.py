@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
+from bo_tuner.cli.notify import add_notify_argument
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
+from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
@@ -53,13 +55,12 @@ examples:
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
+  tune --notify 'notify-send "$BO_TUNER_HEADLINE"'   a message at the end
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
 
 STUDY = "benchmark"
-LARGEST_PORT = 65535
-
 
 OTHER_COMMANDS = {"--init": "init", "--check": "check"}
 """Options in place of which there are commands."""
@@ -197,31 +198,26 @@ def _add_output(group: Group) -> None:
         const=Output.JSON_LINES,
         help="write each event as one line of JSON to stdout, for other programs",
     )
+    add_notify_argument(group)
 
 
 def _add_web(group: Group) -> None:
     group.add_argument(
         "--web",
-        type=_port,
+        type=port,
         nargs="?",
         const=0,
         metavar="PORT",
         help="serve the report of the run in progress, read-only, on this machine only, at an "
         "address with a token that is printed (default: any free port); it lists and "
-        "compares the other runs in the same folder, too",
+        "compares the other runs in the same folder, too (report --serve does without a run)",
     )
     group.add_argument(
         "--web-control",
         action="store_true",
-        help="with --web: the page may pause, continue and end the run",
+        help="with --web: the page may pause, continue and end the run, and take notes",
     )
-
-
-def _port(text: str) -> int:
-    """Read the number of a port; 0 stands for any."""
-    if not text.isdecimal() or int(text) > LARGEST_PORT:
-        raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
-    return int(text)
+    add_host_argument(group, "--web")
 
 
 def _megabytes(text: str) -> int:

@@ -27,6 +27,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.notify import add_notify_argument, notify
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
@@ -142,6 +143,7 @@ def make_parser() -> Parser:
     )
     parser.add_backend_arguments("as in the run")
     add_workers_arguments(parser, "as in the run")
+    add_notify_argument(parser.add_argument_group("output"))
     return parser
 
 
@@ -231,16 +233,19 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             if missing and certificate.passed:
                 show(f"warning: not sufficient for apply: {missing}")
         except (RunError, OutputError) as error:
-            show(f"error: {error}; {again}")
-            return EXIT_FAULT
+            headline, code = f"error: {error}", EXIT_FAULT
+            show(f"{headline}; {again}")
         except Interrupted as interrupt:
-            show(f"interrupted by {interrupt}; {again}")
-            return EXIT_SIGNAL + interrupt.signum
+            headline, code = f"interrupted by {interrupt}", EXIT_SIGNAL + interrupt.signum
+            show(f"{headline}; {again}")
+        else:
+            headline, code = verdict.headline, ended(left, exit_code(verdict))
         finally:
             if path is not None and record.result is not None:
                 # The verdict on it names the confidence of all certificates of the run.
                 write_deliverables(folder.path, show, show)
-    return ended(left, exit_code(verdict))
+    notify(arguments.notify, folder.path, code, headline, show)
+    return code
 
 
 def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:

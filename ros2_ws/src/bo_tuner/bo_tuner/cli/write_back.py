@@ -12,7 +12,7 @@ from bo_tuner.cli.streams import confirmed, say_error
 from bo_tuner.deploy.own_file import with_values
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.monitoring.display import say
+from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.storage.ros_reader import read_sections
@@ -102,9 +102,10 @@ def _edited(text: str, path: Path, values: NodeValues, namespace: str) -> bytes:
 
 
 def _show(old: str, new: str, path: Path) -> None:
-    one, other = old.splitlines(), new.splitlines()
+    console, (one, other) = plain_console(), (old.splitlines(), new.splitlines())
     for line in difflib.unified_diff(one, other, str(path), f"{path} (new)", lineterm="", n=2):
-        say(line)
+        # Not broken between words: it is to be read as it stands in the file.
+        console.print(line, soft_wrap=True)
 
 
 def _unused(path: Path) -> Path:

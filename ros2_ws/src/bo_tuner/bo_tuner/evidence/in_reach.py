@@ -66,8 +66,9 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
     )
     runs = "that runs of a trial keep as often as they must"
     whose = runs if constraint.rule.on_runs else "of any trial"
+    title = study.metrics[constraint.metric].title
     sentences = [
-        f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} {whose}{where} "
+        f"In reach: the {'smallest' if upper else 'largest'} {title} {whose}{where} "
         f"is {number} (trial {trial.number}), the limit is {limit}."
     ]
     if bounds := at_bounds(study, trial.parameters):

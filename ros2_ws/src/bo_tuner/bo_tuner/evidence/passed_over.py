@@ -33,7 +33,7 @@ def passed_over_in_words(study: Study, passed_over: Sequence[Mapping[str, Any]])
 
 def _in_words(study: Study, item: Mapping[str, Any]) -> str:
     metric = study.metrics[study.objective.metric]
-    mean = f"{metric.name} {shown(float(item['objective']))} {metric.unit}".rstrip()
+    mean = f"{metric.title} {shown(float(item['objective']))} {metric.unit}".rstrip()
     kept = f"{percent(float(item['feasibility']))} likely within limits"
     why = "no runs were left to confirm it" if item["shown"] else "too little"
     return f"trial {int(item['trial'])} ({mean}, {kept}, {why})"

@@ -67,8 +67,9 @@ def quantities(
         ]
         all_quantities.append(
             Quantity(
-                label=f"mean {name}",
+                label=f"mean {metric.title}",
                 metric=name,
+                title=metric.title,
                 unit=metric.unit,
                 default=means[0],
                 tuned=means[1],
@@ -96,14 +97,15 @@ def _of_constraint(
     The extreme value is that in the draws.
     """
     metric, name = constraint.metric, constraint.name
-    label = f"{constraint.extreme} {metric}"
+    title = study.metrics[metric].title
+    label = f"{constraint.extreme} {title}"
     values = tuple(constraint.farthest(side.values(metric)) for side in (default, tuned))
     difference: Difference | None = None
     change, bound = Change.UNKNOWN, nan
     draws = _draws(default, tuned, metric, None)
     if name in tuned.worst:
         theirs, ours = default.worst.get(name), tuned.worst[name]
-        label = f"worst-case {constraint.limited}"
+        label = f"worst-case {study.limited(constraint)}"
         values = nan if theirs is None else theirs.value, ours.value
         draws = ""
         if not constraint.rule.on_runs:
@@ -120,10 +122,11 @@ def _of_constraint(
     parts = [remark] if remark else []
     if on_record:
         farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
-        parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
+        parts.append(f"{constraint.extreme} of {len(on_record)} test runs on record {farthest}")
     return Quantity(
         label=study.titled(constraint, label),
         metric=metric,
+        title=title,
         unit=study.metrics[metric].unit,
         default=values[0],
         tuned=values[1],

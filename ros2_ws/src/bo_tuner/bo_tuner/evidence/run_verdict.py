@@ -35,7 +35,7 @@ from bo_tuner.study.measured import seen_in, seen_in_words
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
-from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, count_trials, evaluations_of
 from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.validation import Validation
 
@@ -50,9 +50,13 @@ def run_verdict(record: RunRecord) -> Verdict:
     """
     verdict = _latest(record)
     trial = record.result
+    if trial is not None and record.finished is not None:
+        made = counted(count_trials(record.trials), "trial")
+        remark = f"The trials were ended on request: {made} of {record.study.budget.trials}."
+        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
-            f"An unfinished certificate has {counted(begun, 'evaluation')} on record; validate "
+            f"An unfinished certificate has {counted(begun, 'test run')} on record; validate "
             "continues from there."
         )
         verdict = replace(verdict, remarks=(*verdict.remarks, remark))

@@ -59,7 +59,9 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
     defaults = study.search_space().defaults
     for name, item in study.parameters.items():
         now, new = defaults[name], tuned[name]
-        table.add_row(text.with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
+        table.add_row(
+            text.with_unit(item.title, item.unit), text.shown(now), text.shown(new), "", ""
+        )
     table.add_section()
     for quantity in verdict.quantities:
         table.add_row(

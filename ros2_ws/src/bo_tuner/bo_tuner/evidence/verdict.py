@@ -51,8 +51,8 @@ class Quantity:
     ----------
     label
         What it is, such as ``mean tracking_error``.
-    metric, unit
-        Name of its metric, and the unit.
+    metric, title, unit
+        Name of its metric, what screens call that, and the unit.
     default, tuned
         The values; NaN if not known.
     difference
@@ -79,6 +79,7 @@ class Quantity:
 
     label: str
     metric: str
+    title: str
     unit: str
     default: float
     tuned: float

@@ -61,7 +61,7 @@ def _objective(quantity: Quantity) -> str:
     """Return what has become of an objective; empty if that is not known."""
     match quantity.change:
         case Change.NONE:
-            return f"{quantity.metric} unchanged"
+            return f"{quantity.title} unchanged"
         case Change.UNKNOWN:
             return ""
     difference = quantity.difference
@@ -72,4 +72,4 @@ def _objective(quantity: Quantity) -> str:
     if quantity.default > 0.0:
         size = f"{100.0 * abs(difference.mean) / quantity.default:.0f} %"
     worse = " (worse)" if quantity.change is Change.WORSE else ""
-    return f"{quantity.metric} {size} {side}{worse}"
+    return f"{quantity.title} {size} {side}{worse}"

@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 
 from bo_tuner.text import with_unit
 
+OPTIONAL = ("hover", "trials")
+"""Series of an element that may be empty."""
+
 Values = Sequence[float] | NDArray[np.float64]
 Grid = NDArray[np.float64]
 
@@ -113,7 +116,8 @@ class ColorScale:
 class Line:
     """A line through the points x (n,), y (n,); as steps if `step`.
 
-    `name` is its entry in the legend, `hover` (n,) the tooltip of each point.
+    `name` is its entry in the legend, `hover` (n,) the tooltip of each point, and `trials` (n,) the
+    number of the trial that a point is.
     """
 
     x: Values
@@ -124,9 +128,10 @@ class Line:
     width: float = 2.0
     step: bool = False
     hover: Sequence[str] = ()
+    trials: Sequence[int] = ()
 
     def __post_init__(self) -> None:
-        _same_length(self, len(self.x), y=self.y, hover=self.hover)
+        _same_length(self, len(self.x), y=self.y, hover=self.hover, trials=self.trials)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +164,8 @@ class Points:
         Ends (n,) of vertical error bars, in the axis' unit.
     hover
         Tooltips (n,).
+    trials
+        Numbers (n,) of the trials that the points are.
     """
 
     x: Values
@@ -173,6 +180,7 @@ class Points:
     low: Values | None = None
     high: Values | None = None
     hover: Sequence[str] = ()
+    trials: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         """Check the lengths, and that values come with colours and error bars with both ends."""
@@ -184,6 +192,7 @@ class Points:
             low=self.low,
             high=self.high,
             hover=self.hover,
+            trials=self.trials,
         )
         if (self.values is None) != (self.colors is None):
             raise ValueError("Points: values need colors, and colors values")
@@ -365,7 +374,7 @@ class Figure:
 
 def _same_length(element: object, n: int, **series: Sequence[object] | Values | None) -> None:
     for name, values in series.items():
-        if values is not None and len(values) not in ((n, 0) if name == "hover" else (n,)):
+        if values is not None and len(values) not in ((n, 0) if name in OPTIONAL else (n,)):
             kind = type(element).__name__
             raise ValueError(f"{kind}: expected {n} values in {name} as in x, found {len(values)}")
 

@@ -77,6 +77,7 @@ def _line(line: Line) -> Trace:
         "x": _numbers(line.x),
         "y": _numbers(line.y),
         "line": style,
+        **_trials(line.trials),
     } | _hover(line.hover, "x+y+name" if line.name else "x+y")
 
 
@@ -125,6 +126,7 @@ def _points(points: Points) -> Trace:
         "y": _numbers(points.y),
         "marker": marker,
         "cliponaxis": False,
+        **_trials(points.trials),
     } | _hover(points.hover, "x+y+name" if points.name else "x+y")
     if points.low is not None and points.high is not None:
         trace["error_y"] = _errors(points.y, points.low, points.high, f"@{points.color}")
@@ -221,6 +223,11 @@ def _region(region: Region) -> list[Trace]:
         # With a halo, which keeps it visible on any colour of a field.
         for color, width in ((f"@{Color.PAPER}/0.6", 3.0), (f"@{region.color}", 1.2))
     ]
+
+
+def _trials(numbers: Sequence[int]) -> Trace:
+    """Return what lets a point lead to its trial."""
+    return {"customdata": list(numbers)} if numbers else {}
 
 
 def _hover(texts: Sequence[str], otherwise: str) -> Trace:

@@ -7,6 +7,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bo_tuner.evidence.certificate.certification import DRAWS
 from bo_tuner.monitoring.now_and_then import NowAndThen
+from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.tuning.observer import RunObserver
 
 
@@ -59,5 +60,5 @@ class CertificateProgress(RunObserver):
                 self._print(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
 
     def _print(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
+        print_line(self._console, text, INDENT)
         self._lines.printed()

@@ -14,6 +14,7 @@ from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.study import Study
+from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.text import counted, printable
 from bo_tuner.trials import Value
 from bo_tuner.tuning.observer import RunObserver
@@ -73,7 +74,7 @@ class Display(RunObserver):
 
     def warn(self, text: str) -> None:
         """Show a warning on standard error."""
-        self._console.print(text, soft_wrap=True)
+        print_line(self._console, text, INDENT)
 
     def event(self, event: Event) -> None:
         """Show that the run was asked to finish, whoever has asked."""
@@ -128,5 +129,5 @@ def plain_console(stderr: bool = False) -> Console:
 
 
 def say(text: str) -> None:
-    """Print a line on standard output, without markup or wrapping."""
-    plain_console().print(text, soft_wrap=True)
+    """Print a line on standard output, without markup; on a terminal it is broken between words."""
+    print_line(plain_console(), text, INDENT)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line, print_table
-from bo_tuner.text import with_unit
+from bo_tuner.text import percent, with_unit
 from bo_tuner.tuning.front import CONFIDENCE
 
 
@@ -40,23 +40,23 @@ def print_front(
     if not front:
         print_line(
             console,
-            "each parameter set that is believed feasible broke a limit in its own evaluations, so "
-            "there is no Pareto front",
+            "each parameter set that is likely within limits broke a limit in its own test runs, "
+            "so there is no Pareto front",
             "",
         )
         return
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("trial", justify="right")
     for objective in study.objectives:
-        unit = study.metrics[objective.metric].unit
-        table.add_column(with_unit(f"mean {objective.metric}", unit), justify="right")
-    table.add_column("P(feasible)", justify="right")
+        metric = study.metrics[objective.metric]
+        table.add_column(with_unit(f"mean {metric.title}", metric.unit), justify="right")
+    table.add_column("likely within limits", justify="right")
     table.add_column("")
     for point in front:
         table.add_row(
             str(point["trial"]),
             *(_in_words(point["means"][item.metric]) for item in study.objectives),
-            f"{point['feasibility']:.2f}",
+            percent(point["feasibility"]),
             "result" if point["trial"] == result else "",
         )
     print_line(

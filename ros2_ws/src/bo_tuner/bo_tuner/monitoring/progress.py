@@ -15,15 +15,16 @@ from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.study.limits import WITHIN, outcome_on_screen
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line
-from bo_tuner.text import JOIN, percent, printable, shown
+from bo_tuner.text import JOIN, counted, percent, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 
 NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""
 
+BEST = "best so far"
 INDENT = " " * 16
 """Of the lines that continue that of a trial."""
 
@@ -111,8 +112,10 @@ class RunProgress(Display):
         self._show(steps=1)
         mark = ""
         if incumbent is not None and incumbent.trial.number == trial.number:
-            mark = "best" if incumbent.believed_feasible else ""
-        self._print(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}", INDENT)
+            mark = BEST if incumbent.believed_feasible else ""
+        self._print(
+            f"trial {trial.number:3d} {mark:{len(BEST)}}  {describe(trial, self._study)}", INDENT
+        )
         for warning in trial.warnings:
             self._print(f"           warning: {warning}", INDENT)
 
@@ -196,7 +199,7 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
     metric = study.metrics[study.objective.metric]
     value = f"{best.objective:.4g} {metric.unit}".rstrip()
     return (
-        f"best so far: trial {best.trial.number}, {metric.name} {value}, "
+        f"{BEST}: trial {best.trial.number}, {metric.title} {value}, "
         f"{percent(best.feasibility)} likely within limits"
     )
 
@@ -206,8 +209,9 @@ def units_in_words(study: Study) -> str:
     shown_metrics = [o.metric for o in study.objectives]
     shown_metrics += [c.metric for c in study.worst_case_constraints]
     named = [item for item in study.parameters.values() if item.is_tuned]
-    units = {item.name: item.unit for item in named}
-    units |= {name: study.metrics[name].unit for name in shown_metrics}
+    units = {item.title: item.unit for item in named}
+    metrics = [study.metrics[name] for name in shown_metrics]
+    units |= {metric.title: metric.unit for metric in metrics}
     text = ", ".join(f"{name} {unit}" for name, unit in units.items() if unit)
     return f"units: {text}" if text else ""
 
@@ -218,8 +222,8 @@ def advice_in_words(advice: StopAdvice, study: Study) -> str:
     unit = f" {metric.unit}" if metric.unit else ""
     return (
         f"advice: stop here; according to the models, the {advice.remaining} remaining trials are "
-        f"expected to gain {advice.expected_gain:.2g}{unit} in {metric.name}, less than the "
-        f"standard error of the incumbent, {advice.noise:.2g}{unit}"
+        f"expected to gain {advice.expected_gain:.2g}{unit} in {metric.title}, less than the "
+        f"standard error of the best so far, {advice.noise:.2g}{unit}"
     )
 
 
@@ -229,9 +233,10 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
-def _pair(name: str, value: Value) -> str:
-    """Return a name with its number, in a width that aligns the numbers of all trials."""
-    return f"{name}{JOIN}{shown(value)}".ljust(len(name) + 1 + NUMBER_WIDTH, JOIN)
+def _pair(title: str, value: Value) -> str:
+    """Return a title with its number, in a width that aligns the numbers of all trials."""
+    joined = title.replace(" ", JOIN)
+    return f"{joined}{JOIN}{shown(value)}".ljust(len(joined) + 1 + NUMBER_WIDTH, JOIN)
 
 
 def describe(trial: Trial, study: Study) -> str:
@@ -239,8 +244,8 @@ def describe(trial: Trial, study: Study) -> str:
 
     What belongs together is joined by `JOIN` instead of a space.
     """
-    tuned = [name for name, item in study.parameters.items() if item.is_tuned]
-    where = "  ".join(_pair(name, trial.parameters[name]) for name in tuned)
+    tuned = [item for item in study.parameters.values() if item.is_tuned]
+    where = "  ".join(_pair(item.title, trial.parameters[item.name]) for item in tuned)
     if trial.state is TrialState.FAILED:
         evaluation = trial.evaluations[-1]
         context = ", ".join(
@@ -249,16 +254,16 @@ def describe(trial: Trial, study: Study) -> str:
         )
         conditions = f"context {context or 'none'}; seed {evaluation.seed}"
         return f"{where}  {trial.ending.upper()}: {trial.reason} ({conditions})"
-    mean = trial.mean(study.objective.metric)
-    text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
+    mean, title = trial.mean(study.objective.metric), study.metrics[study.objective.metric].title
+    text = f"{where}  {trial.origin if mean is None else _pair(title, mean)}"
     for objective in study.further_objectives:
         further = trial.mean(objective.metric)
-        text += "" if further is None else f"  {_pair(objective.metric, further)}"
+        title = study.metrics[objective.metric].title
+        text += "" if further is None else f"  {_pair(title, further)}"
     for worst in study.worst_case_constraints:
-        name = f"worst {worst.limited}".replace(" ", JOIN)
-        value = _pair(name, trial.worst_cases[worst.name].value)
+        value = _pair(f"worst {study.limited(worst)}", trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if (outcome := outcome_in_words(study, trial)) != WITHIN:
+    if (outcome := outcome_on_screen(study, trial)) != WITHIN:
         text += f"  {outcome}"
     count = len(trial.evaluations)
-    return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"
+    return f"{text}  [{counted(count, 'test run').replace(' ', JOIN)}]"

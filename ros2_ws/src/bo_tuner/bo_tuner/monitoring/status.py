@@ -10,6 +10,7 @@ from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.time_left import TimeLeft
 from bo_tuner.optimizers.base import SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.limits import violated
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -54,6 +55,8 @@ class Snapshot:
         Number of evaluations that were lost because a node stopped.
     fallbacks
         Number of trials with a space-filling proposal.
+    finish
+        Number of trials after which the run is to finish on request; None if nobody has asked.
     verdict
         The verdict on the result; None before the end of the run.
     """
@@ -72,6 +75,7 @@ class Snapshot:
     violating: int = 0
     lost: int = 0
     fallbacks: int = 0
+    finish: int | None = None
     verdict: Verdict | None = None
 
 
@@ -142,6 +146,16 @@ class RunStatus(RunObserver):
         """Set the advice to stop."""
         self._update(advice=advice)
 
+    def event(self, event: Event) -> None:
+        """Take a request to finish."""
+        if event.kind is EventKind.FINISH:
+            self.finish_after(event.tasks)
+
+    def finish_after(self, trials: int) -> None:
+        """Set the number of trials after which the run is to finish on request."""
+        self._times.finish(trials)
+        self._update(finish=trials, total=trials)
+
     def pause(self, paused: bool) -> None:
         """Set whether the run is paused."""
         self._times.pause()
@@ -161,13 +175,15 @@ class RunStatus(RunObserver):
         failed = trial.ending == TrialState.FAILED
         complete = trial.state is TrialState.COMPLETE
         violating = complete and bool(violated(self._study, trial))
-        trials = self.now.trials + 1
+        trials, finish = self.now.trials + 1, self.now.finish
         self._counted += count_trials([trial])
         self._evaluations += count_evaluations([trial])
         self._update(
             done=self.now.done + 1,
             # Fewer trials than planned where evaluations limit them, more where some were lost.
-            total=trials + self._study.budget.remaining(self._counted, self._evaluations),
+            total=trials + self._study.budget.remaining(self._counted, self._evaluations)
+            if finish is None
+            else finish,
             trials=trials,
             last=trial,
             failed=self.now.failed + failed,

@@ -34,7 +34,9 @@ class TimeLeft:
         self._study = study
         self._method = method
         self._clock = clock
-        self._trials = self._evaluations = 0
+        # All trials, and what counts for the budget.
+        self._made = self._trials = self._evaluations = 0
+        self._finish: int | None = None
         # Evaluations of a trial, their time, and that of the whole trial [s].
         self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
         self.begin("")
@@ -67,6 +69,10 @@ class TimeLeft:
         self._take(trial, now - self._trial_began)
         self._trial_began = self._latest = now
 
+    def finish(self, trials: int) -> None:
+        """Note that the run is to end its trials after so many."""
+        self._finish = trials
+
     def pause(self) -> None:
         """Note the beginning of a pause, or its end."""
         # In a pause the marks are times so far instead of points in time.
@@ -87,6 +93,8 @@ class TimeLeft:
         made, evaluations = self._done, self._evaluations
         if self._phase != Phase.CHECKING:
             left = self._study.budget.remaining(self._trials, self._evaluations)
+            if self._finish is not None:
+                left = min(left, max(0, self._finish - self._made))
             trials = left * total / len(self._lately)
             made, evaluations = 0, evaluations + round(left * count / len(self._lately))
         answering = self._method.answer_evaluations(self._study, evaluations, made)
@@ -97,6 +105,7 @@ class TimeLeft:
 
     def _take(self, trial: Trial, seconds: float) -> None:
         count = len(trial.evaluations)
+        self._made += 1
         self._trials += count_trials([trial])
         self._evaluations += count_evaluations([trial])
         evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)

@@ -23,6 +23,7 @@ from bo_tuner.report.content import Section
 from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.report.time_response import Responses
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import limits
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
@@ -33,9 +34,9 @@ T = TypeVar("T")
 class TrialOutcome(StrEnum):
     """Outcome of a trial, as displayed; the rule is that of `study.limits`."""
 
-    WITHIN = "within limits"
-    UNCERTAIN = "margin too small"
-    VIOLATES = "over the limit"
+    WITHIN = limits.WITHIN
+    UNCERTAIN = limits.MARGIN
+    VIOLATES = limits.OVER
     OUTLIER = "far off"
     FAILED = "failed"
     LOST = "lost"

@@ -9,12 +9,12 @@ from bo_tuner.evidence.verdict import Quantity, Status
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, method_in_words, number
+from bo_tuner.report.content import Section, Table, change, method_in_words, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.limits import tightest
 from bo_tuner.text import with_unit
-from bo_tuner.trials import Evaluation, Stage, count_trials
+from bo_tuner.trials import Evaluation, Stage, Value, count_trials
 
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
 COLORS = (Color.INK, Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE)
@@ -27,6 +27,9 @@ Of the first eight, colours that look alike to some readers have different dashe
 NOMINAL, WORST = "nominal context", "own worst context"
 Row = tuple[str, str]
 """Name and unit: a run's value is not comparable with one in another unit."""
+Cell = tuple[str, Value | None]
+"""A run's value in words, and as it is."""
+NO_VALUE: Cell = ("–", None)
 MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
 
 
@@ -56,26 +59,27 @@ def names(analyses: Sequence[Analysis]) -> list[str]:
 
 def verdicts_table(runs: Mapping[str, Analysis], caption: str) -> Table:
     """Return a table of runs, each with its verdict, in a row."""
+    columns = ["verdict", "trial", "evidence", "study", "how", "trials"]
     rows = []
     for name, analysis in runs.items():
-        record, verdict = analysis.record, analysis.verdict
-        rows.append(
-            [
-                name,
-                MARKS[verdict.status] + verdict.headline,
-                "–" if verdict.trial is None else str(verdict.trial),
-                verdict.evidence,
-                analysis.study.name,
-                f"{method_in_words(record.algorithm)}, {record.backend}, seed {record.study.seed}",
-                f"{count_trials(record.trials)} of {analysis.study.budget.trials}",
-            ]
-        )
-    return Table(
-        caption=caption,
-        header=["run", "verdict", "trial", "evidence", "study", "how", "trials"],
-        rows=rows,
-        numeric=[2, 6],
-    )
+        of_run = in_a_row(analysis)
+        rows.append([name, *(of_run[column] for column in columns)])
+    return Table(caption=caption, header=["run", *columns], rows=rows, numeric=[2, 6])
+
+
+def in_a_row(analysis: Analysis) -> dict[str, str]:
+    """Return what there is to say of a run in a row of a table, by the heading of its column."""
+    record, verdict = analysis.record, analysis.verdict
+    method = method_in_words(record.algorithm)
+    return {
+        "verdict": MARKS[verdict.status] + verdict.headline,
+        "objective": "; ".join(q.gain_in_words for q in verdict.quantities if q.objective) or "–",
+        "trial": "–" if verdict.trial is None else str(verdict.trial),
+        "evidence": verdict.evidence,
+        "study": analysis.study.name,
+        "how": f"{method}, {record.backend}, seed {record.study.seed}",
+        "trials": f"{count_trials(record.trials)} of {analysis.study.budget.trials}",
+    }
 
 
 def _verdicts(runs: Mapping[str, Analysis]) -> Section:
@@ -98,20 +102,22 @@ def _parameters(runs: Mapping[str, Analysis]) -> Section:
     )
 
 
-def _parameter_set(analysis: Analysis) -> dict[Row, str]:
+def _parameter_set(analysis: Analysis) -> dict[Row, Cell]:
     result_parameters = {} if analysis.answer is None else analysis.answer.parameters
     return {
-        (name, item.unit): f"{number(result_parameters[name])} ({number(analysis.defaults[name])})"
-        if name in result_parameters
-        else "–"
+        (name, item.unit): (
+            f"{number(result_parameters[name])} ({number(analysis.defaults[name])})",
+            result_parameters[name],
+        )
         for name, item in analysis.study.parameters.items()
+        if name in result_parameters
     }
 
 
 def _numbers(runs: Mapping[str, Analysis]) -> Section:
     cells = {
         name: {
-            (quantity.label, quantity.unit): _in_words(quantity)
+            (quantity.label, quantity.unit): (_in_words(quantity), quantity.tuned)
             for quantity in analysis.verdict.quantities
         }
         for name, analysis in runs.items()
@@ -125,7 +131,8 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
         notes=[
             "Runs with different seeds, budgets or studies draw different contexts and noise, so "
             "part of the difference between two columns is chance. Only differences from the "
-            "default are measured in the same draws."
+            "default are measured in the same draws.",
+            *(["The difference is the second run minus the first."] if len(runs) == 2 else []),
         ],
     )
 
@@ -140,16 +147,35 @@ def _in_words(quantity: Quantity) -> str:
     return text
 
 
-def _side_by_side(caption: str, cells: Mapping[str, Mapping[Row, str]]) -> Table:
+def _side_by_side(caption: str, cells: Mapping[str, Mapping[Row, Cell]]) -> Table:
     """Return a table with a column for each run, and a row for each name with its unit."""
-    rows = dict.fromkeys(row for of_run in cells.values() for row in of_run)
-    return Table(
-        caption=caption,
-        header=["", *cells],
-        rows=[
-            [with_unit(*row), *(of_run.get(row, "–") for of_run in cells.values())] for row in rows
-        ],
-    )
+    names = dict.fromkeys(row for of_run in cells.values() for row in of_run)
+    rows = []
+    for name in names:
+        of_runs = [of_run.get(name, NO_VALUE) for of_run in cells.values()]
+        texts = [text for text, _ in of_runs]
+        rows.append([with_unit(*name), *texts, _difference([value for _, value in of_runs])])
+    last = "difference" if len(cells) == 2 else "largest difference"
+    return Table(caption=caption, header=["", *cells, last], rows=rows, numeric=[1 + len(cells)])
+
+
+def _difference(values: Sequence[Value | None]) -> str:
+    """Return how values of runs differ: of two the second minus the first, of more the range."""
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return "–"
+    if all(value == known[0] for value in known):
+        return "none"
+    numbers = [v for v in known if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) < len(known):
+        return "differ"
+    if len(numbers) > 2:
+        return number(max(numbers) - min(numbers))
+    first, second = numbers
+    if not math.isfinite(second - first):
+        return "–"
+    share = f" ({change(second, first)})" if first > 0.0 else ""
+    return f"{second - first:+.4g}{share}"
 
 
 def _convergence(runs: Mapping[str, Analysis]) -> Section:
@@ -180,7 +206,7 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         title="Convergence",
         lead="How soon each run found what it found, by its own models.",
         figures=[_incumbents(panels, scales)] if panels else [],
-        notes=[f"{name}: no trial is believed feasible." for name in without],
+        notes=[f"{name}: no trial is likely within limits." for name in without],
     )
 
 
@@ -189,9 +215,9 @@ def _incumbents(
 ) -> Figure:
     return Figure(
         name="comparison",
-        title="The incumbent of each run",
+        title="The best so far of each run",
         caption="The parameter set that would be the result if the run ended there, by the "
-        "posterior mean of the run's own surrogate; a line begins where one is believed feasible.",
+        "mean that the run's own models predict; a line begins where one is likely within limits.",
         alternative="; ".join(
             f"{line.name}: {number(float(line.y[-1]))} at the end"
             for lines in panels.values()

@@ -62,7 +62,7 @@ def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) 
     kind = int if item.is_integer else float
     cube = [space.to_cube(dict(at) | {name: kind(value)})[column] for value in values]
     axis = Axis(
-        label=name,
+        label=item.title,
         unit=item.unit,
         scale=Scale.LOG if log else Scale.LINEAR,
         limits=(lower, upper),

@@ -132,9 +132,18 @@ def write_page(analysis: Analysis, parts: Sequence[Chapter], path: Path) -> Path
     return _write(path, render(analysis, parts, os.path.relpath(analysis.record.path, path.parent)))
 
 
-def trial_html(analysis: Analysis, trial: Trial, parts: Sequence[Section], home: str = "") -> str:
-    """Return the HTML of the page of a trial, with a link to the page of the run, if any."""
-    return fill("trial.html", study=analysis.study, number=trial.number, sections=parts, home=home)
+def trial_html(
+    analysis: Analysis,
+    trial: Trial,
+    parts: Sequence[Section],
+    template: str = "trial.html",
+    scripts: Sequence[str] = (),
+    **more: object,
+) -> str:
+    """Return the HTML of the page of a trial; a `template` that extends it may need more."""
+    return fill(
+        template, scripts, study=analysis.study, number=trial.number, sections=parts, **more
+    )
 
 
 def write_trial(analysis: Analysis, trial: Trial, parts: Sequence[Section], path: Path) -> Path:
@@ -186,23 +195,35 @@ def answer_html(analysis: Analysis) -> str:
     return str(_macros().show_answer(content, ""))
 
 
-def render(analysis: Analysis, parts: Sequence[Chapter], run: str | None = os.curdir) -> str:
-    """Return the HTML of the page, with links into the run folder by its relative path, if any."""
+def render(
+    analysis: Analysis,
+    parts: Sequence[Chapter],
+    run: str | None = os.curdir,
+    template: str = "report.html",
+    scripts: Sequence[str] = (),
+    **more: object,
+) -> str:
+    """Return the HTML of the page, with links into the run folder by its relative path, if any.
+
+    A `template` that extends that of the report may need further scripts and content.
+    """
     content = answer(analysis)
     return fill(
-        "report.html",
+        template,
+        scripts,
         sections=[],
         chapters=parts,
         study=analysis.study,
         record=analysis.record,
         answer=replace(content, files=()) if run is None else content,
         base=quote(os.fsencode(f"{run}/")),
+        **more,
     )
 
 
 def fill(template: str, scripts: Sequence[str] = (), **content: object) -> str:
     """Fill a template that extends the base of all pages, with further scripts by their names."""
-    texts = [_plotly(), *map(_template, ("report.js", "tables.js", *scripts))]
+    texts = [_plotly(), *map(_template, ("report.js", "tables.js", "trials.js", *scripts))]
     return (
         _environment()
         .get_template(template)

@@ -7,7 +7,7 @@ from functools import partial
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.report.analysis import OF_VALUE, Analysis, TrialOutcome
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import (
@@ -18,7 +18,7 @@ from bo_tuner.report.sections.trajectories import (
     simulate,
 )
 from bo_tuner.storage.run_files import BAGS, bag_name
-from bo_tuner.study.limits import uncertain, violated
+from bo_tuner.study.limits import outcome_on_screen
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 
@@ -51,14 +51,14 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
         sentences.append(f"{trial.reason}.")
     for objective in study.objectives:
         if (mean := trial.mean(objective.metric)) is not None:
-            unit = study.metrics[objective.metric].unit
-            sentences.append(f"Mean {objective.metric} {quantity(mean, unit)}.")
+            metric = study.metrics[objective.metric]
+            sentences.append(f"Mean {metric.title} {quantity(mean, metric.unit)}.")
     for constraint in study.worst_case_constraints:
         if (worst := trial.worst_cases.get(constraint.name)) is not None:
-            unit = study.metrics[constraint.metric].unit
+            metric = study.metrics[constraint.metric]
             sentences.append(
-                f"Worst {constraint.metric} {quantity(worst.value, unit)}, limit "
-                f"{quantity(constraint.limit, unit)}, at {values(worst.context)}."
+                f"Worst {metric.title} {quantity(worst.value, metric.unit)}, limit "
+                f"{quantity(constraint.limit, metric.unit)}, at {values(worst.context)}."
             )
     return Section(
         name="trial",
@@ -83,20 +83,15 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
 
 def _in_words(analysis: Analysis, trial: Trial) -> str:
     """Return the outcome of a trial; of limits that it may not keep the names, too."""
-    kinds = (
-        (TrialOutcome.VIOLATES, violated(analysis.study, trial)),
-        (TrialOutcome.UNCERTAIN, uncertain(analysis.study, trial)),
-    )
     outcome = analysis.outcome(trial)
-    limits = [f"{kind} of {', '.join(names)}" for kind, names in kinds if names]
-    return "; ".join(limits) if outcome in OF_VALUE and limits else str(outcome)
+    return outcome_on_screen(analysis.study, trial) if outcome in OF_VALUE else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     study = analysis.study
     contexts = list(study.context_space().names)
     header = ["test run", "stage", *contexts]
-    header += [with_unit(m.name, m.unit) for m in study.metrics.values()]
+    header += [with_unit(m.title, m.unit) for m in study.metrics.values()]
     header += ["seed", "time [s]", "state"]
     rows = [
         [
@@ -112,7 +107,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     ]
     worst = _worst(analysis, trial)
     return Section(
-        name="evaluations",
+        name="test-runs",
         title="Test runs",
         lead="In the order in which they ran; the worst one is marked.",
         tables=[

@@ -405,7 +405,7 @@ def _searched(constraint: Constraint, then: Study, now: Study) -> str | None:
 
 
 def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, now: Study) -> bool:
-    """Whether two studies measure the same; unit and scale do not change what is measured."""
+    """Whether two studies measure the same, whatever its label, unit and scale."""
     if type(metric) is not type(other) or other is None:
         return False
     if _measures(metric) != _measures(other):
@@ -424,8 +424,8 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
 def _measures(metric: StudyMetric) -> StudyMetric:
     """Return a metric without what is for display and models only."""
     if isinstance(metric, RelativeMetric):
-        return dataclasses.replace(metric, unit="")
-    return dataclasses.replace(metric, unit="", scale=LINEAR)
+        return dataclasses.replace(metric, label="", unit="")
+    return dataclasses.replace(metric, label="", unit="", scale=LINEAR)
 
 
 def _same_default(then: Study, now: Study) -> bool:

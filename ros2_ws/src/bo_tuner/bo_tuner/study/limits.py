@@ -23,6 +23,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
 
 WITHIN = "within limits"
+OVER = "over the limit"
+MARGIN = "margin too small"
 
 
 class Standing(StrEnum):
@@ -210,8 +212,17 @@ def outcome_in_words(study: Study, trial: Trial) -> str:
 
     For a trial without values it is the `Trial.ending`, such as ``failed`` or ``lost``.
     """
+    return _outcome(study, trial, "violates {}", "may violate {}")
+
+
+def outcome_on_screen(study: Study, trial: Trial) -> str:
+    """Return the same in the words of screens, which files and topics do not have."""
+    return _outcome(study, trial, f"{OVER} ({{}})", f"{MARGIN} ({{}})")
+
+
+def _outcome(study: Study, trial: Trial, over: str, margin: str) -> str:
     if trial.state is TrialState.FAILED:
         return trial.ending
-    kinds = {"violates": violated(study, trial), "may violate": uncertain(study, trial)}
-    parts = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
+    kinds = {over: violated(study, trial), margin: uncertain(study, trial)}
+    parts = [words.format(", ".join(names)) for words, names in kinds.items() if names]
     return "; ".join(parts) or WITHIN

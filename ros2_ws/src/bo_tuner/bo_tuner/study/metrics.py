@@ -20,6 +20,7 @@ from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
+from bo_tuner.study.titles import Titled, check_label
 
 
 class Metric(Protocol):
@@ -28,6 +29,10 @@ class Metric(Protocol):
     @property
     def name(self) -> str:
         """Name in the study."""
+
+    @property
+    def title(self) -> str:
+        """What screens call it."""
 
     @property
     def unit(self) -> str:
@@ -51,7 +56,7 @@ class Metric(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportedMetric:
+class ReportedMetric(Titled):
     """A number that a node reports after an evaluation.
 
     Attributes
@@ -62,6 +67,8 @@ class ReportedMetric:
         Node of the study.
     key : str
         Key of the number in what the node reports; the metric's name unless given.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only.
     reproducible : bool
@@ -78,6 +85,7 @@ class ReportedMetric:
     name: str
     node: str
     key: str = ""
+    label: str = ""
     unit: str = ""
     scale: str = LINEAR
     reproducible: bool = True
@@ -87,6 +95,7 @@ class ReportedMetric:
         checks.parameter_name(self.name)
         check_range(self)
         checks.text(self.node, "node")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         check_scale(self)
         checks.boolean(self.reproducible, "reproducible")
@@ -100,7 +109,7 @@ class ReportedMetric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SignalMetric:
+class SignalMetric(Titled):
     """A number that is computed from the signals of a run.
 
     Attributes
@@ -112,6 +121,8 @@ class SignalMetric:
     measure : str
         What is computed from it, such as `iae`, `max` or `overshoot`; docs/interfaces.md lists
         all.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only.
     target : float or str, optional
@@ -132,6 +143,7 @@ class SignalMetric:
     name: str
     of: str
     measure: str
+    label: str = ""
     unit: str = ""
     scale: str = LINEAR
     target: float | str | None = None
@@ -148,6 +160,7 @@ class SignalMetric:
         checks.parameter_name(self.name)
         check_range(self)
         checks.text(self.of, "of")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         check_scale(self)
         check_measure(self)
@@ -179,7 +192,7 @@ class SignalMetric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PythonMetric:
+class PythonMetric(Titled):
     """A number that a function of the user computes from the signals of a run.
 
     It runs in a process of its own, which an interruption ends at once.
@@ -190,6 +203,8 @@ class PythonMetric:
         Name in the study.
     python : str
         `module:function`, in a module beside the study file, or one that Python finds anyway.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only.
     timeout : float, optional
@@ -204,6 +219,7 @@ class PythonMetric:
 
     name: str
     python: str
+    label: str = ""
     unit: str = ""
     scale: str = LINEAR
     timeout: float | None = None
@@ -220,6 +236,7 @@ class PythonMetric:
         checks.matching(
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
         )
+        check_label(self.label)
         checks.text(self.unit, "unit")
         check_scale(self)
         if self.timeout is not None:
@@ -227,7 +244,7 @@ class PythonMetric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CombinedMetric:
+class CombinedMetric(Titled):
     """A number that is computed from other metrics of the same evaluation.
 
     Attributes
@@ -237,6 +254,8 @@ class CombinedMetric:
     expression : str
         Of the names of other metrics, as `error + 0.01 * effort`. Each counts as the number that
         it is in its own unit; a weight is one unit for another.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
@@ -250,6 +269,7 @@ class CombinedMetric:
 
     name: str
     expression: str
+    label: str = ""
     unit: str = ""
     scale: str = LINEAR
     range: tuple[float, float] | None = None
@@ -262,6 +282,7 @@ class CombinedMetric:
         checks.parameter_name(self.name)
         check_range(self)
         checks.text(self.expression, "expression")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         check_scale(self)
 
@@ -298,7 +319,7 @@ class CombinedMetric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelativeMetric:
+class RelativeMetric(Titled):
     """A metric minus a multiple of its value for the default in the same draw.
 
     The default is run ahead of each evaluation, in the same context and with the same seed. A limit
@@ -312,6 +333,8 @@ class RelativeMetric:
         The other metric.
     factor : float
         Multiple of the default's value that is subtracted; above 0.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only; that of the other metric unless given.
     range : tuple of float, optional
@@ -322,6 +345,7 @@ class RelativeMetric:
     name: str
     relative: str
     factor: float = 1.0
+    label: str = ""
     unit: str = ""
     range: tuple[float, float] | None = None
 
@@ -335,6 +359,7 @@ class RelativeMetric:
         checks.parameter_name(self.name)
         check_range(self)
         checks.text(self.relative, "relative")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         object.__setattr__(self, "factor", checks.magnitude(self.factor, "factor"))
         checks.positive(self.factor, "factor")

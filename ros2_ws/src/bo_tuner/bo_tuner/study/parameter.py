@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
+from bo_tuner.study.titles import Titled, check_label
 from bo_tuner.trials import Value
 
 Number = int | float
@@ -18,7 +19,7 @@ LARGEST_BOUND = 2**53
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class Parameter(Titled):
     """A ROS parameter of the study.
 
     A tuned one has `bounds` (a number), `choices` (a string) or only a default (a boolean); any
@@ -50,6 +51,8 @@ class Parameter:
         the surrogates then see its logarithm, and the initial design of a double is even in it.
         `symlog` is for bounds that begin at 0, or near it: the logarithm down to a
         thousandth of the upper bound, and linear from there to 0.
+    label : str
+        What screens call it in place of its name, such as ``gain of the position loop``.
     unit : str
         Unit, for display only.
     minimum_correlation : float, optional
@@ -70,6 +73,7 @@ class Parameter:
     fixed: Value | None = None
     default: Value | None = None
     scale: str = LINEAR
+    label: str = ""
     unit: str = ""
     minimum_correlation: float | None = None
     parameter: str = ""
@@ -80,6 +84,7 @@ class Parameter:
         checks.text(self.node, "node")
         checks.choice(self.type, TYPES, "type")
         checks.choice(self.scale, SCALES, "scale")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)

@@ -11,13 +11,14 @@ from bo_tuner.study.metric_scale import check_scale
 from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import Signal
+from bo_tuner.study.titles import Titled, check_label
 
 PLAN_TYPE = "nav_msgs/msg/Path"
 """Type of the messages that a plan may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathMetric:
+class PathMetric(Titled):
     """A number that is computed from the distance of a path from the plan that holds at the time.
 
     The distance is that from the nearest point of the line through the plan's poses. At each
@@ -34,6 +35,8 @@ class PathMetric:
         A signal of whole messages, of the type `nav_msgs/msg/Path`.
     measure : str
         What is computed from the distance, such as `maximum`, `rms` or `percentile`.
+    label : str
+        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only.
     percent : float, optional
@@ -50,6 +53,7 @@ class PathMetric:
     path: tuple[str, ...]
     plan: str
     measure: str
+    label: str = ""
     unit: str = "m"
     scale: str = LINEAR
     percent: float | None = None
@@ -70,6 +74,7 @@ class PathMetric:
         path = tuple(checks.text(name, "path", index) for index, name in enumerate(names))
         object.__setattr__(self, "path", path)
         checks.text(self.plan, "plan")
+        check_label(self.label)
         checks.text(self.unit, "unit")
         check_scale(self)
         of_distance = [name for name in MEASURES if not options_of(name).get("target")]

@@ -431,6 +431,11 @@ class Study:
         """Constraints that must hold in every context."""
         return tuple(c for c in self.constraints.values() if c.rule.in_every_context)
 
+    def limited(self, constraint: Constraint) -> str:
+        """Return what screens call the metric of a limit: the ``lowest`` one for a lower limit."""
+        title = self.metrics[constraint.metric].title
+        return title if constraint.sign > 0.0 else f"lowest {title}"
+
     def titled(self, constraint: Constraint, text: str) -> str:
         """Return a text on a constraint, with its name if another one limits the same side."""
         same = [

@@ -173,6 +173,7 @@ def summarize(
     advice: StopAdvice | None,
     *,
     stop_early: bool,
+    on_request: bool,
     trials: int,
     evaluations: int,
 ) -> dict[str, object]:
@@ -186,6 +187,8 @@ def summarize(
         The advice to stop, if it was given.
     stop_early
         Whether it was to be followed.
+    on_request
+        Whether somebody has asked for the end of the trials.
     trials, evaluations
         How many are on record: of another record this is not the summary.
     """
@@ -206,6 +209,7 @@ def summarize(
         "effects": [asdict(item) for item in conclusion.effects],
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
+        "ended_on_request": on_request,
     }
     if len(study.objectives) > 1:
         content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
@@ -274,6 +278,7 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         conclusion,
         advisor.advice,
         stop_early=record.stop_early,
+        on_request=record.finished is not None,
         trials=len(record.trials),
         evaluations=len(record.evaluations),
     )

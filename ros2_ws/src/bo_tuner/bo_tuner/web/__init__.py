@@ -1,5 +1,6 @@
-"""The page of a run in progress: ``tune --web``.
+"""The page of a run in progress, ``tune --web``, and those of all runs, ``report --serve``.
 
 The run sends what it does to a process of its own (`live_page`). That process makes the sections of
 the report from the journal (`sections`) and serves them (`server`), so that neither delays the run.
+The pages of the runs in a folder (`runs`) are served beside it or by themselves (`run_pages`).
 """

@@ -1,5 +1,7 @@
-"""The address of the page: of this machine only, with a token that nobody can guess."""
+"""The address of the pages: of this machine unless asked for, with a token nobody can guess."""
 
+import contextlib
+import ipaddress
 import secrets
 import socket
 from dataclasses import dataclass, field
@@ -8,6 +10,8 @@ from bo_tuner.errors import OutputError
 
 HOST = "127.0.0.1"
 TOKEN_BYTES = 24
+ELSEWHERE = ("192.0.2.1", 9)
+"""An address of nobody (RFC 5737): which of its own a machine would use to reach it."""
 
 
 @dataclass(frozen=True)
@@ -17,40 +21,113 @@ class Address:
     Attributes
     ----------
     socket
-        Bound to the loopback interface; connections wait until somebody serves them.
+        Bound to the interface; connections wait until somebody serves them.
     port
         Its port.
+    host
+        What it was bound to: that of the loopback interface, unless other machines are to reach
+        the pages.
     token
-        Whoever has it may read the page.
+        Whoever has it may read the pages.
     """
 
     socket: socket.socket
     port: int
+    host: str = HOST
     token: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES), repr=False)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine reaches it."""
+        return self.host == HOST
+
+    @property
+    def ways(self) -> list[str]:
+        """How to open it from another machine, or what to consider if that is possible; lines."""
+        port = self.port
+        if self.is_local:
+            return [
+                f"from another machine: ssh -L {port}:{HOST}:{port} {socket.gethostname()}, and "
+                "there the same address"
+            ]
+        return [
+            "whoever has this address can open it from other machines; nothing is encrypted: use "
+            "it in a network that you trust"
+        ]
 
     @property
     def url(self) -> str:
         """What to open in a browser."""
-        return f"http://{HOST}:{self.port}/?token={self.token}"
+        host = self.host
+        if ipaddress.ip_address(host).is_unspecified:
+            host = _own_address()
+        return f"http://{host}:{self.port}/?token={self.token}"
 
 
-def listen(port: int) -> Address:
-    """Take a port of the loopback interface; 0 takes any that is free.
+def listen(port: int, host: str | None = None, option: str = "--web") -> Address:
+    """Take a port of the loopback interface, or of that of a `host`; 0 takes any that is free.
+
+    Parameters
+    ----------
+    port, host
+        The port, and an IPv4 address of this machine or 0.0.0.0 for all of them, if other machines
+        are to reach it.
+    option
+        By which the user asks for the port, for the error.
 
     Raises
     ------
     OutputError
         If it cannot be had.
     """
+    asked, host = f"{option} {port}" if host is None else f"--web-host {host}", host or HOST
     taken = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         # What an earlier run has left to time out does not count as in use.
         taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        taken.bind((HOST, port))
+        taken.bind((host, port))
         taken.listen()
     except OSError as error:
         taken.close()
         raise OutputError(
-            f"--web {port}: cannot listen on {HOST}:{port}: {error.strerror}; expected a free port"
+            f"{asked}: cannot listen on {host}:{port}: {error.strerror}; expected a free port"
+            + ("" if host == HOST else " of an address of this machine")
         ) from error
-    return Address(taken, taken.getsockname()[1])
+    return Address(taken, taken.getsockname()[1], host)
+
+
+def is_own_host(host: str, port: int, bound: str) -> bool:
+    """Whether a request names the pages by an address of theirs, in its header ``Host``.
+
+    A page of a stranger could send requests by a name that it has resolve to this machine (DNS
+    rebinding). It cannot do so by a number, so that of a page which other machines reach any
+    number is one of its addresses.
+
+    Parameters
+    ----------
+    host
+        The header.
+    port
+        That of the pages.
+    bound
+        What their socket was bound to.
+    """
+    name, _, given = host.rpartition(":")
+    if given != str(port):
+        return False
+    if name in (HOST, "localhost"):
+        return True
+    with contextlib.suppress(ValueError):
+        return bound != HOST and ipaddress.ip_address(name).version == 4
+    return False
+
+
+def _own_address() -> str:
+    """Return the address by which others reach this machine; that of its loopback without any."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Of a datagram socket this only looks up a route; nothing is sent.
+            probe.connect(ELSEWHERE)
+        except OSError:
+            return HOST
+        return str(probe.getsockname()[0])

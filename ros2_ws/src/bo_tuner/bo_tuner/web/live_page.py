@@ -109,7 +109,12 @@ class LivePage(RunObserver):
         os.close(reads)
         socket.close()
         folder = str(self._folder.resolve())
-        settings: dict[str, object] = {"folder": folder, "token": self._address.token}
+        address = self._address
+        settings: dict[str, object] = {
+            "folder": folder,
+            "token": address.token,
+            "host": address.host,
+        }
         if self._control is None:
             self._send(settings)
         else:

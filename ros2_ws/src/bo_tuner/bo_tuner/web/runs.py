@@ -1,32 +1,75 @@
-"""The runs beside a run: those in the same folder, listed, shown and compared."""
+"""The pages about the runs in a folder: listed, shown, compared, with notes and files."""
 
+import csv
+import io
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from bo_tuner.errors import BoTunerError
+from bo_tuner.errors import BoTunerError, RunRecordError
 from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.comparison import comparison, verdicts_table
-from bo_tuner.report.page import chapters, fill, render
+from bo_tuner.report.comparison import comparison, in_a_row
+from bo_tuner.report.content import Table
+from bo_tuner.report.page import chapters, fill, render, trial_html
+from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.storage.notes import Note, Notes, read_notes, write_note
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
-from bo_tuner.text import counted
+from bo_tuner.text import counted, csv_cell, with_unit
+from bo_tuner.trials import Value
+from bo_tuner.web.files import files_of, size_in_words
+from bo_tuner.web.places import HOME, RUNS, file_address, run_address, trials_address
 from bo_tuner.web.sections import read_as_it_stands
 
 MOST_RUNS = 50
-"""Runs in the list; reading all those of a year would take minutes."""
+"""Runs on a page of the list; reading all those of a year would take minutes."""
 MOST_COMPARED = 8
 """Runs side by side; more columns and lines cannot be told apart."""
-HOME = "/"
+COLUMNS = ("verdict", "objective", "study", "how", "trials")
+"""What the list has of each run, beside its name and what is noted of it."""
+
+Signatures = tuple[tuple[int, int] | None, ...]
+"""When the files of a run were changed [ns], and their sizes [byte]; None for one that is missing.
+"""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What stands around the content of a page about a run or a trial.
+
+    Attributes
+    ----------
+    home, where
+        Address and words of what it belongs to.
+    previous, following
+        Address and words of its neighbours; None without one.
+    note
+        What is noted of it.
+    notes
+        Address that takes another note.
+    control
+        Token of requests; empty if the pages are read-only.
+    problem
+        Why notes cannot be read; empty if they can.
+    """
+
+    home: str
+    where: str
+    previous: tuple[str, str] | None
+    following: tuple[str, str] | None
+    note: Note
+    notes: str
+    control: str
+    problem: str
 
 
 @dataclass(frozen=True)
 class _Known:
     """A run as read, and what its files were like then."""
 
-    files: tuple[tuple[int, int] | None, ...]
-    row: Sequence[str] = ()
+    files: Signatures
+    row: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
 
 
@@ -38,13 +81,18 @@ class Runs:
     folder
         The folder of runs.
     present
-        Name of the run in progress.
+        Name of the run in progress, of which the page at `HOME` is; empty without one.
+    control
+        Token of the requests that change notes; empty if they may not be changed.
     """
 
-    def __init__(self, folder: Path, present: str) -> None:
+    def __init__(self, folder: Path, present: str = "", control: str = "") -> None:
         self._folder = folder
         self._present = present
+        self._control = control
         self._known: dict[str, _Known] = {}
+        # The runs that were looked at last, the latest at the end.
+        self._open: dict[str, tuple[Signatures, Analysis]] = {}
 
     def names(self) -> list[str]:
         """Return the names of the run folders, the latest first."""
@@ -63,24 +111,52 @@ class Runs:
                         runs.append((max(times), entry.name))
         return [name for _, name in sorted(runs, reverse=True)]
 
-    def listing(self) -> str:
-        """Return the page that lists the runs."""
+    def listing(self, page: int = 0) -> str | None:
+        """Return a page of the list of runs, counted from 0; None if there is no such page."""
         names = self.names()
-        known = {name: self._read(name) for name in names[:MOST_RUNS]}
-        rows = [run.row for run in known.values() if run.row]
-        notes = [f"{name}: {run.problem}" for name, run in known.items() if run.problem]
-        if len(names) > MOST_RUNS:
-            notes.append(f"The latest {MOST_RUNS} of {len(names)} runs.")
+        count = max(1, -(-len(names) // MOST_RUNS))
+        if not 0 <= page < count:
+            return None
+        begin = page * MOST_RUNS
+        listed = names[begin : begin + MOST_RUNS]
+        known = {name: self._read(name) for name in listed}
+        rows, problems = [], []
+        for name, run in known.items():
+            if run.problem:
+                problems.append(f"{name}: {run.problem}")
+                continue
+            notes, problem = self._notes(name)
+            problems += [problem] if problem else []
+            rows.append(
+                [
+                    name,
+                    *(run.row[column] for column in COLUMNS),
+                    ", ".join(notes.run.tags),
+                    notes.run.text,
+                ]
+            )
+        if count > 1:
+            problems.append(
+                f"Runs {begin + 1} to {begin + len(listed)} of {len(names)}, the latest first; the "
+                "filter is for these."
+            )
         return fill(
             "runs.html",
             title="Runs",
-            folder=self._folder.name,
+            folder=self._folder.resolve().name,
             present=self._present,
-            table=replace(verdicts_table({}, counted(len(rows), "run")), rows=rows),
-            notes=notes,
+            table=Table(
+                caption=counted(len(names), "run"),
+                header=["run", *COLUMNS, "tags", "note"],
+                rows=rows,
+                numeric=[1 + COLUMNS.index("trials")],
+            ),
+            notes=problems,
             most=MOST_COMPARED,
             sections=[],
             home=HOME,
+            newer=_page_address(page - 1) if page > 0 else "",
+            older=_page_address(page + 1) if page + 1 < count else "",
         )
 
     def report(self, name: str) -> str | None:
@@ -91,10 +167,59 @@ class Runs:
         BoTunerError
             If it cannot be read.
         """
+        names = self.names()
+        if name not in names:
+            return None
+        analysis = self._analysis(name)
+        place = names.index(name)
+        # The list has the latest first.
+        earlier = names[place + 1] if place + 1 < len(names) else ""
+        later = names[place - 1] if place > 0 else ""
+        frame = self._frame(
+            name,
+            None,
+            (RUNS, "All runs"),
+            (self._address(earlier), f"earlier run: {earlier}") if earlier else None,
+            (self._address(later), f"later run: {later}") if later else None,
+        )
+        return render(
+            analysis,
+            chapters(analysis),
+            None,
+            template="run.html",
+            scripts=["notes.js"],
+            frame=frame,
+            files=[
+                (file_address(name, path), path, size_in_words(size))
+                for path, size in files_of(self._folder / name)
+            ],
+            trials=trials_address(name),
+        )
+
+    def trial(self, name: str, number: int) -> str | None:
+        """Return the page of a trial; None if there is none.
+
+        Raises
+        ------
+        BoTunerError
+            If the run cannot be read.
+        """
         if name not in self.names():
             return None
         analysis = self._analysis(name)
-        return render(analysis, chapters(analysis), None)
+        if not 0 <= number < len(analysis.trials):
+            return None
+        trial = analysis.trials[number]
+
+        def beside(other: int) -> tuple[str, str] | None:
+            if not 0 <= other < len(analysis.trials):
+                return None
+            return f"{trials_address(name)}{other}", f"trial {other}"
+
+        home = (self._address(name), name)
+        frame = self._frame(name, number, home, beside(number - 1), beside(number + 1))
+        parts = trial_sections(analysis, trial)
+        return trial_html(analysis, trial, parts, "run_trial.html", ["notes.js"], frame=frame)
 
     def compared(self, names: Sequence[str]) -> str | None:
         """Return the page that compares runs; None if one does not exist.
@@ -108,23 +233,121 @@ class Runs:
             return None
         parts = comparison({name: self._analysis(name) for name in names})
         title = f"{len(names)} runs side by side"
-        return fill("comparison.html", sections=parts, title=title, home="/runs")
+        return fill("comparison.html", sections=parts, title=title, home=RUNS)
+
+    def table(self) -> str:
+        """Return all runs that can be read, a row each, as CSV: verdicts, values and notes."""
+        rows: list[dict[str, object]] = []
+        for name in self.names():
+            known = self._read(name)
+            if known.problem:
+                continue
+            note = self._notes(name)[0].run
+            of_note = {"tags": ", ".join(note.tags), "note": note.text}
+            values = _values(self._analysis(name))
+            rows.append({"run": name, **known.row, **of_note, **values})
+        columns = dict.fromkeys(column for row in rows for column in row)
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(columns), restval="")
+        writer.writeheader()
+        writer.writerows({name: csv_cell(cell) for name, cell in row.items()} for row in rows)
+        return text.getvalue()
+
+    def file(self, name: str, path: str) -> Path | None:
+        """Return a file of a run by its path in the run folder; None if there is none to give."""
+        if name not in self.names() or path not in dict(files_of(self._folder / name)):
+            return None
+        return self._folder / name / path
+
+    def note(self, name: str, trial: int | None, note: Note) -> bool | None:
+        """Put a note on a trial, or on the run for None; None if there is no such thing.
+
+        Raises
+        ------
+        BoTunerError
+            If the run or its notes cannot be read, or these not be written.
+        """
+        if name not in self.names():
+            return None
+        if trial is not None and not 0 <= trial < len(self._analysis(name).trials):
+            return None
+        write_note(self._folder / name, trial, note)
+        return True
+
+    def _frame(
+        self,
+        name: str,
+        trial: int | None,
+        home: tuple[str, str],
+        previous: tuple[str, str] | None,
+        following: tuple[str, str] | None,
+    ) -> Frame:
+        notes, problem = self._notes(name)
+        own = run_address(name) if trial is None else f"{trials_address(name)}{trial}"
+        return Frame(
+            *home,
+            previous,
+            following,
+            notes.of(trial),
+            f"{own}/note",
+            self._control,
+            problem,
+        )
+
+    def _address(self, name: str) -> str:
+        """Return the address of the page of a run."""
+        return HOME if name == self._present else run_address(name)
+
+    def _notes(self, name: str) -> tuple[Notes, str]:
+        """Return the notes on a run, and why they cannot be read."""
+        try:
+            return read_notes(self._folder / name), ""
+        except RunRecordError as error:
+            return Notes(), str(error)
 
     def _analysis(self, name: str) -> Analysis:
-        return Analysis(read_as_it_stands(self._folder / name, ended=name != self._present))
+        """Read a run, unless it is as it was when it was looked at of late."""
+        files = self._signatures(name)
+        known = self._open.pop(name, None)
+        if known is None or known[0] != files:
+            record = read_as_it_stands(self._folder / name, ended=name != self._present)
+            known = files, Analysis(record)
+        self._open[name] = known
+        if len(self._open) > MOST_COMPARED:
+            self._open.pop(next(iter(self._open)))
+        return known[1]
 
     def _read(self, name: str) -> _Known:
-        """Read a run, unless nothing of it has changed since the last time."""
-        folder = self._folder / name
-        of_run = [*_of_journal(folder), folder / STUDY, folder / SUMMARY]
-        files = tuple(_signature(path) for path in (*of_run, *certificate_paths(folder)))
+        """Read what the list says of a run, unless nothing of it has changed since."""
+        files = self._signatures(name)
         if name not in self._known or self._known[name].files != files:
             try:
-                (row,) = verdicts_table({name: self._analysis(name)}, "").rows
-                self._known[name] = _Known(files, row)
+                self._known[name] = _Known(files, in_a_row(self._analysis(name)))
             except BoTunerError as error:
                 self._known[name] = _Known(files, problem=str(error))
         return self._known[name]
+
+    def _signatures(self, name: str) -> Signatures:
+        folder = self._folder / name
+        of_run = [*_of_journal(folder), folder / STUDY, folder / SUMMARY]
+        return tuple(_signature(path) for path in (*of_run, *certificate_paths(folder)))
+
+
+def _values(analysis: Analysis) -> dict[str, Value]:
+    """Return the parameters of a run's result, and the numbers of its verdict, by columns."""
+    answer = analysis.answer
+    found: dict[str, Value] = {}
+    if answer is not None:
+        for name, item in analysis.study.parameters.items():
+            found[with_unit(name, item.unit)] = answer.parameters[name]
+    for quantity in analysis.verdict.quantities:
+        column = with_unit(quantity.label, quantity.unit)
+        found[column], found[f"default: {column}"] = quantity.tuned, quantity.default
+    return found
+
+
+def _page_address(page: int) -> str:
+    return f"{RUNS}?page={page}"
 
 
 def _of_journal(folder: Path) -> list[Path]:

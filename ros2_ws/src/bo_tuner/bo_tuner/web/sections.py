@@ -5,12 +5,12 @@ from datetime import datetime
 from pathlib import Path
 
 from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.page import answer_html, chapter_html, chapters, fill, trial_html
-from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.report.page import answer_html, chapter_html, chapters, fill
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.text import counted
 from bo_tuner.trials import count_trials
 from bo_tuner.tuning.summary import with_summary
+from bo_tuner.web.places import trials_address
 
 ANSWER = "answer"
 
@@ -94,15 +94,14 @@ class LiveSections:
             The token of requests to the run; without it, the page has no buttons for them.
         """
         study = read_run(self._folder).study
-        return fill("live.html", scripts=["live.js"], study=study, sections=[], control=control)
-
-    def trial(self, number: int) -> str | None:
-        """Return the page of a trial; None if there is no such trial."""
-        analysis = self.analysis(ended=False)
-        if not 0 <= number < len(analysis.trials):
-            return None
-        trial = analysis.trials[number]
-        return trial_html(analysis, trial, trial_sections(analysis, trial), home="/")
+        return fill(
+            "live.html",
+            scripts=["live.js"],
+            study=study,
+            sections=[],
+            control=control,
+            trials=trials_address(self._folder.name),
+        )
 
 
 def read_as_it_stands(folder: Path, *, ended: bool) -> RunRecord:

@@ -2,15 +2,12 @@
 
 import asyncio
 import contextlib
-import secrets
 from collections.abc import Awaitable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
 from bo_tuner.errors import BoTunerError
-from bo_tuner.web.address import TOKEN_BYTES
-from bo_tuner.web.runs import Runs
 from bo_tuner.web.sections import LiveSections, Made, Part
 
 LONGEST_WAIT = 20.0
@@ -36,10 +33,6 @@ class LiveState:
     ----------
     sections
         Makes the parts.
-    runs
-        Makes the pages about other runs.
-    requests
-        Pipe to the run, which takes requests from it; None if it takes none.
 
     Attributes
     ----------
@@ -47,15 +40,12 @@ class LiveState:
         By the name of a part, in their order, the version of its last change, and the part.
     stamp
         Which state of the run they show, in words.
-    models, pages, others
-        Threads of the parts, of the page around them, and of the pages about other runs.
+    models, pages
+        Threads of the parts, and of the page around them.
     """
 
-    def __init__(self, sections: LiveSections, runs: Runs, requests: int | None) -> None:
+    def __init__(self, sections: LiveSections) -> None:
         self.sections = sections
-        self.runs = runs
-        self.requests = requests
-        self.control = "" if requests is None else secrets.token_urlsafe(TOKEN_BYTES)
         self.version = 0
         self.now: Mapping[str, Any] = {}
         self.parts: dict[str, tuple[int, Part]] = {}
@@ -72,8 +62,6 @@ class LiveState:
         self.models = ThreadPoolExecutor(1)
         # Another for the page, which need not wait for the models.
         self.pages = ThreadPoolExecutor(1)
-        # Another, so that a comparison does not hold up the page of the run.
-        self.others = ThreadPoolExecutor(1)
 
     async def call(self, thread: Executor, function: Any, *arguments: Any) -> Any:
         """Call a function in one of the threads."""

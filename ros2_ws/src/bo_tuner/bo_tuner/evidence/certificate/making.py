@@ -12,7 +12,10 @@ from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.evaluations_file import evaluations_csv
 from bo_tuner.evidence.certificate.findings import Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
-from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.certificate.parameter_sensitivity import (
+    narrow_in_words,
+    parameter_sensitivity,
+)
 from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
 from bo_tuner.evidence.certificate.store import (
     certificate_text,
@@ -107,7 +110,7 @@ def make_certificate(
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         parameter_sensitivity=sensitivity,
         warnings=(
-            *([sensitivity.warning] if sensitivity is not None and sensitivity.warning else ()),
+            *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
             *_busy(study, findings, backend),
             *_rounded(findings, held),
         ),

@@ -48,7 +48,7 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
     objective = certificate.objective
     rows = [
         Row(
-            f"mean {objective.metric}",
+            f"mean {study.metrics[objective.metric].title}",
             objective.unit,
             tuple(_mean(side.objective) for side in sides),
         ),
@@ -93,7 +93,9 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     def row(label: str, unit: str, values: Iterator[str]) -> Row:
         return Row(label, unit, tuple(values))
 
-    extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
+    extreme = study.titled(
+        constraint, f"{constraint.extreme} {study.metrics[constraint.metric].title}"
+    )
     yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both))
     yield row(CVAR, unit, (shown(c.tail) for c in both))
     yield row(f"  draws {beyond}", "", (str(c.violations) for c in both))
@@ -107,7 +109,7 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
         def searched(show: Callable[[Worst], str]) -> Iterator[str]:
             return (show(c.worst) if c.worst else NOT_SEARCHED for c in both)
 
-        title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
+        title = study.titled(constraint, f"worst-case {study.limited(constraint)}, mean")
         yield row(title, unit, searched(lambda worst: _mean(worst[0].mean, limit)))
         # Of all contexts that the search found: the worst one need not have the widest bound.
         side = constraint.side
@@ -149,7 +151,7 @@ def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
     unit = f" {tolerance.unit}" if tolerance.unit else ""
     constraint = study.constraints[tolerance.constraint]
     yield (
-        f"{study.titled(constraint, constraint.limited)} is most sensitive to {first.name}: "
+        f"{study.titled(constraint, study.limited(constraint))} is most sensitive to {first.name}: "
         f"at its nominal value the worst case would be {tolerance.relieved} by "
         f"{first.relief.median:.2g}{unit} ({first.relief.low:.2g} to {first.relief.high:.2g})"
     )

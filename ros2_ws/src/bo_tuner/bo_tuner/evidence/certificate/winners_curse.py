@@ -82,7 +82,7 @@ def training_gaps(
     seen = np.array(trial.observations(metric.name))
     gaps = [
         Gap(
-            name=f"mean {metric.name}",
+            name=f"mean {metric.title}",
             unit=metric.unit,
             observed=float(seen.mean()) if len(seen) else nan,
             observed_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
@@ -96,7 +96,7 @@ def training_gaps(
         if constraint.worst and estimate is not None:
             gaps.append(
                 Gap(
-                    name=f"worst mean {study.constraints[constraint.name].limited}",
+                    name=f"worst mean {study.limited(study.constraints[constraint.name])}",
                     unit=constraint.unit,
                     observed=nan,
                     observed_error=nan,

@@ -18,9 +18,13 @@ def all_trials(analysis: Analysis) -> Section:
     names = study.search_space().names
     metrics = [study.metrics[objective.metric] for objective in study.objectives]
     worst = study.worst_case_constraints
-    header = ["trial", "origin", *(with_unit(n, study.parameters[n].unit) for n in names)]
-    header += [with_unit(f"mean {metric.name}", metric.unit) for metric in metrics]
-    header += [with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
+    header = [
+        "trial",
+        "origin",
+        *(with_unit(study.parameters[n].title, study.parameters[n].unit) for n in names),
+    ]
+    header += [with_unit(f"mean {metric.title}", metric.unit) for metric in metrics]
+    header += [with_unit(f"worst {study.limited(c)}", study.metrics[c.metric].unit) for c in worst]
     header += ["test runs", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []

@@ -75,7 +75,7 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
     )
     extreme = "Largest" if sign > 0.0 else "Smallest"
     where = "in the tuning run (without those of certificates)"
-    text = f"{extreme} {metric.name} {where}: {worst_of_sides}."
+    text = f"{extreme} {metric.title} {where}: {worst_of_sides}."
     if constraint is None:
         return text
     limit = quantity(constraint.limit, metric.unit)
@@ -105,7 +105,7 @@ def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, nam
         ends = [*seen, *([] if limit is None else [limit])]
         margin = 0.05 * ((max(ends) - min(ends)) or abs(max(ends)) or 1.0)
         y = Axis(
-            label=metric.name, unit=metric.unit, limits=(min(ends) - margin, max(ends) + margin)
+            label=metric.title, unit=metric.unit, limits=(min(ends) - margin, max(ends) + margin)
         )
         panels = [_panel_1d(study, side, metric, limit, y) for side in sides]
     else:
@@ -115,7 +115,7 @@ def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, nam
         ]
     return Figure(
         name=name,
-        title=f"{metric.name} over the contexts: {' and '.join(name for name, _ in sides)}",
+        title=f"{metric.title} over the contexts: {' and '.join(name for name, _ in sides)}",
         caption="Each point is a test run, of any stage. The colours between them are predicted by "
         "a model; the line is the limit. Points cluster where the metric is bad, because the "
         "search looks for the worst case.",
@@ -225,7 +225,7 @@ def _colors(metric: Metric, seen: Sequence[float], limit: float | None) -> Color
         low, high = limit - reach, limit + reach
     elif not low < high:
         low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
-    return ColorScale(label=metric.name, unit=metric.unit, low=low, high=high, middle=limit)
+    return ColorScale(label=metric.title, unit=metric.unit, low=low, high=high, middle=limit)
 
 
 def _violating(evaluations: Sequence[Evaluation], constraint: Constraint) -> str:
@@ -243,4 +243,4 @@ def _summary(side: Side, metric: Metric) -> str:
 def _describe(evaluation: Evaluation, metric: Metric) -> str:
     value = quantity(evaluation.outcome.metrics[metric.name], metric.unit)
     origin = f"stage {evaluation.stage}, seed {evaluation.seed}"
-    return f"{metric.name} {value}\n{values(evaluation.context)}\n{origin}"
+    return f"{metric.title} {value}\n{values(evaluation.context)}\n{origin}"

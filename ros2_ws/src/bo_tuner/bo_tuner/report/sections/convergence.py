@@ -103,11 +103,12 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     if trial.state is TrialState.FAILED:
         return "\n".join([*lines, trial.reason])
     mean = analysis.mean_objective(trial)
-    lines.append(f"mean {study.objective.metric} {quantity(mean, unit)}")
+    lines.append(f"mean {study.metrics[study.objective.metric].title} {quantity(mean, unit)}")
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases[constraint.name]
-        estimate = quantity(worst.value, study.metrics[constraint.metric].unit)
-        lines.append(f"worst {constraint.metric} {estimate} at {values(worst.context)}")
+        metric = study.metrics[constraint.metric]
+        estimate = quantity(worst.value, metric.unit)
+        lines.append(f"worst {metric.title} {estimate} at {values(worst.context)}")
     return "\n".join(lines)
 
 
@@ -126,7 +127,7 @@ def _objective(analysis: Analysis) -> Figure:
     return Figure(
         name="convergence",
         title="Would more trials help? "
-        f"Mean {study.objective.metric} of each trial, and of the best so far",
+        f"Mean {study.metrics[study.objective.metric].title} of each trial, and of the best so far",
         caption="The best so far is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. {_edge_in_words(sign)}",
         alternative=_summary(analysis, best_by_trial),
@@ -155,14 +156,14 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     )
     edge = _edge(analysis, decisive_values, Scale.LINEAR, sign, [constraint.limit])
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
-    label, side = f"worst {metric.name}", "below" if sign > 0.0 else "above"
+    label, side = f"worst {metric.title}", "below" if sign > 0.0 else "above"
     if constraint.rule.on_runs:
         level = constraint.level if sign > 0.0 else constraint.allowed
-        label = f"worst {level:.4g} quantile of {metric.name}"
+        label = f"worst {level:.4g} quantile of {metric.title}"
     places = np.arange(len(decisive_values), dtype=float)
     return Figure(
         name=name,
-        title=f"Which trials stay within the limit of {metric.name} in their worst context?",
+        title=f"Which trials stay within the limit of {metric.title} in their worst context?",
         caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. "
         f"{_edge_in_words(sign)}",
         alternative=f"{within} of {len(decisive_values)} trials stay within the limit of "
@@ -195,7 +196,7 @@ def _edge_in_words(sign: float) -> str:
 def mean_axis(study: Study, objective: Objective) -> Axis:
     """Return the axis of the mean of an objective, on its scale."""
     return Axis(
-        label=f"mean {objective.metric}",
+        label=f"mean {study.metrics[objective.metric].title}",
         unit=study.metrics[objective.metric].unit,
         scale=Scale(objective.scale),
     )
@@ -227,6 +228,7 @@ def outcome_points(
                     size=size,
                     filled=filled,
                     hover=[describe(analysis, trials[int(k)]) for k in chosen],
+                    trials=[trials[int(k)].number for k in chosen],
                 )
             )
     return drawn
@@ -247,6 +249,7 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
                     marker=Marker.STAR,
                     size=11,
                     hover=[describe(analysis, trial)],
+                    trials=[trial.number],
                 )
             )
     return drawn
@@ -337,6 +340,7 @@ def _incumbent_lines(
                     dash=dash,
                     step=True,
                     hover=[f"{name}: trial {c.trial.number}" for _, c in best_by_trial],
+                    trials=[c.trial.number for _, c in best_by_trial],
                 )
             )
     return lines
@@ -425,6 +429,7 @@ def _off_scale(
                 f"{describe(analysis, analysis.trials[k])}"
                 for k in far
             ],
+            trials=[analysis.trials[k].number for k in far],
         )
     ]
 

@@ -83,7 +83,7 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
         )
     return Panel(
         title=constraint.name,
-        x=Axis(label=metric.name, unit=metric.unit, limits=_around(elements)),
+        x=Axis(label=metric.title, unit=metric.unit, limits=_around(elements)),
         y=Axis(label="test runs", unit="%", limits=(0.0, 101.0)),
         elements=elements,
     )

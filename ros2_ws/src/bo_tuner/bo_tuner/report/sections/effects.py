@@ -8,6 +8,8 @@ import numpy as np
 from bo_tuner.evidence.certificate.parameter_sensitivity import (
     Neighbour,
     ParameterSensitivity,
+    change_in_words,
+    narrow_in_words,
     parameter_sensitivity,
 )
 from bo_tuner.evidence.effects import amount
@@ -22,10 +24,12 @@ from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import predicted_axis
+from bo_tuner.study.metrics import Metric
 from bo_tuner.study.search_space import STEP
+from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Trial, Value, pooled
-from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
+from bo_tuner.tuning.effects import ERROR, FAILURES, Effect, ParameterEffects
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -52,18 +56,20 @@ def effects(analysis: Analysis) -> Section | None:
         header.append("seen to move")
     rows = []
     for k, name in enumerate(names):
-        row = [name, number(answer.parameters[name])]
+        row = [study.parameters[name].title, number(answer.parameters[name])]
         if steps is not None:
             row += _steps(analysis, steps, name)
         row += [_share(totals[k]) for totals in shares.values()]
         if by_parameter:
-            row.append(_moved(by_parameter.get(name)))
+            row.append(_moved(study, by_parameter.get(name)))
         rows.append(row)
     count = 0 if steps is None else 2
     return Section(
         name="effects",
         title="What does each parameter do?",
-        lead=" ".join([*_lead(steps), *_most(analysis, shares), *analysis.verdict.of_parameters]),
+        lead=" ".join(
+            [*_lead(study, steps), *_most(analysis, shares), *analysis.verdict.of_parameters]
+        ),
         tables=[
             Table(
                 caption=f"The tuned parameters, around the {analysis.answer_set}",
@@ -76,12 +82,12 @@ def effects(analysis: Analysis) -> Section | None:
     )
 
 
-def _lead(steps: ParameterSensitivity | None) -> list[str]:
+def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
     """Say whether a step away from the answer is tolerable."""
     if steps is None or not steps.neighbours:
         return []
-    if steps.warning:
-        return [f"{steps.warning[:1].upper()}{steps.warning[1:]}."]
+    if warning := narrow_in_words(study, steps):
+        return [f"{warning[:1].upper()}{warning[1:]}."]
     return [
         f"None of {len(steps.neighbours)} steps to a neighbour loses more than "
         f"{100.0 * TOLERABLE:.0f} % of the objective or exceeds a limit by more than that."
@@ -90,14 +96,17 @@ def _lead(steps: ParameterSensitivity | None) -> list[str]:
 
 def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
     """Name the parameter that matters most for each response."""
-    names, parameters = analysis.study.search_space().names, analysis.verdict.effects
+    study, parameters = analysis.study, analysis.verdict.effects
+    titles = [study.parameters[name].title for name in study.search_space().names]
     moved = {e.metric for item in parameters for e in item.effects if e.seen}
     # Where no parameter was seen to move a response, the model has explained noise.
-    still = {_mean(name) for name in analysis.study.metrics if parameters and name not in moved}
+    still = {
+        _mean(metric) for name, metric in study.metrics.items() if parameters and name not in moved
+    }
     return [
         f"{response}: no effect was seen."
         if response in still
-        else f"{response}: most by {names[int(np.argmax(totals))]}."
+        else f"{response}: most by {titles[int(np.argmax(totals))]}."
         for response, totals in shares.items()
     ]
 
@@ -120,11 +129,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
         _change(name, optimum.parameters[name], value, alone=len(neighbour.changed) == 1)
         for name, value in neighbour.changed.items()
     )
-    axis = predicted_axis(analysis.study)
-    if optimum.objective > 0.0:
-        text = f"{step}: {100.0 * (neighbour.objective / optimum.objective - 1.0):+.1f} %"
-    else:  # A percentage of it would say nothing.
-        text = f"{step}: {neighbour.objective - optimum.objective:+.3g} {axis.unit}".rstrip()
+    text = f"{step}: {change_in_words(analysis.study, optimum, neighbour)}"
     if analysis.study.constraints:
         text += f", {100.0 * neighbour.feasibility:.0f} % likely within limits"
     return text
@@ -138,20 +143,25 @@ def _change(name: str, old: Value, new: Value, *, alone: bool) -> str:
     return f"{of}{difference:+d}" if isinstance(difference, int) else f"{of}{difference:+.3g}"
 
 
-def _moved(parameter: ParameterEffects | None) -> str:
+def _moved(study: Study, parameter: ParameterEffects | None) -> str:
     """Return the metrics that a parameter was seen to move, with the largest differences."""
     if parameter is None:
         return "–"
-    seen = [f"{e.metric} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
+    seen = [f"{_title(study, e)} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
     if seen:
         return ", ".join(seen)
-    visible = [_visible(e) for e in parameter.effects if not isinf(e.visible)]
+    visible = [_visible(study, e) for e in parameter.effects if not isinf(e.visible)]
     return f"nothing; visible would have been {', '.join(visible)}" if visible else "nothing"
 
 
-def _visible(effect: Effect) -> str:
+def _title(study: Study, effect: Effect) -> str:
+    """Return what moves: a metric, or the share of failures."""
+    return effect.metric if effect.metric == FAILURES else study.metrics[effect.metric].title
+
+
+def _visible(study: Study, effect: Effect) -> str:
     size = f"{amount(effect.visible, effect)} of " if effect.visible else "any of "
-    return f"{size}{effect.metric}"
+    return f"{size}{_title(study, effect)}"
 
 
 def _shares(analysis: Analysis) -> dict[str, Array]:
@@ -176,20 +186,20 @@ def _shares(analysis: Analysis) -> dict[str, Array]:
     }
 
 
-def _mean(metric: str) -> str:
-    return f"mean {metric}"
+def _mean(metric: Metric) -> str:
+    return f"mean {metric.title}"
 
 
 def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
     """Return each response by its name, with its value (N,) in each of the trials."""
     study = analysis.study
     means = [
-        (_mean(name), np.array([np.mean(trial.observations(name)) for trial in trials]))
-        for name in study.metrics
+        (_mean(metric), np.array([np.mean(trial.observations(name)) for trial in trials]))
+        for name, metric in study.metrics.items()
     ]
     worst = [
         (
-            f"{item.extreme} {item.metric} in the worst context",
+            f"{item.extreme} {study.metrics[item.metric].title} in the worst context",
             np.array([trial.worst_cases[item.name].value for trial in trials]),
         )
         for item in study.worst_case_constraints
@@ -228,10 +238,12 @@ def _notes(
         within = (
             f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
         )
+        several = len(analysis.study.objectives) > 1
+        share = ", in percent of the spread of that cost" if several else ""
         notes.append(
-            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it. A step "
-            f"is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A step "
-            f"is tolerable if neither loss nor excess is above {100.0 * TOLERABLE:.0f} %. The "
+            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it{share}. A "
+            f"step is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A "
+            f"step is tolerable if neither loss nor excess is above {100.0 * TOLERABLE:.0f} %. The "
             f"sensitivity score, the mean loss beyond that, is {steps.score:.3g}."
         )
     if shares:

@@ -72,7 +72,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
         caption="Far off (outliers): trials left out of the models; their vicinity is avoided",
-        header=["trial", "parameters", with_unit(f"mean {metric.name}", metric.unit)],
+        header=["trial", "parameters", with_unit(f"mean {metric.title}", metric.unit)],
         rows=[
             [
                 str(trial.number),

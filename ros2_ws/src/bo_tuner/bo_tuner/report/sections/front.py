@@ -71,8 +71,8 @@ def _which_means(points: Sequence[Point]) -> str:
 
 
 def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
-    objectives = analysis.study.objectives
-    names = " against ".join(objective.metric for objective in objectives)
+    study, objectives = analysis.study, analysis.study.objectives
+    names = " against ".join(study.metrics[objective.metric].title for objective in objectives)
     return Figure(
         name="front",
         title=f"Means of {names}, all trials",
@@ -125,6 +125,7 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
                 f"{second} {_in_words(p.means[second])}"
                 for p in points
             ],
+            trials=[p.trial for p in points],
         ),
     ]
     across, up = (mean_axis(analysis.study, objective) for objective in pair)
@@ -143,12 +144,12 @@ def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
 def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> Table:
     study = analysis.study
     names = list(study.search_space().names)
-    units = {item.metric: study.metrics[item.metric].unit for item in study.objectives}
     by_number = {trial.number: trial for trial in analysis.trials}
     header = ["trial"]
-    for name, unit in units.items():
-        header += [with_unit(f"mean {name}", unit), f"± of {name}"]
-    header += ["test runs", "likely within limits [%]", *names]
+    for metric in (study.metrics[item.metric] for item in study.objectives):
+        header += [with_unit(f"mean {metric.title}", metric.unit), f"± of {metric.title}"]
+    header += ["test runs", "likely within limits [%]"]
+    header += [study.parameters[name].title for name in names]
     return Table(
         caption="The front, by the first objective",
         header=header,

@@ -62,7 +62,7 @@ def _ends(analysis: Analysis, name: str) -> str:
     """Return the name of a parameter with the ends of its axis."""
     item = analysis.study.parameters[name]
     ends = item.levels or item.bounds
-    return name if not ends else f"{name}\n{shown(ends[0])} … {shown(ends[-1])}"
+    return item.title if not ends else f"{item.title}\n{shown(ends[0])} … {shown(ends[-1])}"
 
 
 def _lines(
@@ -77,5 +77,14 @@ def _lines(
         f"{name}: trial {trial.number}\n{values(analysis.tuned_values(trial.parameters))}"
         for trial in trials
     ]
-    hover = [text for text in texts for _ in range(space.dimension + 1)]
-    return Line(x=x, y=y, name=name, color=color, dash=dash, width=width, hover=hover)
+    points = space.dimension + 1
+    return Line(
+        x=x,
+        y=y,
+        name=name,
+        color=color,
+        dash=dash,
+        width=width,
+        hover=[text for text in texts for _ in range(points)],
+        trials=[trial.number for trial in trials for _ in range(points)],
+    )

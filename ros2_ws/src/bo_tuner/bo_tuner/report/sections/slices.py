@@ -24,6 +24,7 @@ from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
 from bo_tuner.report.sections.convergence import describe, predicted_axis
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metrics import Metric
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1
@@ -101,7 +102,7 @@ def _constraint_slice(
     metric = analysis.study.metrics[constraint.metric]
     return Panel(
         x=grid.axis,
-        y=Axis(label=_label(constraint, model), unit=metric.unit),
+        y=Axis(label=_label(constraint, model, metric), unit=metric.unit),
         elements=[
             *_curve(grid, line, low, high, analysis.blind(points)),
             Limit(value=model.limit, name="limit"),
@@ -115,9 +116,9 @@ def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
     return constraint.rule.on_runs and model.limit == constraint.limit
 
 
-def _label(constraint: Constraint, model: LimitedResponse) -> str:
+def _label(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
     """Name what the model predicts, which is held against its limit."""
-    return constraint.rule.predicted(quantile=_is_of_quantile(constraint, model))
+    return constraint.rule.predicted(metric.title, quantile=_is_of_quantile(constraint, model))
 
 
 def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
@@ -167,6 +168,7 @@ def _near_points(
         Points(
             x=[float(trial.parameters[grid.name]) for trial in near], y=y, name="trials nearby",
             color=Color.GRAY, filled=False, hover=[describe(analysis, trial) for trial in near],
+            trials=[trial.number for trial in near],
         )
     ]  # fmt: skip
 

@@ -30,7 +30,7 @@ def tolerance(analysis: Analysis) -> Section | None:
         lead=" ".join(map(_lead, tolerances, limited)),
         tables=[_table(item) for item in tolerances],
         notes=[
-            *(_note(item, analysis.answer_set) for item in tolerances),
+            *(_note(study, item, analysis.answer_set) for item in tolerances),
             "There are no predictions outside the ranges of the study.",
         ],
     )
@@ -38,7 +38,7 @@ def tolerance(analysis: Analysis) -> Section | None:
 
 def _limited(study: Study, item: ContextTolerance) -> str:
     constraint = study.constraints[item.constraint]
-    return study.titled(constraint, constraint.limited)
+    return study.titled(constraint, study.limited(constraint))
 
 
 def _lead(item: ContextTolerance, limited: str) -> str:
@@ -69,11 +69,12 @@ def _table(item: ContextTolerance) -> Table:
     )
 
 
-def _note(item: ContextTolerance, subject: str) -> str:
+def _note(study: Study, item: ContextTolerance, subject: str) -> str:
+    title = study.metrics[item.metric].title
     return (
-        f"From {item.evaluations} test runs of the {subject}. The mean "
-        f"{item.metric} over noise is {quantity(item.nominal.median, item.unit)} in the "
-        f"nominal context and {quantity(item.worst.median, item.unit)} "
-        f"({number(item.worst.low)} to {number(item.worst.high)}) in the worst one "
+        f"From {item.evaluations} test runs of the {subject}. The mean {title} over noise is "
+        f"{quantity(item.nominal.median, item.unit)} in the nominal context and "
+        f"{quantity(item.worst.median, item.unit)} ({number(item.worst.low)} to "
+        f"{number(item.worst.high)}) in the worst one "
         f"({values(item.worst_context)}); the limit is {quantity(item.limit, item.unit)}."
     )

@@ -49,7 +49,8 @@ def trade_off(analysis: Analysis) -> Section | None:
     if not constraints or not trials:
         return None
     names = " and ".join(
-        f"a {'lower' if c.sign > 0.0 else 'higher'} {c.metric}" for c in constraints
+        f"a {'lower' if c.sign > 0.0 else 'higher'} {study.metrics[c.metric].title}"
+        for c in constraints
     )
     means = np.array([analysis.mean_objective(trial) for trial in trials])
     leads, figures, tables = [], [], []
@@ -59,7 +60,7 @@ def trade_off(analysis: Analysis) -> Section | None:
         leads.append(
             f"{len(front)} of {len(trials)} trials, without failed and far-off ones, are on the "
             "observed Pareto front: no other trial has both a better objective and a "
-            f"better worst {constraint.metric}, within limits or not."
+            f"better worst {study.metrics[constraint.metric].title}, within limits or not."
         )
         name = numbered("trade-off", place)
         figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
@@ -88,9 +89,10 @@ def _figure(
 ) -> Figure:
     study = analysis.study
     limited = study.metrics[constraint.metric]
+    objective = study.metrics[study.objective.metric]
     return Figure(
         name=name,
-        title=f"Mean {study.objective.metric} against worst {limited.name}, all trials",
+        title=f"Mean {objective.title} against worst {limited.title}, all trials",
         caption="Estimates of the trials themselves, with the noise of a few evaluations "
         "each; the best values are biased by selection. The default has the values of the "
         "result section.",
@@ -101,7 +103,7 @@ def _figure(
         ),
         panels=[
             Panel(
-                x=Axis(label=f"worst {limited.name}", unit=limited.unit),
+                x=Axis(label=f"worst {limited.title}", unit=limited.unit),
                 y=mean_axis(study, study.objective),
                 elements=[
                     Limit(value=constraint.limit, name="limit", vertical=True),
@@ -112,6 +114,7 @@ def _figure(
                         color=Color.INK,
                         dash=Dash.DOTTED,
                         hover=[f"front: trial {trials[k].number}" for k in front],
+                        trials=[trials[k].number for k in front],
                     ),
                     *_default(analysis, constraint),
                     *trial_points(analysis, trials, worst, means),
@@ -128,23 +131,23 @@ def _table(
     means: Array,
     moved: Mapping[int, Sequence[float]],
 ) -> Table:
-    objective = analysis.study.objective.metric
-    unit = analysis.study.metrics[objective].unit
+    study = analysis.study
+    objective, limited = study.metrics[study.objective.metric], study.metrics[constraint.metric]
     own = next((k for k, limits in moved.items() if constraint.limit in limits), None)
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
-        caption=f"Best mean {objective} observed if {constraint.metric} had another limit{among}",
+        caption=f"Best mean {objective.title} observed if {limited.title} had another limit{among}",
         header=[
-            with_unit("limit", analysis.study.metrics[constraint.metric].unit),
+            with_unit("limit", limited.unit),
             "trial",
-            f"mean {objective}",
+            f"mean {objective.title}",
             "relative to the present limit",
         ],
         rows=[
             [
                 _range(limits),
                 "none" if k == NONE else str(trials[k].number),
-                "–" if k == NONE else quantity(float(means[k]), unit),
+                "–" if k == NONE else quantity(float(means[k]), objective.unit),
                 "–"
                 if NONE in (k, own) or own is None
                 else change(float(means[k]), float(means[own])),
@@ -169,7 +172,8 @@ def _nothing_gained(
         return f"No trial keeps {limit}."
     if len(limits) == 1:
         return ""
-    return f"With {limit} the best mean {analysis.study.objective.metric} is the same, up to noise."
+    title = analysis.study.metrics[analysis.study.objective.metric].title
+    return f"With {limit} the best mean {title} is the same, up to noise."
 
 
 def pareto_front(cost: Array, worst: Array) -> list[int]:

@@ -17,12 +17,13 @@
   function showNow({ now: state, problem, stamp }) {
     const counted = state.total ? ` ${state.done} of ${state.total}` : "";
     const left = state.time_left ? `, ${state.time_left} left` : "";
-    let text = `${state.phase || "starting"}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
+    const phase = state.phase || "starting";
+    let text = `${phase[0].toUpperCase()}${phase.slice(1)}${counted && `:${counted}`}${left}${state.paused ? ", PAUSED" : ""}`;
     if (state.verdict) text = state.verdict;
     if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; see the terminal of tune";
     if (title.textContent !== text) title.textContent = text;
     if (state.ended) of("kind").textContent = "Tuning run, which has ended";
-    now.querySelector(".stamp").textContent = stamp ? `${stamp}: all that follows.` : "";
+    now.querySelector(".stamp").textContent = stamp ? `${stamp}: all that is below.` : "";
     document.title = `${text} - ${document.querySelector("h1").textContent}`;
     const bar = now.querySelector("progress");
     bar.max = state.total || 1;
@@ -91,7 +92,6 @@
     } else {
       main.append(section);
     }
-    linkTrials(section);
     section.dispatchEvent(new CustomEvent("replaced", { bubbles: true }));
     if (old) keepTables(old, section);
   }
@@ -117,20 +117,6 @@
       const clicks = table.tHead.rows[0].cells[column].getAttribute("aria-sort") === "descending" ? 2 : 1;
       for (let n = 0; n < clicks; n += 1) head.querySelector("button").click();
     });
-  }
-
-  function linkTrials(section) {
-    for (const table of section.querySelectorAll("table")) {
-      if (table.tHead.rows[0].cells[0].textContent.trim() !== "trial") continue;
-      for (const row of table.tBodies[0].rows) {
-        const number = row.cells[0].textContent.trim();
-        if (!/^\d+$/.test(number)) continue;
-        const link = document.createElement("a");
-        link.href = `trials/${number}`;
-        link.textContent = number;
-        row.cells[0].replaceChildren(link);
-      }
-    }
   }
 
   function putInOrder(titles) {

@@ -53,7 +53,10 @@
         // In place of the picture of a page without scripts.
         if (!this.theme) this.plots[k].replaceChildren();
         Plotly.react(this.plots[k], panel.data, panel.layout, config);
-        if (!this.theme) addTip(this.plots[k]);
+        if (!this.theme) {
+          addTip(this.plots[k]);
+          leadToTrials(this.plots[k]);
+        }
       });
       this.theme = theme;
       performance.mark("figure");
@@ -93,8 +96,16 @@
     });
   }
 
+  // A point that is a trial, or a test run of one, leads to it.
+  function leadToTrials(plot) {
+    plot.on("plotly_click", ({ points: [point] }) => {
+      if (typeof point.customdata !== "number") return;
+      plot.dispatchEvent(new CustomEvent("trial", { bubbles: true, detail: point.customdata }));
+    });
+  }
+
   function told(point) {
-    if (point.hovertext) return unescaped(point.hovertext);
+    if (point.hovertext) return unescaped(point.hovertext) + (typeof point.customdata === "number" ? "\n(click to open)" : "");
     const number = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : value);
     const of = (axis, value) => `${axis.title.text || ""} ${number(value)}`.trim();
     const lines = [of(point.xaxis, point.x), of(point.yaxis, point.y)];

@@ -226,8 +226,8 @@ class LimitKind(ABC):
         """Return that earlier and fresh runs, in words `both`, together break the limit."""
 
     @abstractmethod
-    def predicted(self, *, quantile: bool) -> str:
-        """Name what models predict in a figure: a quantile of runs, or a mean, of the metric."""
+    def predicted(self, metric: str, *, quantile: bool) -> str:
+        """Name what models predict in a figure: a quantile of runs, or a mean, of a `metric`."""
 
     @property
     @abstractmethod

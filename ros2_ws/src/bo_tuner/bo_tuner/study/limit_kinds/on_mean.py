@@ -175,8 +175,8 @@ class OnMean(LimitKind):
         mean = text.shown_beside(together, self.limited.limit)
         return f"{both} together have a mean of {mean}, limit {self.limited.limit:g}"
 
-    def predicted(self, *, quantile: bool) -> str:  # noqa: D102
-        return f"{'worst' if self.in_every_context else 'mean'} {self.limited.metric}"
+    def predicted(self, metric: str, *, quantile: bool) -> str:  # noqa: D102
+        return f"{'worst' if self.in_every_context else 'mean'} {metric}"
 
     @property
     def decisive(self) -> str:  # noqa: D102

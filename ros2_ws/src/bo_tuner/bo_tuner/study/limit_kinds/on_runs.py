@@ -135,12 +135,12 @@ class OnRuns(LimitKind):
             f"{both} together violate the limit with a share of {share}, allowed {self.allowed:.4g}"
         )
 
-    def predicted(self, *, quantile: bool) -> str:  # noqa: D102
+    def predicted(self, metric: str, *, quantile: bool) -> str:  # noqa: D102
         worst = self.in_every_context
         if quantile:
             level = self.level if self.limited.sign > 0.0 else self.allowed
-            return f"{'worst ' if worst else ''}{level:.4g} quantile of {self.limited.metric}"
-        return f"{'worst' if worst else 'mean'} {self.limited.metric}"
+            return f"{'worst ' if worst else ''}{level:.4g} quantile of {metric}"
+        return f"{'worst' if worst else 'mean'} {metric}"
 
     @property
     def decisive(self) -> str:  # noqa: D102

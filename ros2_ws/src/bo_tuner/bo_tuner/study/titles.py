@@ -1,0 +1,36 @@
+"""What a reader calls a metric or a parameter: its label in the study, or else its name."""
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+
+LONGEST_LABEL = 60
+"""Characters of a label; a table and the axis of a figure have room for no more."""
+
+
+class Titled:
+    """Base of what has a name and may have a label, as fields of the derived class."""
+
+    name: str
+    label: str
+
+    @property
+    def title(self) -> str:
+        """What screens call it; files, topics and options keep the name."""
+        return self.label or self.name
+
+
+def check_label(label: str) -> None:
+    """Check the label of an object.
+
+    Raises
+    ------
+    StudyError
+        If it is no text for one line of a screen.
+    """
+    checks.text(label, "label")
+    if len(label) > LONGEST_LABEL or label != label.strip() or not label.isprintable():
+        raise StudyError(
+            f"expected at most {LONGEST_LABEL} printable characters without spaces at the ends, "
+            f"found {checks.show(label)}",
+            ("label",),
+        )

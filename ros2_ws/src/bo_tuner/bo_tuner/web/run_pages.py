@@ -1,0 +1,197 @@
+"""Serves the pages about the runs in a folder: beside a run in progress, and by themselves.
+
+Nothing of a run can be changed but its notes. Files are given as downloads, never shown: what a
+stranger's run has named HTML would else be a page of ours.
+"""
+
+import asyncio
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NoReturn
+from urllib.parse import quote
+
+from tornado.web import HTTPError
+
+from bo_tuner.interruption import LOOK_AROUND, Interruption
+from bo_tuner.storage.notes import Note
+from bo_tuner.storage.run_files import open_file
+from bo_tuner.web.address import Address
+from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
+from bo_tuner.web.places import RUNS
+from bo_tuner.web.runs import MOST_COMPARED, Runs
+
+NO_RUN = "there is no such run here"
+NO_TRIAL = "there is no such trial here"
+NO_FILE = "there is no such file here"
+PIECE = 1_000_000
+"""Of a file that is sent at once [byte]."""
+
+
+class RunsHandler(Page):
+    """Base of the pages about the runs in a folder."""
+
+    read_only = "notes are read-only here; tune --web-control or report --serve takes them"
+
+    def initialize(self, **shared: Any) -> None:
+        """Take what makes these pages, and the thread in which it may be used."""
+        super().initialize(**shared)
+        self.runs: Runs = shared["runs"]
+        self.thread: ThreadPoolExecutor = shared["thread"]
+
+
+class Entrance(RunsHandler):
+    """Where the address that was printed leads to, without a run in progress."""
+
+    def get(self) -> None:
+        """Put the token into a cookie, and go on to the list."""
+        if not self.enter():
+            self.redirect(RUNS)
+
+
+class RunsPage(RunsHandler):
+    """The list of runs."""
+
+    async def get(self) -> None:
+        """Answer with a page of the list."""
+        page = self.get_query_argument("page", "0")
+        if not page.isascii() or not page.isdecimal() or len(page) > 9:
+            raise HTTPError(400, "page: expected a whole number")
+        missing = "there is no such page of the list"
+        self.finish(await self.made(missing, self.thread, self.runs.listing, int(page)))
+
+
+class RunsTable(RunsHandler):
+    """The list of runs as a file for a spreadsheet."""
+
+    async def get(self) -> None:
+        """Answer with all runs as CSV."""
+        text = await self.made(NO_RUN, self.thread, self.runs.table)
+        _offer(self, "runs.csv")
+        self.finish(text.encode("utf-8", "replace"))
+
+
+class RunPage(RunsHandler):
+    """The report of a run."""
+
+    async def get(self, name: str) -> None:
+        """Answer with the report, if there is such a run."""
+        self.finish(await self.made(NO_RUN, self.thread, self.runs.report, name))
+
+
+class TrialPage(RunsHandler):
+    """The page of a trial."""
+
+    async def get(self, name: str, number: str) -> None:
+        """Answer with the page, if there is such a trial."""
+        page = await self.made(NO_TRIAL, self.thread, self.runs.trial, name, int(number))
+        self.finish(page)
+
+
+class ComparisonPage(RunsHandler):
+    """Runs side by side."""
+
+    async def get(self) -> None:
+        """Answer with the comparison."""
+        names = list(dict.fromkeys(self.get_query_arguments("run")))
+        if not 2 <= len(names) <= MOST_COMPARED:
+            raise HTTPError(
+                400, f"choose 2 to {MOST_COMPARED} runs to compare, found {len(names)}; go back"
+            )
+        self.finish(await self.made(NO_RUN, self.thread, self.runs.compared, names))
+
+
+class RunFile(RunsHandler):
+    """A file of a run, to download."""
+
+    async def get(self, name: str, path: str) -> None:
+        """Answer with the file, piece by piece."""
+        found: Path = await self.made(NO_FILE, self.thread, self.runs.file, name, path)
+        try:
+            file = os.fdopen(open_file(found, os.O_RDONLY), "rb")
+        except OSError as error:
+            raise HTTPError(409, "%s cannot be read: %s", path, error.strerror) from None
+        _offer(self, found.name)
+        with file:
+            while piece := file.read(PIECE):
+                self.write(piece)
+                await self.flush()
+
+
+class NoteOf(RunsHandler):
+    """A note on a run or a trial."""
+
+    async def post(self, name: str, number: str | None = None) -> None:
+        """Put it in place of what was noted before, if it is a page of ours that asks."""
+        self.check_control()
+        try:
+            asked = json.loads(self.request.body)
+            note = Note.of(str(asked["text"]), str(asked["tags"]))
+        except (KeyError, TypeError, RecursionError):
+            raise HTTPError(400, "expected a note with text and tags") from None
+        except json.JSONDecodeError:
+            raise HTTPError(400, "expected a note in JSON") from None
+        except ValueError as error:
+            raise HTTPError(400, "%s", error) from None
+        trial = None if number is None else int(number)
+        await self.made(NO_TRIAL, self.thread, self.runs.note, name, trial, note)
+        self.set_status(204)
+
+
+def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
+    """Return the routes of the pages about runs, which are made in a thread."""
+    shared = {"runs": runs, "thread": thread}
+    pages: list[tuple[str, type[RunsHandler]]] = [
+        (r"/runs", RunsPage),
+        (r"/runs\.csv", RunsTable),
+        (r"/runs/([^/]+)", RunPage),
+        (r"/runs/([^/]+)/trials/([0-9]{1,9})", TrialPage),
+        (r"/runs/([^/]+)/note", NoteOf),
+        (r"/runs/([^/]+)/trials/([0-9]{1,9})/note", NoteOf),
+        (r"/runs/([^/]+)/files/(.+)", RunFile),
+        (r"/compare", ComparisonPage),
+    ]
+    return [(pattern, handler, shared) for pattern, handler in pages]
+
+
+def serve_runs(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
+    """Serve the runs in a folder until the end is asked for.
+
+    Parameters
+    ----------
+    address
+        Where to; its socket is closed in the end.
+    folder
+        The folder of runs.
+    interruption
+        Ends it.
+
+    Raises
+    ------
+    Interrupted
+        At the end.
+    """
+    asyncio.run(_serve(address, folder, interruption))
+
+
+async def _serve(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
+    access = Access(address.token, address.host, address.port, new_control_token())
+    thread = ThreadPoolExecutor(1)
+    runs = Runs(folder, control=access.control)
+    entrance: Route = (r"/", Entrance, {"runs": runs, "thread": thread})
+    server = start_server(address.socket, access, [entrance, *run_routes(runs, thread)])
+    try:
+        while True:
+            interruption.check()
+            await asyncio.sleep(LOOK_AROUND)
+    finally:
+        server.stop()
+        thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _offer(page: Page, name: str) -> None:
+    """Let a browser keep an answer as a file."""
+    page.set_header("Content-Type", "application/octet-stream")
+    quoted = quote(os.fsencode(name))
+    page.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quoted}")

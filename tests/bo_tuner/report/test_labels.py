@@ -1,0 +1,93 @@
+"""Labels of metrics and parameters: what screens say in place of names, which files keep."""
+
+import csv
+import io
+import json
+import re
+
+import pytest
+from functions import NODE
+from report_runs import sections
+from rich.console import Console
+
+from bo_tuner.evidence.table import print_verdict
+from bo_tuner.monitoring.progress import describe, incumbent_in_words, units_in_words
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import chapters, render
+from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.text import JOIN
+
+TITLES = {"gain": "Reach of the arm", "error": "Miss (mean)", "peak": "Bump"}
+
+
+@pytest.fixture(scope="module")
+def analysis(axis_run):
+    """A run with a label for each name; its limit is called otherwise."""
+    gain = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5, "unit": "m"}
+    return Analysis(
+        axis_run(
+            parameters={"gain": gain | {"label": TITLES["gain"]}},
+            metrics={
+                name: NODE | {"label": TITLES[name], "unit": "N"} for name in ("error", "peak")
+            },
+            constraints={"limit": {"kind": "worst_case", "metric": "peak", "upper": 1.0}},
+        )
+    )
+
+
+def texts_of(parts):
+    """What a reader sees of sections, but for the study itself and what stands in brackets."""
+    for section in parts:
+        if section.name == "provenance":
+            continue
+        yield from (section.title, section.lead, *section.notes)
+        for table in section.tables:
+            yield from (table.caption, *table.header, *(c for row in table.rows for c in row))
+        for figure in section.figures:
+            yield from (figure.title, figure.caption)
+            for panel in figure.panels:
+                yield from (panel.title, panel.x.title, panel.y.title)
+
+
+def named(texts, name):
+    return [text for text in texts if re.search(rf"\b{name}\b", text)]
+
+
+def test_the_report_and_its_pages_of_trials(analysis):
+    texts = [*texts_of(sections(analysis)), *texts_of(trial_sections(analysis, analysis.trials[2]))]
+    # Values of a trial beside each other have the names by which they are set.
+    for name in ("error", "peak"):
+        assert named(texts, name) == []
+    for title in TITLES.values():
+        assert any(title in text for text in texts)
+
+
+def test_what_to_set_has_the_name_too(analysis):
+    """By the label alone nobody could set it."""
+    page = render(analysis, chapters(analysis))
+    assert f"{TITLES['gain']} (gain) [m]" in page
+
+
+def test_the_terminal(analysis):
+    study, out = analysis.study, Console(file=io.StringIO(), width=200)
+    print_verdict(out, study, analysis.verdict, analysis.answer.parameters)
+    lines = [
+        *out.file.getvalue().splitlines(),
+        describe(analysis.trials[2], study).replace(JOIN, " "),
+        incumbent_in_words(analysis.leader, study),
+        units_in_words(study),
+    ]
+    for name in ("error", "peak"):
+        assert named(lines, name) == []
+    for title in TITLES.values():
+        assert named(lines, re.escape(title).rstrip("\\)")) != []
+
+
+def test_files_keep_the_names(analysis):
+    folder = analysis.record.path
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(summary["default"]["parameters"]) == {"gain"}
+    with (folder / "evaluations.csv").open() as file:
+        header = " ".join(next(csv.reader(file)))
+    assert "peak" in header
+    assert TITLES["peak"] not in header

@@ -1,0 +1,265 @@
+"""The runs in a folder, served after their end: list, trials, notes, files, and who may do what."""
+
+import csv
+import io
+import re
+import shutil
+import socket
+
+import pytest
+from pages import ServedRuns
+from report_runs import run_axis
+
+from bo_tuner.storage.notes import Note, read_notes, write_note
+from bo_tuner.storage.record import read_run
+from bo_tuner.web import runs as runs_module
+from bo_tuner.web.files import files_of
+from bo_tuner.web.qr_code import qr_code
+from bo_tuner.web.runs import Runs
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of a small object; nobody changes it."""
+    return run_axis(tmp_path_factory.mktemp("finished"))
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    """A folder with three such runs, ``first`` to ``third``."""
+    for name in ("first", "second", "third"):
+        shutil.copytree(finished, tmp_path / "runs" / name)
+        # As a copy it is as old as the others.
+        (tmp_path / "runs" / name / "journal.sqlite").touch()
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def served(folder):
+    pages = ServedRuns(folder)
+    yield pages
+    pages.end()
+
+
+class TestServed:
+    def test_the_entrance_leads_to_the_list(self, served):
+        status, headers, _ = served.ask(f"/?token={served.token}", token=False)
+        assert (status, headers["Location"]) == (302, "/")
+        assert f"bo_tuner_{served.port}={served.token};" in headers["Set-Cookie"]
+        status, headers, _ = served.ask("/")
+        assert (status, headers["Location"]) == (302, "/runs")
+        listed = re.findall(r'<a href="/runs/(\w+)">', served.ask("/runs")[2])
+        assert listed == ["third", "second", "first"]
+
+    def test_others_are_refused(self, served):
+        for path in ("/", "/runs", "/runs.csv", "/runs/first", "/runs/first/files/study.yaml"):
+            assert served.ask(path, token=False)[0] == 403, path
+        assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
+        assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
+
+    def test_it_ends_with_ctrl_c(self, folder):
+        pages = ServedRuns(folder)
+        assert pages.end() == (130, "interrupted by SIGINT\n")
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", pages.port), timeout=5.0)
+
+    def test_how_to_open_it_from_another_machine(self, served):
+        _, way = served.said.read_text().splitlines()
+        assert f"ssh -L {served.port}:127.0.0.1:{served.port} {socket.gethostname()}" in way
+
+    def test_trials_with_their_neighbours(self, served, finished):
+        last = len(read_run(finished).trials) - 1
+        page = served.ask("/runs/second")[2]
+        # From there the table of trials and the figures know the way.
+        assert 'data-trials="/runs/second/trials/"' in page
+        for number, neighbours in ((0, {1}), (1, {0, 2}), (last, {last - 1})):
+            status, _, page = served.ask(f"/runs/second/trials/{number}")
+            assert status == 200
+            assert f"Trial {number}" in page
+            led = re.findall(r'<a href="/runs/second/trials/(\d+)" rel="(prev|next)"', page)
+            assert {int(other) for other, _ in led} == neighbours
+        assert served.ask(f"/runs/second/trials/{last + 1}")[0] == 404
+
+    def test_runs_with_their_neighbours(self, served):
+        page = served.ask("/runs/second")[2]
+        assert dict(re.findall(r'<a href="/runs/(\w+)" rel="(prev|next)"', page)) == {
+            "first": "prev",
+            "third": "next",
+        }
+
+    def test_a_file_is_a_download(self, served, folder):
+        page = served.ask("/runs/first")[2]
+        assert 'href="/runs/first/files/deploy/parameters.yaml"' in page
+        status, headers, text = served.ask("/runs/first/files/study.yaml")
+        assert status == 200
+        assert text == (folder / "first" / "study.yaml").read_text()
+        assert headers["Content-Type"] == "application/octet-stream"
+        assert headers["Content-Disposition"] == "attachment; filename*=UTF-8''study.yaml"
+
+    @pytest.mark.parametrize(
+        "path",
+        ["none", "deploy", "../second/study.yaml", "%2e%2e/second/study.yaml", ".lock",
+         "/etc/passwd", "link", "aside/passwd"],
+    )  # fmt: skip
+    def test_what_is_no_file_of_the_run(self, served, folder, path):
+        (folder / "first" / "link").symlink_to("/etc/passwd")
+        (folder / "first" / "aside").symlink_to("/etc")
+        assert served.ask(f"/runs/first/files/{path}")[0] == 404
+
+    def test_all_runs_as_a_table(self, served, folder, finished):
+        write_note(folder / "third", None, Note("with, commas", ("bench", "old")))
+        text = served.ask("/runs.csv")[2]
+        rows = {row["run"]: row for row in csv.DictReader(io.StringIO(text))}
+        assert list(rows) == ["third", "second", "first"]
+        assert (rows["third"]["note"], rows["third"]["tags"]) == ("with, commas", "bench, old")
+        (gain,) = [name for name in rows["first"] if name.startswith("gain [")]
+        result = read_run(finished).result
+        assert float(rows["first"][gain]) == result.parameters["gain"]
+
+
+class TestNotes:
+    def test_on_a_run_and_on_a_trial(self, served, folder):
+        assert served.note("/runs/first", "a <b> of\nmine", "bench, to  check,bench,")[0] == 204
+        assert served.note("/runs/first/trials/2", "stalled")[0] == 204
+        notes = read_notes(folder / "first")
+        assert notes.run == Note("a <b> of\nmine", ("bench", "to check"))
+        assert notes.trials == {"2": Note("stalled")}
+        listed = served.ask("/runs")[2]
+        assert "a &lt;b&gt; of" in listed
+        assert "bench, to check" in listed
+        assert ">stalled</textarea>" in served.ask("/runs/first/trials/2")[2]
+        # An empty one takes it away, and the record does not know of any.
+        assert served.note("/runs/first/trials/2")[0] == 204
+        assert read_notes(folder / "first").trials == {}
+        assert read_run(folder / "first").damage == ""
+
+    def test_only_a_page_of_ours_may_change_them(self, served, folder):
+        for headers in (
+            {"Origin": "http://evil.example"},
+            {"Origin": "null"},
+            {"X-Control-Token": "wrong"},
+            {"X-Control-Token": served.token},
+        ):
+            assert served.note("/runs/first", "x", **headers)[0] == 403, headers
+        assert not (folder / "first" / "notes.json").exists()
+
+    @pytest.mark.parametrize(
+        ("text", "tags", "said"),
+        [
+            ("x" * 2001, "", "note: expected at most 2000 characters, found 2001"),
+            ("", ",".join(map(str, range(11))), "tags: expected at most 10, found 11"),
+            ("", "x" * 31, "tags: expected at most 30 characters each, found xxx"),
+        ],
+    )
+    def test_what_is_too_long(self, served, folder, text, tags, said):
+        status, answer = served.note("/runs/first", text, tags)
+        assert status == 400
+        assert answer.startswith(f"400: {said}")
+        assert not (folder / "first" / "notes.json").exists()
+
+    @pytest.mark.parametrize("body", ["", "[]", "{}", '{"text": "x"}', "x" * 20_000, "[" * 9_000])
+    def test_what_is_no_note(self, served, body):
+        headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
+        status, _, _ = served.ask("/runs/first/note", method="POST", body=body, **headers)
+        assert status in (400, 413)
+
+    def test_of_what_does_not_exist(self, served):
+        headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
+        body = '{"text": "x", "tags": ""}'
+        for path in ("/runs/none/note", "/runs/first/trials/99/note"):
+            assert served.ask(path, method="POST", body=body, **headers)[0] == 404
+
+    @pytest.mark.parametrize(
+        "content", ["no JSON", "[]", '{"run": {"text": 1, "tags": []}, "trials": {}}']
+    )
+    def test_a_file_that_is_something_else_is_kept(self, served, folder, content):
+        token = served.control_token("/runs/first")
+        path = folder / "first" / "notes.json"
+        path.write_text(content)
+        assert "not the notes on a run" in served.ask("/runs")[2]
+        assert "not the notes on a run" in served.ask("/runs/first")[2]
+        headers = served.origin | {"X-Control-Token": token}
+        body = '{"text": "x", "tags": ""}'
+        status, _, said = served.ask("/runs/first/note", method="POST", body=body, **headers)
+        assert status == 409
+        assert len(said.splitlines()) == 1
+        assert path.read_text() == content
+
+    def test_beside_a_run_in_progress_they_are_read_only(self, beside):
+        assert "<textarea" not in beside.ask(f"/runs/{beside.finished_one}")[2]
+        status, _, said = beside.ask(
+            f"/runs/{beside.finished_one}/note", method="POST", body="{}", **beside.origin
+        )
+        assert (status, said) == (
+            403,
+            "403: notes are read-only here; tune --web-control or report --serve takes them\n",
+        )
+
+
+def test_a_long_list_has_pages(folder, monkeypatch):
+    monkeypatch.setattr(runs_module, "MOST_RUNS", 2)
+    runs = Runs(folder)
+    first, second = runs.listing(0), runs.listing(1)
+    assert re.findall(r'name="run" value="(\w+)"', first) == ["third", "second"]
+    assert re.findall(r'name="run" value="(\w+)"', second) == ["first"]
+    assert 'href="/runs?page=1" rel="next"' in first
+    assert 'href="/runs?page=0" rel="prev"' in second
+    assert runs.listing(2) is None
+
+
+def test_files_of_the_folder_itself_come_first_and_logs_last(tmp_path):
+    for path in ("log/a.log", "bags/b", "z.csv", ".lock", "journal.sqlite", "journal.sqlite-wal"):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(path)
+    names = [name for name, _ in files_of(tmp_path)]
+    assert names == ["journal.sqlite", "z.csv", "bags/b", "log/a.log"]
+
+
+class TestOtherMachines:
+    @pytest.fixture
+    def open_to_all(self, folder):
+        pages = ServedRuns(folder, "--web-host", "0.0.0.0")
+        yield pages
+        pages.end()
+
+    def test_the_address_is_theirs_to_open_and_its_risk_is_named(self, open_to_all):
+        address, warning = open_to_all.said.read_text().splitlines()
+        assert "//0.0.0.0" not in address
+        assert "nothing is encrypted" in warning
+
+    def test_numbers_are_ours_and_names_are_not(self, open_to_all):
+        """A stranger's page reaches us by a name that it has resolve to us, never by a number."""
+        for host, status in (("10.1.2.3", 200), ("evil.example", 403), ("[::1]", 403)):
+            assert open_to_all.ask("/runs", Host=f"{host}:{open_to_all.port}")[0] == status
+        assert open_to_all.ask("/runs", Host="10.1.2.3:1")[0] == 403
+        assert open_to_all.ask("/runs", token=False)[0] == 403
+
+    def test_all_interfaces_are_listened_to(self, open_to_all):
+        # Another address of the loopback interface; by default only 127.0.0.1 is listened to.
+        socket.create_connection(("127.0.0.2", open_to_all.port), timeout=5.0).close()
+
+
+class TestCode:
+    ADDRESS = "http://192.168.100.200:41873/?token=95KEED9CrkZz225M6NuZhn6KmpK9UGtw"
+
+    def test_its_finders_are_where_a_reader_looks_for_them(self):
+        """The pattern that a QR code has at three corners (ISO/IEC 18004)."""
+        lines = qr_code(self.ADDRESS, 80)
+        dark = []
+        for line in lines:
+            dark.append([c in " ▄" for c in line])
+            dark.append([c in " ▀" for c in line])
+        finder = ["#######", "#     #", "# ### #", "# ### #", "# ### #", "#     #", "#######"]
+        size = len(dark[0])
+        for top, left in ((2, 2), (2, size - 9), (size - 9, 2)):
+            seen = [
+                "".join("#" if dark[top + k][left + j] else " " for j in range(7)) for k in range(7)
+            ]
+            assert seen == finder
+        # Nothing else is at the margin.
+        assert not any(map(any, (dark[0], dark[1], *([row[0]] for row in dark))))
+
+    def test_none_that_would_be_broken(self):
+        width = len(qr_code(self.ADDRESS, 200)[0])
+        assert qr_code(self.ADDRESS, width)
+        assert qr_code(self.ADDRESS, width - 1) == []

@@ -1,0 +1,86 @@
+"""The runs in a folder as a reader sees them: links and points lead to trials, and notes stay."""
+
+import shutil
+
+import pytest
+from pages import ServedRuns
+
+from bo_tuner.storage.notes import Note, read_notes
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def served(feed_axis_run, tmp_path_factory):
+    """A folder with two runs of the feed axis."""
+    folder = tmp_path_factory.mktemp("served") / "runs"
+    for name in ("first", "second"):
+        shutil.copytree(feed_axis_run, folder / name)
+    pages = ServedRuns(folder)
+    pages.folder = folder
+    yield pages
+    pages.end()
+
+
+@pytest.fixture
+def page(chromium, served):
+    """Function that opens a page, for which the browser has the token."""
+    chromium.open(served.entrance)
+
+    def opened(path, **options):
+        chromium.open(served.address + path, **options)
+        chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
+
+    return opened
+
+
+@pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
+@pytest.mark.parametrize(
+    "path", ["runs", "runs/first", "runs/first/trials/1", "compare?run=first&run=second"]
+)
+def test_axe_finds_nothing(chromium, page, axe, path, theme, width):
+    page(path, theme=theme, width=width)
+    assert axe(chromium) == []
+    assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+    assert chromium.errors == []
+
+
+def test_a_note_stays(chromium, page, served):
+    page("runs/first/trials/1")
+    chromium.evaluate(
+        "(() => { const { text, tags } = document.querySelector('form.note').elements;"
+        "text.value = 'rings'; tags.value = 'bench'; })()"
+    )
+    chromium.evaluate("document.querySelector('form.note button').click()")
+    chromium.wait_for("document.querySelector('form.note output').textContent === 'Saved'")
+    assert read_notes(served.folder / "first").trials == {"1": Note("rings", ("bench",))}
+    page("runs/first/trials/1")
+    assert chromium.evaluate("document.querySelector('form.note textarea').value") == "rings"
+    assert [url for url in chromium.requests if not url.startswith((served.address, "data:"))] == []
+
+
+def test_a_row_and_a_point_lead_to_a_trial(chromium, page, served):
+    page("runs/second")
+    link = "document.querySelector('#all-trials tbody a')"
+    assert chromium.evaluate(f"{link}.href") == f"{served.address}runs/second/trials/0"
+    # A click on the point of the second trial, where Plotly says that it is.
+    chromium.evaluate(
+        "(() => { const plot = document.querySelector('#figure-convergence .plot');"
+        "plot.emit('plotly_click', { points: [{ customdata: 1 }] }); })()"
+    )
+    chromium.wait_for("location.pathname === '/runs/second/trials/1'")
+
+
+def test_a_point_of_a_report_leads_to_its_row(chromium, feed_axis_page):
+    chromium.open(feed_axis_page)
+    chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
+    chromium.evaluate(
+        "(() => { const plot = document.querySelector('#figure-convergence .plot');"
+        "const point = plot.data.find((trace) => trace.customdata).customdata[0];"
+        "window.sought = point;"
+        "plot.emit('plotly_click', { points: [{ customdata: point }] }); })()"
+    )
+    row = "document.querySelector('#all-trials tr.sought')"
+    assert chromium.evaluate(f"Number({row}.cells[0].textContent) === window.sought")
+    # Its table was closed before.
+    assert chromium.evaluate(f"{row}.checkVisibility()")
