@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule
+from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration, elsewhere, ends_in_a_basin
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.models.constraints import CONFIDENT
@@ -32,7 +33,7 @@ from bo_tuner.models.pooled_responses import FutureBound
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization, PointRule
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization, Box, PointRule
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
 
@@ -129,6 +130,8 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         Largest probability of a failure.
     exploration
         Which trials may look elsewhere than where improvement is expected.
+    approach
+        Where a first feasible parameter set is searched.
     """
 
     def __init__(
@@ -140,6 +143,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         ahead: int,
         avoidance: Avoidance,
         exploration: Exploration,
+        approach: Approach,
     ) -> None:
         super().__init__(study, ranking.fit, acquisition)
         self._ranking = ranking
@@ -147,6 +151,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         self._ahead = ahead
         self._avoidance = avoidance
         self._exploration = exploration
+        self._approach = approach
 
     def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
         """Propose the next trial and its evaluations."""
@@ -165,6 +170,11 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def avoid(self) -> float:
         """Largest probability of a failure of a proposal, as long as others exist."""
         return self._avoidance(self.study, self.trials)
+
+    def around(self, surrogates: PooledSurrogates) -> Box | None:
+        """Return the box around the least violating parameter set, see `Approach`."""
+        known = self._ranking.comparable(surrogates, self.trials)
+        return self._approach.box(surrogates, self.study, known)
 
     def _elsewhere_before(self, points: PointRule[PooledSurrogates]) -> PointRule[PooledSurrogates]:
         """Return a rule that looks elsewhere where `points` have nothing to tell."""
@@ -190,8 +200,9 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
         search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        within = self.around(surrogates) if search.incumbent is None else None
         for avoid in (self.avoid, 1.0):
-            result = search.maximize(avoid=avoid)
+            result = search.maximize(avoid=avoid, within=within)
             if np.isfinite(result.value):
                 yield result.position, ACQUISITION
 
