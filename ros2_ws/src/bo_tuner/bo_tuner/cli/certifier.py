@@ -51,7 +51,7 @@ class Certifier:
     interruption
         Ends the evaluations.
     console
-        Is told how far they are.
+        Shows how far they are.
     with_default
         Whether the default is certified, too, in the same draws.
     more
@@ -101,9 +101,9 @@ class Certifier:
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
         subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
-        self._tell_earlier(subjects)
+        self._show_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))
-        self._tell_most(subjects, draws, trial, confidence)
+        self._show_most(subjects, draws, trial, confidence)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
@@ -127,10 +127,10 @@ class Certifier:
                 attempt=attempt,
             )
             with opened(backend, self.interruption, again=self.more) as left, bar.progress:
-                found = certification.collect(subjects, draws)
+                collected = certification.collect(subjects, draws)
         finally:
             unfinished.close()
-        evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+        evidence = {subject.name: item for subject, item in zip(subjects, collected, strict=True)}
         certificate = make_certificate(
             self.record,
             trial,
@@ -146,17 +146,17 @@ class Certifier:
         unfinished.remove()
         return certificate, path, left
 
-    def _tell_earlier(self, subjects: Sequence[Subject]) -> None:
+    def _show_earlier(self, subjects: Sequence[Subject]) -> None:
         """Say what failed before, and where it is evaluated again."""
         for subject in subjects:
             for refutation in subject.earlier.refutations:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} evaluated again, and " if count else ""
-                told = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
-                print_line(self.console, told, "  ")
+                line = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
+                print_line(self.console, line, "  ")
 
-    def _tell_most(
+    def _show_most(
         self, subjects: Sequence[Subject], draws: int, trial: Trial, confidence: float
     ) -> None:
         """Say how many evaluations it takes at most, and probably if it passes."""
@@ -203,14 +203,14 @@ class _Bar(RunObserver):
         self.progress.add_task(phase, total=total)
         if self.progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._tell(f"{phase}: {most}")
+            self._print(f"{phase}: {most}")
 
     def advance(self) -> None:
         for task in self.progress.tasks:
             self.progress.advance(task.id)
             if self.progress.disable and self._lines.due:
-                self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+                self._print(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
 
-    def _tell(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
-        self._lines.told()
+        self._lines.printed()

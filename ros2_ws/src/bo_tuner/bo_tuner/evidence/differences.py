@@ -3,7 +3,7 @@
 Default and tuned parameter set are evaluated in the same draws of context and noise, so the spread
 between draws cancels from the difference of each pair; a Student interval of the mean of these
 differences is the paired t interval (Box, Hunter and Hunter 2005, Sec. 3.2). Where the contexts
-differ, as in the worst contexts of two parameter sets, the interval is Welch's (1947).
+differ, which is so in the worst contexts of two parameter sets, the interval is Welch's (1947).
 
 References
 ----------
@@ -74,12 +74,14 @@ class Difference:
 
 def paired(default: Sequence[float], tuned: Sequence[float]) -> Difference:
     """Return the mean difference of pairs, both of shape (n,)."""
-    found = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
-    n = len(found)
+    differences = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
+    n = len(differences)
     if n < 2:
-        return Difference(float(found[0]) if n else nan, -inf, inf, n)
-    mean = float(found.mean())
-    half = float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(found.std(ddof=1)) / sqrt(n)
+        return Difference(float(differences[0]) if n else nan, -inf, inf, n)
+    mean = float(differences.mean())
+    half = (
+        float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(differences.std(ddof=1)) / sqrt(n)
+    )
     return Difference(mean, mean - half, mean + half, n)
 
 
@@ -92,7 +94,7 @@ def unpaired(default: tuple[float, float, int], tuned: tuple[float, float, int])
     mean, count = ours - theirs, min(m, n)
     if count < 2:
         return Difference(mean, -inf, inf, count)
-    # As parts of the same power of two, whose fourth powers are numbers, too.
+    # Divided by the same power of two: the fourth powers must not overflow.
     exponent = frexp(max(their_error, our_error))[1]
     their_error, our_error = ldexp(their_error, -exponent), ldexp(our_error, -exponent)
     variance = their_error**2 + our_error**2

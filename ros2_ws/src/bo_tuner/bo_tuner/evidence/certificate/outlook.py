@@ -1,6 +1,6 @@
 """How many evaluations a certificate will probably take, from what a run knows of its result.
 
-Draws of the validation tell how often a chance constraint is violated, and the estimate of a worst
+Draws of the validation show how often a chance constraint is violated, and the estimate of a worst
 case with its noise how far it is from its limit. From these follow the runs after which the
 evidence is expected to suffice. What is known of both is little, so the answer is a range.
 """
@@ -131,8 +131,10 @@ def runs_to_show_mean(margin: float, most: int, confidence: float) -> int:
     ----------
     margin
         From the mean to the limit, in standard deviations of a run.
-    most, confidence
-        As in `outlook`.
+    most
+        Largest number of runs.
+    confidence
+        Of the bound on the mean.
     """
     enough = log(1.0 / (1.0 - confidence))
     for n in range(FEW, most):
