@@ -48,7 +48,7 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "kd": (0.0, 10.0),
 }
 DEFAULTS = {"kp": 0.5, "ki": 0.0, "kd": 0.02}
-SCALES = {"kp": "log", "ki": "linear", "kd": "symlog"}
+SCALES = {"kp": "log", "ki": "symlog", "kd": "symlog"}
 
 
 def moves(parameters: Mapping[str, Any], inertia: Array, seed: int) -> dict[str, Array]:
@@ -91,10 +91,10 @@ def one_move(
     parameters: Mapping[str, Any], context: Mapping[str, Any], seed: int
 ) -> dict[str, float]:
     """Return the metrics of one move, as a function that is tuned does."""
-    found = moves(parameters, np.array([context["inertia"]]), seed)
-    if found["overshoot"][0] > 100.0:
+    metrics = moves(parameters, np.array([context["inertia"]]), seed)
+    if metrics["overshoot"][0] > 100.0:
         raise bt.Failed("the angle is beyond 2 rad")
-    return {name: float(values[0]) for name, values in found.items()}
+    return {name: float(values[0]) for name, values in metrics.items()}
 
 
 def study_of(bounds: Mapping[str, tuple[float, float]], scales: Mapping[str, str]) -> Study:

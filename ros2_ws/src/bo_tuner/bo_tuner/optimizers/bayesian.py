@@ -15,6 +15,7 @@ from bo_tuner.acquisition.acquisition import (
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.fantasies import fantasies
+from bo_tuner.models.protocol import Model
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
@@ -142,7 +143,7 @@ class AcquisitionSearch:
         self._starts = np.empty((0, space.dimension))
         model = surrogates.objective
         if model is not None:
-            self.feasible = surrogates.log_feasibility(model.points) >= np.log(BELIEVED_FEASIBLE)
+            self.feasible = _believed_feasible(surrogates, model)
             self.incumbent = best_at_data(model, self.feasible)
             # Some particles start near the points with the lowest cost, feasible ones first.
             cost = model.predict_mean(model.points)
@@ -288,6 +289,20 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     def around(self, surrogates: S) -> Box | None:
         """Return where a first feasible parameter set is searched, None for the whole cube."""
         return None
+
+
+def lowest_believed(surrogates: Surrogates) -> float | None:
+    """Return the lowest posterior mean of the cost of all that is believed feasible, or None."""
+    model = surrogates.objective
+    return None if model is None else best_at_data(model, _believed_feasible(surrogates, model))
+
+
+def _believed_feasible(surrogates: Surrogates, model: Model) -> NDArray[np.bool_]:
+    """Return which of the n points of a model's data are believed feasible, (n,)."""
+    believed: NDArray[np.bool_] = surrogates.log_feasibility(model.points) >= np.log(
+        BELIEVED_FEASIBLE
+    )
+    return believed
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:

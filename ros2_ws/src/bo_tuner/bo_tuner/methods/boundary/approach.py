@@ -38,8 +38,8 @@ class Approach:
         double the box.
     """
 
-    half_width: float = 0.2
-    doubled: float = 1.0
+    half_width: float = 0.3
+    doubled: float = 2.0
 
     def box(
         self, surrogates: PooledSurrogates, study: Study, trials: Sequence[Trial]

@@ -4,7 +4,7 @@ Where limits are active, the optimum lies on the boundary of the feasible region
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
 set. Those of the first part of the budget are a search, with few evaluations each. Those of the
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
+probability of at least `CONFIDENT` (while there is none, that is believed to), and where it is probable that a few more runs show the same of
 them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
 their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
 is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
@@ -33,7 +33,13 @@ from bo_tuner.models.pooled_responses import FutureBound
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization, Box, PointRule
+from bo_tuner.optimizers.bayesian import (
+    AcquisitionSearch,
+    BayesianOptimization,
+    Box,
+    PointRule,
+    lowest_believed,
+)
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
 
@@ -195,10 +201,16 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def _at_boundary(
         self, surrogates: PooledSurrogates, rng: np.random.Generator
     ) -> Iterator[tuple[Array, str]]:
-        """Yield the most promising points that a few runs are likely to show feasible."""
+        """Yield the most promising points that a few runs are likely to show feasible.
+
+        They are to improve on the best that is shown to be feasible; while nothing is, on the best
+        that is believed to be. Without an improvement to look for, they would go ever deeper into
+        the feasible region.
+        """
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
-        search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        shown = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        search.incumbent = lowest_believed(surrogates) if shown is None else shown
         within = self.around(surrogates) if search.incumbent is None else None
         for avoid in (self.avoid, 1.0):
             result = search.maximize(avoid=avoid, within=within)
