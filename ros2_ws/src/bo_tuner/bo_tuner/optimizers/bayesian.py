@@ -169,14 +169,14 @@ class AcquisitionSearch:
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
         )
-        repair, starts = self._space.repair, self._starts
+        starts = self._starts
         if within is not None:
             count = max(SwarmSettings.particles - len(starts), 0)
             drawn = within.latin_hypercube(count, self._rng)
             starts = np.concatenate([within.nearest(starts), drawn])
 
-            def repair(positions: Array) -> Array:
-                return self._space.repair(within.nearest(positions))
+        def repair(positions: Array) -> Array:
+            return self._space.repair(positions if within is None else within.nearest(positions))
 
         maximum = maximize(
             acquisition,

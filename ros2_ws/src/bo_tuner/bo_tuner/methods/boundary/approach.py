@@ -1,12 +1,12 @@
 """Where a first feasible parameter set is searched: around the one that violates the limits least.
 
-Where ranges are wide and few trials have been made, no model knows much of most of the cube, and the
-probability of feasibility is largest where least is known: at its faces and corners, one after the
-other. Close to the least violating parameter set the models know in which direction the violation
-falls. So as long as none is believed feasible, proposals are confined to a box around that one, as
-in the trust regions of Eriksson and Poloczek (2021), whose centre moves to the least violating
-point, too. Theirs shrink when trials fail, since they go on to the optimum; this one grows, since
-what is not found close by is farther away: in the end it is the whole cube.
+Where ranges are wide and trials few, no model knows much of most of the cube, and the probability
+of feasibility is largest where least is known: at faces and corners, one after the other. Close to
+the least violating parameter set the models know in which direction the violation falls. So as long
+as none is believed feasible, proposals are confined to a box around that one, as in the trust
+regions of Eriksson and Poloczek (2021), whose centre moves to the least violating point, too.
+Theirs shrink when trials fail, since they go on to the optimum; this box grows, since what is not
+found close by is farther away: in the end it is the whole cube.
 
 References
 ----------

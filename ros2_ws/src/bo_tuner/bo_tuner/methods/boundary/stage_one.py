@@ -2,12 +2,14 @@
 
 Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
-set. Those of the first part of the budget are a search, with few evaluations each. Those of the
+set. Those of the first part of the budget are a search, with few evaluations each; until a
+parameter set is believed feasible, it is one for the way to the limits (`approach`). Those of the
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT` (while there is none, that is believed to), and where it is probable that a few more runs show the same of
-them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
-their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
-is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
+probability of at least `CONFIDENT` (while there is none, against the best that is believed to), and
+where it is probable that a few more runs show the same of them: of a point that only just keeps a
+limit, no budget shows that it does. They have two runs in their worst context and one in a drawn
+one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
+limits; `repetition` decides which, and when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
