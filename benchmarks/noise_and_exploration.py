@@ -1,4 +1,4 @@
-"""Answers of `boundary` under noise that is not normal, and where no limit binds, by the truth.
+"""Answers of `boundary` to problems of many kinds, by the truth.
 
 The runs are those of cases of the experiments, in one process, each with seeds 1, 2, ...; of each
 case it reports the truly feasible answers, their regret, and the realized probability of a run
@@ -26,7 +26,7 @@ from tuning_benchmark.judging.truth import truth_of
 from tuning_benchmark.pages.statistics import difference, mcnemar
 
 ROW = "boundary"
-EXPERIMENTS = ("noise", "exploration", "closed_form")
+EXPERIMENTS = ("noise", "exploration", "kinds", "closed_form")
 
 
 def cases_by_name() -> dict[str, tuple[Experiment, Case]]:

@@ -135,7 +135,8 @@ class TestParameters:
             ("double", 0.1, 0.0, 10.0, "symlog"),
             ("integer", 5, 0.0, 5000.0, "symlog"),
             ("double", 0.1, 0.0, 1.0, None),
-            ("double", 0.0, 0.0, 10.0, None),
+            ("double", 0.0, 0.0, 10.0, "symlog"),
+            ("double", 0.0, 0.0, 1.0, None),
             ("double", 0.1, -10.0, 10.0, None),
         ],
     )

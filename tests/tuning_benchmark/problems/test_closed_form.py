@@ -159,6 +159,68 @@ def test_the_crash_region_begins_at_the_optimum_and_holds_no_feasible_point():
     assert all(problem.worst(u)[0] > 1.0 for u in points[crashed])
 
 
+def test_runs_fail_around_the_default_and_not_at_the_optimum():
+    problem = ClosedForm(parameters=4, contexts=2, noise="constant", crash_at_default=True)
+    study = problem.study()
+    space = study.search_space()
+    (start,) = study.starting_sets()
+    assert start == space.defaults
+    default = space.to_cube(start)
+    assert problem.crashes(default)
+    # 0.35 in each coordinate is the edge of the region.
+    inwards = np.where(default > 0.5, -1.0, 1.0)
+    assert problem.crashes(default + 0.349 * inwards)
+    assert not problem.crashes(default + 0.351 * inwards)
+    assert not problem.crashes(problem.optimum)
+    crashed = [problem.crashes(u) for u in np.random.default_rng(4).random((2000, 4))]
+    assert 0.02 < np.mean(crashed) < 0.5
+
+
+def test_discrete_contexts_have_the_worst_case_of_their_interval():
+    problem = ClosedForm(parameters=4, contexts=2, noise="heteroscedastic", discrete=True)
+    same = ClosedForm(parameters=4, contexts=2, noise="heteroscedastic")
+    assert problem.best == same.best
+    contexts = problem.study().context_space()
+    drawn = contexts.draw_stratified(300, np.random.default_rng(0))
+    assert np.unique(drawn).tolist() == [-1.0, 0.0, 1.0]
+    grid = np.array(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])).reshape(2, -1).T
+    for u in np.random.default_rng(1).random((20, 4)):
+        assert problem.worst(u)[0] == pytest.approx(problem.metric(u, grid).max())
+
+
+@pytest.mark.parametrize("probability", [None, 0.85])
+def test_the_optimum_of_mixed_parameters_is_a_parameter_set(probability):
+    settings = {"parameters": 3, "contexts": 2, "noise": "constant", "probability": probability}
+    problem, reals = ClosedForm(mixed=True, **settings), ClosedForm(**settings)
+    study = problem.study()
+    space = study.search_space()
+    assert [p.type for p in study.parameters.values()] == ["double", "double", "integer", "string"]
+    values = dict(space.defaults) | {"p3": 0, "mode": "b"}
+    for i in (0, 1):
+        lower, upper, scale = problem.bounds(i)
+        u = reals.optimum[i]
+        between = lower + (upper - lower) * u
+        values[f"p{i + 1}"] = lower * (upper / lower) ** u if scale == "log" else between
+    assert problem.point(values) == pytest.approx(reals.optimum)
+    low, high = study.parameters["p3"].bounds
+    assert 0.0 <= problem.point(values | {"p3": low})[2] < 1.0 / 12.0
+    assert 11.0 / 12.0 < problem.point(values | {"p3": high})[2] <= 1.0
+    truth = Truth(study, JUDGE, SMALL)
+    objectives = {
+        mode: truth.verdict(values | {"mode": mode}).objective for mode in ("a", "b", "c")
+    }
+    assert objectives["b"] == pytest.approx(reals.best)
+    assert objectives["a"] == pytest.approx(1.15 * reals.best)
+    assert objectives["c"] == pytest.approx(1.3 * reals.best)
+    # Runs have the factor, too: with the same seed, the same noise.
+    evaluator = Evaluator(study)
+    costs = [
+        evaluator.metrics(values | {"mode": mode}, {"w1": 0.0, "w2": 0.0}, 1)["cost"]
+        for mode in ("b", "c")
+    ]
+    assert costs[1] == pytest.approx(1.3 * costs[0])
+
+
 @pytest.mark.parametrize("contexts", [1, 2])
 def test_a_narrow_peak_breaks_the_limit_inside_and_in_no_corner(contexts):
     """By up to 0.35 in the worst context, as h·Δ says, but by nothing at an end of an interval."""
@@ -267,6 +329,9 @@ def test_the_warping_keeps_the_cube_and_its_order():
         {"steep": True, "probability": 0.9},
         {"narrow": 1},
         {"narrow": True, "noise": "heteroscedastic"},
+        {"mixed": 1},
+        {"discrete": True, "contexts": 3},
+        {"discrete": True, "narrow": True},
     ],
 )
 def test_wrong_settings_are_refused(wrong):

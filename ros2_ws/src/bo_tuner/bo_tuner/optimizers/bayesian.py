@@ -15,9 +15,11 @@ from bo_tuner.acquisition.acquisition import (
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.fantasies import fantasies
+from bo_tuner.models.protocol import Model
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.particle_swarm import maximize
+from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
     ACQUISITION,
@@ -47,6 +49,30 @@ S = TypeVar("S", bound=Surrogates)
 
 PointRule = Callable[[S, np.random.Generator], Iterator[tuple[Array, str]]]
 """Yields points (d,) to try, the most promising one first, each with the origin of its proposal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Part of the unit cube that a search is confined to.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (d,)
+        Its bounds.
+    """
+
+    lower: Array
+    upper: Array
+
+    def nearest(self, points: Array) -> Array:
+        """Return the points (m, d) of the box that are nearest to points (m, d)."""
+        return np.clip(points, self.lower, self.upper)
+
+    def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw points (count, d)."""
+        spread = latin_hypercube(count, len(self.lower), rng)
+        points: Array = self.lower + (self.upper - self.lower) * spread
+        return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +143,7 @@ class AcquisitionSearch:
         self._starts = np.empty((0, space.dimension))
         model = surrogates.objective
         if model is not None:
-            self.feasible = surrogates.log_feasibility(model.points) >= np.log(BELIEVED_FEASIBLE)
+            self.feasible = _believed_feasible(surrogates, model)
             self.incumbent = best_at_data(model, self.feasible)
             # Some particles start near the points with the lowest cost, feasible ones first.
             cost = model.predict_mean(model.points)
@@ -125,7 +151,9 @@ class AcquisitionSearch:
             around = rng.normal(0.0, 0.05, (len(order), space.dimension))
             self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
 
-    def maximize(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> Maximum:
+    def maximize(
+        self, *, avoid: float = 0.5, reinterpolate: bool = True, within: Box | None = None
+    ) -> Maximum:
         """Maximize the acquisition function over the unit cube.
 
         Parameters
@@ -134,17 +162,29 @@ class AcquisitionSearch:
             Largest probability of a failure.
         reinterpolate
             Whether the improvement is under the reinterpolation model.
+        within
+            Part of the cube that is searched, all of it if None. An integer at its edge may be
+            rounded to the value beyond.
         """
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
         )
+        starts = self._starts
+        if within is not None:
+            count = max(SwarmSettings.particles - len(starts), 0)
+            drawn = within.latin_hypercube(count, self._rng)
+            starts = np.concatenate([within.nearest(starts), drawn])
+
+        def repair(positions: Array) -> Array:
+            return self._space.repair(positions if within is None else within.nearest(positions))
+
         maximum = maximize(
             acquisition,
             self._space.dimension,
             self._rng,
             improved=acquisition.where_above,
-            repair=self._space.repair,
-            initial=self._starts,
+            repair=repair,
+            initial=starts,
         )
         is_gain = acquisition.expected and self.incumbent is not None
         return Maximum(maximum.position, maximum.value, maximum.value if is_gain else None)
@@ -226,12 +266,13 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     ) -> Iterator[tuple[Array, str]]:
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
+        within = self.around(surrogates) if search.incumbent is None else None
         avoid = self.avoid
-        maximum = search.maximize(avoid=avoid)
+        maximum = search.maximize(avoid=avoid, within=within)
         if not np.isfinite(maximum.value):
             # Every point is near a failure or an outlier: rank them by Eq. 5 without the cutoff.
             avoid = 1.0
-            maximum = search.maximize(avoid=avoid)
+            maximum = search.maximize(avoid=avoid, within=within)
         origin = ACQUISITION
         model = surrogates.objective
         if model is not None and maximum.is_negligible(model.scale):
@@ -244,6 +285,24 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     def avoid(self) -> float:
         """Largest probability of a failure or an outlier of a proposal, as long as others exist."""
         return 0.5
+
+    def around(self, surrogates: S) -> Box | None:
+        """Return where a first feasible parameter set is searched, None for the whole cube."""
+        return None
+
+
+def lowest_believed(surrogates: Surrogates) -> float | None:
+    """Return the lowest posterior mean of the cost of all that is believed feasible, or None."""
+    model = surrogates.objective
+    return None if model is None else best_at_data(model, _believed_feasible(surrogates, model))
+
+
+def _believed_feasible(surrogates: Surrogates, model: Model) -> NDArray[np.bool_]:
+    """Return which of the n points of a model's data are believed feasible, (n,)."""
+    believed: NDArray[np.bool_] = surrogates.log_feasibility(model.points) >= np.log(
+        BELIEVED_FEASIBLE
+    )
+    return believed
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:

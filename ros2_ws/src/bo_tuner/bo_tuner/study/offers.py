@@ -226,8 +226,14 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
 
 
 def _is_far_below(upper: float, value: object) -> bool:
-    """Whether a value above 0 is so small that nearly all of a range from 0 on is far from it."""
-    return isinstance(value, (int, float)) and 0.0 < value <= upper / FAR_BELOW
+    """Whether nearly all of a range from 0 on is far from a value.
+
+    A value of 0, such as that of a gain that is switched off, has no ratio to the upper bound. A
+    range to 1 is then taken for that of a share, any other one for wide.
+    """
+    if not isinstance(value, (int, float)):
+        return False
+    return upper > 1.0 if value == 0.0 else 0.0 < value <= upper / FAR_BELOW
 
 
 def _by_name(kind: Kind, remark: str) -> str:

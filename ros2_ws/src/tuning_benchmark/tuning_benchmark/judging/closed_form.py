@@ -48,7 +48,7 @@ class Judge:
             return Judgement(np.nan, np.nan, np.nan, 0, nothing)
         worst, context = problem.worst(u)
         return Judgement(
-            objective=float(problem.cost(u)),
+            objective=float(problem.cost(u)) * problem.factor(values[NODE]),
             standard_error=0.0,
             worst=worst,
             worst_index=int(np.argmin(((self._grid - context) ** 2).sum(axis=1))),

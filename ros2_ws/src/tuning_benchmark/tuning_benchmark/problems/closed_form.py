@@ -47,6 +47,16 @@ Narrow
     contexts shows how bad the worst one is. The worst case is L + h·Δ, and the optimum the same.
 Crash
     An evaluation fails where h·Δ > `CRASH`, so the optimum lies at the edge of the crash region.
+Crash at the default
+    An evaluation fails where the root mean square of u - u' is below `CRASH_RADIUS`. The default u'
+    is near the corner of the cube that is opposite to the optimum, which is outside.
+Discrete
+    Each context has the values -1, 0 and 1 only. Leaning and tied contexts are worst at an end of
+    their interval, so with these alone worst case and optimum are the same.
+Mixed
+    Every third parameter is an integer, u = u* + n / `INTEGERS` with the optimum u* at n = 0: the
+    best of the grid is the best of the cube. A further parameter is a choice that multiplies the
+    cost by one of `CHOICES`, the least of which is 1: the optimum is that of the cube with it.
 """
 
 from collections.abc import Mapping
@@ -80,6 +90,18 @@ VIOLATION, RISE = 0.5, 0.3
 
 CRASH = 0.05
 
+CRASH_RADIUS, CRASH_EDGE = 0.35, 0.05
+"""Root mean square of the distance to the default, and the distance of the default to the faces."""
+
+INTEGERS = 12
+"""Integers along an edge of the cube."""
+
+CHOICES: Mapping[str, float] = {"a": 1.15, "b": 1.0, "c": 1.3}
+"""Factor of the cost by value of the choice."""
+
+MODE = "mode"
+"""Name of the choice."""
+
 STEEPNESS = 0.15
 """τ."""
 
@@ -100,6 +122,9 @@ DEPTH, WIDTH = 0.5, 0.2
 
 LEANING, TIED, INTERIOR, NARROW = 0, 1, 2, 3
 """Kinds of contexts: the first three by their index modulo three, unless all are narrow."""
+
+KINDS = ("crash_at_default", "discrete", "mixed")
+"""Names of what makes another kind of study of a problem."""
 
 INSIDE_KINDS = (INTERIOR, NARROW)
 """Whose worst value is inside the interval."""
@@ -136,13 +161,20 @@ class ClosedForm:
         With which a single run must keep the limit in every context; on the mean if None.
     law
         Of the noise of the constrained metric, a key of `LAWS`.
+    crash_at_default
+        Whether evaluations fail around the default, which is tried first.
+    discrete
+        Whether the contexts have three values each.
+    mixed
+        Whether some parameters are integers, and a further one is a choice.
 
     Raises
     ------
     StudyError
         If a value is out of range, `steep` together with a `probability`, `narrow` with
-        heteroscedastic noise, which grows with the leaning contexts, or the lognormal law with
-        another noise than the constant one, or with `steep`.
+        heteroscedastic noise, which grows with the leaning contexts, the lognormal law with
+        another noise than the constant one, or with `steep`, or `discrete` with contexts that are
+        worst inside.
     """
 
     parameters: int
@@ -153,6 +185,9 @@ class ClosedForm:
     narrow: bool = False
     probability: float | None = None
     law: str = NORMAL
+    crash_at_default: bool = False
+    discrete: bool = False
+    mixed: bool = False
 
     def __post_init__(self) -> None:
         checks.integer(self.parameters, "parameters", at_least=2)
@@ -161,6 +196,10 @@ class ClosedForm:
         checks.boolean(self.crash, "crash")
         checks.boolean(self.steep, "steep")
         checks.boolean(self.narrow, "narrow")
+        for name in KINDS:
+            checks.boolean(getattr(self, name), name)
+        if self.discrete and np.isin(self.kinds, INSIDE_KINDS).any():
+            raise StudyError("expected contexts that are worst at an end", ("discrete",))
         if self.steep and self.probability is not None:
             raise StudyError("expected false with a limit on single runs", ("steep",))
         if self.narrow and self.noise == HETEROSCEDASTIC:
@@ -175,7 +214,7 @@ class ClosedForm:
     def name(self) -> str:
         """Name of the study."""
         parts = [f"closed_form_{self.parameters}_{self.contexts}", self.noise]
-        parts += [name for name in ("crash", "steep", "narrow") if getattr(self, name)]
+        parts += [name for name in ("crash", "steep", "narrow", *KINDS) if getattr(self, name)]
         parts += [self.law] if self.law != NORMAL else []
         return "_".join(parts + (["single"] if self.probability is not None else []))
 
@@ -310,7 +349,20 @@ class ClosedForm:
 
     def crashes(self, u: Array) -> bool:
         """Whether an evaluation at a point (d,) fails."""
+        if self.crash_at_default and np.sqrt(((u - self.default) ** 2).mean()) < CRASH_RADIUS:
+            return True
         return self.crash and float((warped(u) - self.constants.x) @ self.constants.h) > CRASH
+
+    @property
+    def default(self) -> Array:
+        """Unit-cube coordinates (d,) of the default, as far as it is no integer."""
+        if not self.crash_at_default:
+            return np.full(self.parameters, 0.5)
+        return np.where(self.optimum < 0.5, 1.0 - CRASH_EDGE, CRASH_EDGE)
+
+    def is_integer(self, index: int) -> bool:
+        """Whether a parameter is an integer."""
+        return self.mixed and index % 3 == 2
 
     def runs(self, u: Array) -> Array:
         """Constrained metric of runs in the context where least keep the limit.
@@ -327,24 +379,28 @@ class ClosedForm:
 
     def study(self) -> Study:
         """Return the study, which runs in process."""
-        parameters: dict[str, Any] = {}
-        for i in range(self.parameters):
-            lower, upper, scale = self.bounds(i)
-            middle = 0.0 if scale == "linear" else 1.0
-            parameters[f"p{i + 1}"] = NODE | {
-                "type": "double", "bounds": [lower, upper], "scale": scale, "default": middle,
+        parameters: dict[str, Any] = {
+            f"p{i + 1}": NODE | self._parameter(i) for i in range(self.parameters)
+        }
+        if self.mixed:
+            parameters[MODE] = NODE | {
+                "type": "string", "choices": list(CHOICES), "default": next(iter(CHOICES)),
             }  # fmt: skip
         context = NODE | {
             "distribution": "truncated_normal", "mean": 0.0, "standard_deviation": SPREAD,
             "bounds": [-1.0, 1.0],
         }  # fmt: skip
+        if self.discrete:
+            context = NODE | {"distribution": "discrete", "values": [-1.0, 0.0, 1.0]}
         limit: dict[str, Any] = {"kind": "worst_case", "metric": "stress", "upper": LIMIT}
         if self.probability is not None:
             limit["probability"] = self.probability
         settings = {
             "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
             "crash": self.crash,
-            **{name: True for name in ("steep", "narrow") if getattr(self, name)},
+            **{name: True for name in ("steep", "narrow", *KINDS) if getattr(self, name)},
+            # Where integers and default are depends on the optimum.
+            **({"probability": self.probability} if self._is_placed else {}),
             **({"law": self.law} if self.law != NORMAL else {}),
         }  # fmt: skip
         return problem_study(
@@ -356,14 +412,46 @@ class ClosedForm:
             metrics={"cost": NODE, "stress": NODE},
             objective={"metric": "cost", "scale": "log"},
             constraints={"stress": limit},
+            **({"start": ["default"]} if self.crash_at_default else {}),
         )
+
+    @property
+    def _is_placed(self) -> bool:
+        """Whether the study depends on where the optimum is, with its probability."""
+        return self.probability is not None and (self.mixed or self.crash_at_default)
+
+    def _parameter(self, index: int) -> dict[str, Any]:
+        """Return the keys of a parameter in the study."""
+        place = float(self.default[index])
+        if self.is_integer(index):
+            low, high = self._integers(index)
+            nearest = round((place - self.optimum[index]) * INTEGERS)
+            default = min(max(nearest, low), high)
+            return {"type": "integer", "bounds": [low, high], "default": default}
+        lower, upper, scale = self.bounds(index)
+        default = lower + (upper - lower) * place
+        if scale == "log":
+            default = float(np.exp(np.log(lower) + (np.log(upper) - np.log(lower)) * place))
+        return {"type": "double", "bounds": [lower, upper], "scale": scale, "default": default}
+
+    def _integers(self, index: int) -> tuple[int, int]:
+        """Return the least and the largest integer whose place is in the cube."""
+        u = float(self.optimum[index])
+        return -int(u * INTEGERS), int((1.0 - u) * INTEGERS)
+
+    def factor(self, values: Mapping[str, Any]) -> float:
+        """Return the factor of the cost by the choice."""
+        return CHOICES[values[MODE]] if self.mixed else 1.0
 
     def point(self, values: Mapping[str, Any]) -> Array:
         """Unit-cube coordinates (d,) of the parameters ``p1`` to ``pd``."""
         u = np.empty(self.parameters)
         for i in range(self.parameters):
-            lower, upper, scale = self.bounds(i)
             value = values[f"p{i + 1}"]
+            if self.is_integer(i):
+                u[i] = self.optimum[i] + value / INTEGERS
+                continue
+            lower, upper, scale = self.bounds(i)
             if scale == "log":
                 lower, upper, value = np.log(lower), np.log(upper), np.log(value)
             u[i] = (value - lower) / (upper - lower)
@@ -431,7 +519,7 @@ class Node(ParameterizedNode):
         w = np.array([values[f"w{j + 1}"] for j in range(problem.contexts)])
         noise = np.random.default_rng(int(values["seed"])).standard_normal(2)
         sigma = 0.0 if problem.noise == NONE else COST_NOISE
-        cost = problem.cost(u) * (1.0 + problem.constants.kappa @ w)
+        cost = problem.cost(u) * problem.factor(values) * (1.0 + problem.constants.kappa @ w)
         cost *= np.exp(sigma * noise[0] - sigma**2 / 2.0)
         stress = problem.observed(u, w, noise[1])
         return {"status": "ok", "reason": "", "cost": float(cost), "stress": float(stress)}
@@ -447,6 +535,8 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
         steep=bool(settings.get("steep", False)),
         narrow=bool(settings.get("narrow", False)),
         law=str(settings.get("law", NORMAL)),
+        probability=settings.get("probability"),
+        **{name: bool(settings.get(name, False)) for name in KINDS},
     )
 
 

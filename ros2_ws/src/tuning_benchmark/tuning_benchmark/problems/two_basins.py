@@ -96,6 +96,10 @@ class TwoBasins:
         wide = 1.0 + CURVATURE * _squared(x - p)
         return np.minimum(wide, 1.0 - DEPTH * (1.0 - _squared(x - q) / self.radius**2))
 
+    def factor(self, values: Mapping[str, Any]) -> float:
+        """Return the factor of the cost by a choice, of which there is none."""
+        return 1.0
+
     def metric(self, u: Array, w: Array) -> Array:
         """Mean over noise of the limited metric of points (..., d) in contexts (..., m)."""
         result: Array = OFFSET + SLOPE * warped(u).mean(axis=-1) + LEAN * w[..., 0]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.repetition import OwnRuns
@@ -73,6 +74,8 @@ class Boundary(Method):
         Largest probability of a failure of a proposal.
     exploration
         Which trials may look elsewhere than where improvement is expected.
+    approach
+        Where a first feasible parameter set is searched.
     contexts
         Of a trial before the search.
     search
@@ -92,6 +95,7 @@ class Boundary(Method):
     ahead: int = 8
     avoidance: Avoidance = field(default_factory=AdaptedAvoidance)
     exploration: Exploration = field(default_factory=Exploration)
+    approach: Approach = field(default_factory=Approach)
     contexts: DrawnContexts = field(default=DrawnContexts(2))
     search: SearchRule | None = None
     searched: int = 3
@@ -117,6 +121,7 @@ class Boundary(Method):
             self.ahead,
             self.avoidance,
             self.exploration,
+            self.approach,
         )
 
     def first_contexts(

@@ -2,12 +2,14 @@
 
 Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
-set. Those of the first part of the budget are a search, with few evaluations each. Those of the
+set. Those of the first part of the budget are a search, with few evaluations each; until a
+parameter set is believed feasible, it is one for the way to the limits (`approach`). Those of the
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
-them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
-their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
-is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
+probability of at least `CONFIDENT` (while there is none, against the best that is believed to), and
+where it is probable that a few more runs show the same of them: of a point that only just keeps a
+limit, no budget shows that it does. They have two runs in their worst context and one in a drawn
+one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
+limits; `repetition` decides which, and when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
@@ -24,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule
+from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration, elsewhere, ends_in_a_basin
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.models.constraints import CONFIDENT
@@ -32,7 +35,13 @@ from bo_tuner.models.pooled_responses import FutureBound
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization, PointRule
+from bo_tuner.optimizers.bayesian import (
+    AcquisitionSearch,
+    BayesianOptimization,
+    Box,
+    PointRule,
+    lowest_believed,
+)
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
 
@@ -128,6 +137,8 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         Largest probability of a failure.
     exploration
         Which trials may look elsewhere than where improvement is expected.
+    approach
+        Where a first feasible parameter set is searched.
     """
 
     def __init__(
@@ -139,6 +150,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         ahead: int,
         avoidance: Avoidance,
         exploration: Exploration,
+        approach: Approach,
     ) -> None:
         super().__init__(study, ranking.fit, acquisition)
         self._ranking = ranking
@@ -146,6 +158,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         self._ahead = ahead
         self._avoidance = avoidance
         self._exploration = exploration
+        self._approach = approach
 
     def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
         """Propose the next trial and its evaluations."""
@@ -164,6 +177,11 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def avoid(self) -> float:
         """Largest probability of a failure of a proposal, as long as others exist."""
         return self._avoidance(self.study, self.trials)
+
+    def around(self, surrogates: PooledSurrogates) -> Box | None:
+        """Return the box around the least violating parameter set, see `Approach`."""
+        known = self._ranking.comparable(surrogates, self.trials)
+        return self._approach.box(surrogates, self.study, known)
 
     def _elsewhere_before(self, points: PointRule[PooledSurrogates]) -> PointRule[PooledSurrogates]:
         """Return a rule that first explores if the search ends in a basin, before `points`."""
@@ -185,12 +203,19 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def _at_boundary(
         self, surrogates: PooledSurrogates, rng: np.random.Generator
     ) -> Iterator[tuple[Array, str]]:
-        """Yield the most promising points that a few runs are likely to show feasible."""
+        """Yield the most promising points that a few runs are likely to show feasible.
+
+        They are to improve on the best that is shown to be feasible; while nothing is, on the best
+        that is believed to be. Without an improvement to look for, they would go ever deeper into
+        the feasible region.
+        """
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
-        search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        shown = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        search.incumbent = lowest_believed(surrogates) if shown is None else shown
+        within = self.around(surrogates) if search.incumbent is None else None
         for avoid in (self.avoid, 1.0):
-            result = search.maximize(avoid=avoid)
+            result = search.maximize(avoid=avoid, within=within)
             if np.isfinite(result.value):
                 yield result.position, ACQUISITION
 
