@@ -253,8 +253,10 @@ def _observed(
 ) -> Observed:
     """Return what was observed of a parameter set: in its certificate, and before."""
     own = [row for row in rows if row.parameter_set == name and row.metrics]
+    drawn = [row for row in own if row.stage is Stage.VALIDATION]
     return Observed(
-        drawn={row.index: row.metrics for row in own if row.stage is Stage.VALIDATION},
+        drawn={row.index: row.metrics for row in drawn},
+        contexts={row.index: row.context for row in drawn},
         draws=draws,
         others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
         worst={
