@@ -1,15 +1,17 @@
 """Makes the certificate of one parameter set of a run, and shows how far it is."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.cli.common import opened
+from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import (
     DRAWS,
@@ -18,7 +20,8 @@ from bo_tuner.evidence.certificate.certification import (
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
-from bo_tuner.evidence.certificate.outlook import outlook
+from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.so_far import so_far
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
@@ -27,11 +30,25 @@ from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.terminal import print_line
-from bo_tuner.text import counted
-from bo_tuner.trials import Trial
+from bo_tuner.text import counted, durations
+from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.observer import Observers, RunObserver
+
+
+class UndecidedError(Exception):
+    """The time has ended before a verdict.
+
+    Attributes
+    ----------
+    shown
+        What is shown until now, in lines.
+    """
+
+    def __init__(self, shown: Sequence[str]) -> None:
+        super().__init__("the time has ended before a verdict")
+        self.shown = shown
 
 
 @dataclass(frozen=True)
@@ -58,6 +75,8 @@ class Certifier:
         Whether another certificate may follow in this call.
     window
         Number of evaluations that are planned at once.
+    time
+        After which no more of them are begun.
     """
 
     record: RunRecord
@@ -69,6 +88,7 @@ class Certifier:
     with_default: bool
     more: bool
     window: int = 1
+    time: TimeLimit = field(default_factory=TimeLimit)
 
     def certify(
         self, trial: Trial, draws: int, attempt: int, best_sha256: str | None
@@ -95,6 +115,8 @@ class Certifier:
         ------
         Interrupted
             If the evaluations are; the next call goes on after them.
+        UndecidedError
+            If the time is over; likewise.
         RunError, OutputError
             If the nodes are lost or disturbed too often, or a file cannot be written.
         """
@@ -103,7 +125,10 @@ class Certifier:
         subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
         self._tell_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))
-        self._tell_most(subjects, draws, trial, confidence)
+        self._tell_most(subjects, draws)
+        probable = outlook(study, draws, confidence, subjects[-1].earlier.drawn, trial.worst_cases)
+        left = _Left(self.record, probable, len(subjects))
+        left.tell(self.console)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
@@ -112,24 +137,30 @@ class Certifier:
             )
         backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
         try:
-            bar, observers = _Bar(self.console), Observers()
+            bar, observers = _Bar(self.console, left), Observers()
             observers.add(unfinished)
+            observers.add(left)
             observers.add(bar)
+            gate = Gate(self.interruption.check, observers, finishing=lambda: self.time.over)
             certification = Certification(
                 study,
-                Driver(
-                    backend,
-                    observers,
-                    window=self.window,
-                    gate=Gate(self.interruption.check, observers),
-                ),
+                Driver(backend, observers, window=self.window, gate=gate),
                 confidence=confidence,
                 attempt=attempt,
+                finishing=lambda: self.time.over,
             )
-            with opened(backend, self.interruption, again=self.more) as left, bar.progress:
+            with opened(backend, self.interruption, again=self.more) as unrestored, bar.progress:
                 found = certification.collect(subjects, draws)
         finally:
             unfinished.close()
+        if certification.cut_short:
+            raise UndecidedError(
+                [
+                    f"{subject.name}: {line}" if len(subjects) > 1 else line
+                    for subject, item in zip(subjects, found, strict=True)
+                    for line in so_far(study, item, confidence)
+                ]
+            )
         evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
         certificate = make_certificate(
             self.record,
@@ -144,7 +175,7 @@ class Certifier:
         folder.check()
         path = write_certificate(folder.path, certificate, evidence)
         unfinished.remove()
-        return certificate, path, left
+        return certificate, path, unrestored
 
     def _tell_earlier(self, subjects: Sequence[Subject]) -> None:
         """Say what failed before, and where it is evaluated again."""
@@ -156,10 +187,8 @@ class Certifier:
                 told = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
                 print_line(self.console, told, "  ")
 
-    def _tell_most(
-        self, subjects: Sequence[Subject], draws: int, trial: Trial, confidence: float
-    ) -> None:
-        """Say how many evaluations it takes at most, and probably if it passes."""
+    def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
+        """Say how many evaluations it takes at most."""
         most = most_evaluations(self.record.study, subjects, draws)
         parts = [f"{most.drawn} draws"]
         if most.searched:
@@ -172,27 +201,69 @@ class Certifier:
             "clear",
             "  ",
         )
-        drawn = subjects[-1].earlier.drawn
-        probable = outlook(self.record.study, trial, drawn, draws, confidence)
-        if probable is not None:
-            each = " each" if len(subjects) > 1 else ""
-            self.console.print(
-                f"probably {probable} evaluations{each}, by the margins of the run, if it passes",
-                soft_wrap=True,
-            )
+
+
+class _Left(RunObserver):
+    """What a certificate probably still takes, by what its evaluations took until now.
+
+    Parameters
+    ----------
+    record
+        Of the run, whose evaluations tell the time of one.
+    probable
+        How many evaluations the certificate of one parameter set probably takes; None if unknown.
+    subjects
+        Number of parameter sets.
+    """
+
+    def __init__(self, record: RunRecord, probable: Outlook | None, subjects: int) -> None:
+        self._probable = probable
+        self._subjects = subjects
+        complete = [e.seconds for e in record.evaluations if e.outcome.complete]
+        self._each = fmean(complete) if complete else 0.0
+        self._done = 0
+
+    def tell(self, console: Console) -> None:
+        """Say how many evaluations it probably takes."""
+        if self._probable is None:
+            return
+        each = " each" if self._subjects > 1 else ""
+        console.print(
+            f"probably {self._probable} evaluations{each}, {self._times()}, by the margins of the "
+            "run, if it passes",
+            soft_wrap=True,
+        )
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        self._done += 1
+
+    @property
+    def words(self) -> str:
+        """The time that is probably left; empty where that is not known."""
+        if self._probable is None or self._done >= self._subjects * self._probable.high:
+            return ""
+        return f"probably {self._times()} left"
+
+    def _times(self) -> str:
+        if self._probable is None:
+            return ""
+        ends = self._probable.low, self._probable.high
+        left = [max(self._subjects * end - self._done, 0) * self._each for end in ends]
+        return durations(left[0], left[1])
 
 
 class _Bar(RunObserver):
     """A bar for one phase after the other; without a terminal a line for each, and now and then."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, left: _Left) -> None:
         self._console = console
+        self._left = left
         self._lines = NowAndThen()
         self.progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=12),
             MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=console,
             disable=not console.is_terminal,
         )
@@ -200,16 +271,18 @@ class _Bar(RunObserver):
     def begin(self, phase: str, total: int) -> None:
         for task in self.progress.task_ids:
             self.progress.remove_task(task)
-        self.progress.add_task(phase, total=total)
+        self.progress.add_task(phase, total=total, left=self._left.words)
         if self.progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
             self._tell(f"{phase}: {most}")
 
     def advance(self) -> None:
         for task in self.progress.tasks:
-            self.progress.advance(task.id)
+            left = self._left.words
+            self.progress.update(task.id, advance=1, left=left)
             if self.progress.disable and self._lines.due:
-                self._tell(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+                done = f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}"
+                self._tell(f"{done}, {left}" if left else done)
 
     def _tell(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)

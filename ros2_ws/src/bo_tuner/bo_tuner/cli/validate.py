@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.cli.certifier import Certifier
+from bo_tuner.cli.certifier import Certifier, UndecidedError
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
@@ -27,6 +27,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
@@ -83,9 +84,9 @@ parameters.
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost or disturbed three times in a row, disk full); an
-       existing certificate is kept, and the next call continues from here;
-       or an attached node was not restored
+  1    no verdict (nodes lost or disturbed three times in a row, disk full, the
+       --time is over); an existing certificate is kept, and the next call
+       continues from here; or an attached node was not restored
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -93,6 +94,7 @@ exit codes:
 
 examples:
   validate latest                          as many draws as the study requires
+  validate latest --time 10min             what is shown by then, if no verdict
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
   validate runs/latest --workers 4         four evaluations at once
@@ -139,6 +141,14 @@ def make_parser() -> Parser:
         metavar="P",
         help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
         "requires)",
+    )
+    evidence.add_argument(
+        "--time",
+        type=time_limit,
+        default=TimeLimit(),
+        metavar="TIME",
+        help="begin no more runs after this time, such as 90s, 10min or 2h, and say what is shown "
+        "by then; the next call goes on",
     )
     parser.add_backend_arguments("as in the run")
     add_workers_arguments(parser, "as in the run")
@@ -207,6 +217,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             with_default=arguments.with_default,
             more=most > 1,
             window=workers.window,
+            time=arguments.time,
         )
         path = None
         try:
@@ -214,6 +225,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             with writing(folder.log):
                 folder.log.mkdir(exist_ok=True)
             for candidate in _candidates(record, trial, most):
+                if path is not None and arguments.time.over:
+                    break
                 attempt = attempt_for(folder.path, record.study, candidate.parameters, backend)
                 draws = _draws(arguments, parser, record, confidence, attempt)
                 certificate, path, left = certifier.certify(
@@ -229,6 +242,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             missing = shortfall(record.study, draws, confidence)
             if missing and certificate.passed:
                 tell(f"warning: not sufficient for apply: {missing}")
+        except UndecidedError as undecided:
+            tell(f"the time is over, without a verdict: {undecided.shown[0]}")
+            for line in undecided.shown[1:]:
+                tell(f"  {line}")
+            tell(again)
+            return EXIT_FAULT
         except (RunError, OutputError) as error:
             tell(f"error: {error}; {again}")
             return EXIT_FAULT

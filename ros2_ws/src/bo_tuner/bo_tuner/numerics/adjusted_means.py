@@ -9,8 +9,8 @@ the regression
 the estimate of μ is the mean of y less what the covariates explain of it (Lavenberg and Welch
 1981), μ̂ = Σ wᵢ yᵢ, and what is behind its interval is the scatter of ε, not that of y. As the
 response is no polynomial, ε has no mean of 0 at each h, so the standard error is the one that
-takes neither that nor an equal variance for granted, √Σ (wᵢ eᵢ / (1 - lᵢ))² with the residuals e and
-leverages l ("HC3", about the jackknife; MacKinnon and White 1985), with n - p - 1 degrees of
+takes neither that nor an equal variance for granted, √Σ (wᵢ eᵢ / (1 - lᵢ))² with the residuals e
+and leverages l ("HC3", about the jackknife; MacKinnon and White 1985), with n - p - 1 degrees of
 freedom. Without covariates it is Student's interval. The draws stay independent, so what is counted
 in them, such as violations of a limit, needs no adjustment.
 

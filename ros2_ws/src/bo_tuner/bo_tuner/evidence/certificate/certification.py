@@ -3,7 +3,8 @@
 They end as soon as the verdict is clear; `most_evaluations` says when at the latest.
 """
 
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,15 +114,30 @@ class Certification:
         Confidence of each bound.
     attempt
         Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
+    finishing
+        Returns whether no more runs are to be begun.
+
+    Attributes
+    ----------
+    cut_short
+        Whether runs are missing for that reason: the evidence decides nothing.
     """
 
     def __init__(
-        self, study: Study, driver: Driver, *, confidence: float, attempt: int = 1
+        self,
+        study: Study,
+        driver: Driver,
+        *,
+        confidence: float,
+        attempt: int = 1,
+        finishing: Callable[[], bool] = lambda: False,
     ) -> None:
         self._study = study
         self._driver = driver
         self._confidence = confidence
         self._attempt = attempt
+        self._finishing = finishing
+        self.cut_short = False
 
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
         """Evaluate all subjects in the same draws, then search for the worst contexts of each.
@@ -143,7 +159,7 @@ class Certification:
         """
         case = _Case(self._study, self._confidence, self._attempt, draws)
         drawing = DrawPlan(case, subjects)
-        self._driver.complete(drawing)
+        self._complete(drawing)
         found = [
             self._look_closely(case, number, subject, drawing.evaluations[number])
             for number, subject in enumerate(subjects)
@@ -158,10 +174,10 @@ class Certification:
     ) -> Evidence:
         evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
         constraints = self._study.worst_case_constraints
-        if not constraints or case.decided(subject, drawn) is False:
+        if self.cut_short or not constraints or case.decided(subject, drawn) is False:
             return evidence
         plan = WorstCasePlan(case, number, subject, evidence)
-        self._driver.complete(plan)
+        self._complete(plan)
         return plan.evidence
 
     def _draw_on(
@@ -171,14 +187,21 @@ class Certification:
         places = range(len(evidence.repeated))
         others = evidence.evaluations[len(evidence.drawn) :]
         if (
-            not places
+            self.cut_short
+            or not places
             or any(case.open_limits(evidence, place) != [] for place in places)
             or case.decided(subject, evidence.drawn, others) is not None
         ):
             return evidence
         plan = FurtherDrawPlan(case, number, subject, evidence)
-        self._driver.complete(plan)
+        self._complete(plan)
         return plan.evidence
+
+    def _complete(self, plan: "_CertificatePlan") -> None:
+        if self._finishing():
+            plan.finish()
+        self._driver.complete(plan)
+        self.cut_short = self.cut_short or plan.cut_short
 
 
 @dataclass(frozen=True)
@@ -223,7 +246,40 @@ class _Case:
         return noise_seed(self.study.seed, Stream.CERTIFICATE_NOISE, self.attempt, *key)
 
 
-class DrawPlan(Plan[Run]):
+class _CertificatePlan(Plan[Run]):
+    """A phase of a certificate, which may be told to begin no more runs.
+
+    Attributes
+    ----------
+    cut_short
+        Whether there were more to begin.
+    """
+
+    def __init__(self) -> None:
+        self._finishing = False
+        self.cut_short = False
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run, unless no more are to be begun."""
+        if self.cut_short:
+            return None
+        task = self._next(pending)
+        if task is not None and self._finishing:
+            self.cut_short = True
+            return None
+        return task
+
+    def finish(self) -> bool:
+        """Begin no more runs; those that were begun count."""
+        before, self._finishing = self._finishing, True
+        return not before
+
+    @abstractmethod
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run, as `ask`."""
+
+
+class DrawPlan(_CertificatePlan):
     """All subjects in the same draws, until these are clear for every subject.
 
     Draws that were planned before it was clear count, too.
@@ -244,6 +300,7 @@ class DrawPlan(Plan[Run]):
     phase = DRAWS
 
     def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
+        super().__init__()
         self._case = case
         self._subjects = subjects
         self._clear = False
@@ -251,7 +308,7 @@ class DrawPlan(Plan[Run]):
         self.steps = case.most
         self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
+    def _next(self, pending: Sequence[Run]) -> Run | None:
         """Return the next subject in a draw, or the first one in the next draw."""
         k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
         if k == len(self._contexts) or (self._clear and number == 0):
@@ -275,7 +332,7 @@ class DrawPlan(Plan[Run]):
         return decided is False or (decided is True and len(drawn) >= least)
 
 
-class FurtherDrawPlan(Plan[Run]):
+class FurtherDrawPlan(_CertificatePlan):
     """More draws of one subject, as its other runs were too few beside those that it has.
 
     Parameters
@@ -298,6 +355,7 @@ class FurtherDrawPlan(Plan[Run]):
     phase = "more draws"
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        super().__init__()
         self._case = case
         self._number = number
         self._subject = subject
@@ -306,7 +364,7 @@ class FurtherDrawPlan(Plan[Run]):
         self.evidence = evidence
         self.steps = case.most - len(evidence.drawn)
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
+    def _next(self, pending: Sequence[Run]) -> Run | None:
         """Return the next draw."""
         drawn = self.evidence.drawn
         k = len(drawn) + len(pending)
@@ -338,7 +396,7 @@ class _Suspects:
     ranking: Mapping[str, Ranking]
 
 
-class WorstCasePlan(Plan[Run]):
+class WorstCasePlan(_CertificatePlan):
     """The search for the worst contexts of a subject, then repeated runs in them.
 
     Parameters
@@ -359,6 +417,7 @@ class WorstCasePlan(Plan[Run]):
     """
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        super().__init__()
         self._case = case
         self._number = number
         self._subject = subject
@@ -373,7 +432,7 @@ class WorstCasePlan(Plan[Run]):
             + _most_places(study, subject) * EXPECTED_REPEATS
         )
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
+    def _next(self, pending: Sequence[Run]) -> Run | None:
         """Return the next evaluation of the search, or in one of the contexts that it found."""
         if self._repeats is not None:
             return self._repeats.ask(pending)
