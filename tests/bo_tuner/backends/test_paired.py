@@ -143,7 +143,7 @@ def test_where_the_default_fails_nothing_is_known_of_the_parameters(study, ended
     )
     found = run(backend, 0.8)
     assert (found.state, found.ending, found.metrics) == (state, ending, {})
-    assert found.spoilt
+    assert found.unusable
     assert found.reason.startswith("the default, to which limits are relative, ")
     assert found.reason.endswith(f" in this context: {ended.reason}")
     assert [call["gain"] for call in backend.calls] == [DEFAULT]
@@ -157,12 +157,12 @@ def test_a_failure_of_the_parameters_is_theirs(study):
         study, lambda gain, **draw: failed("stalled") if gain > 0.7 else machine(gain, **draw)
     )
     found = run(backend, 0.8)
-    assert (found.state, found.reason, found.spoilt) == (EvaluationState.FAILED, "stalled", False)
+    assert (found.state, found.reason, found.unusable) == (EvaluationState.FAILED, "stalled", False)
 
 
 def test_a_failed_run_of_the_default_itself_is_a_failure(study):
     found = run(FunctionBackend(study, lambda **_: failed("stalled")), DEFAULT)
-    assert (found.state, found.reason, found.spoilt) == (EvaluationState.FAILED, "stalled", False)
+    assert (found.state, found.reason, found.unusable) == (EvaluationState.FAILED, "stalled", False)
 
 
 def test_a_difference_that_is_no_metric(study):
@@ -181,7 +181,7 @@ def test_a_default_that_always_fails_ends_the_run_by_name(study):
     tuning = Tuning(study, Driver(backend), METHODS["IV"])
     with pytest.raises(RunError, match="3 trials in a row could not be prepared: the default, "):
         list(tuning)
-    assert all(trial.spoilt for trial in tuning.trials)
+    assert all(trial.unusable for trial in tuning.trials)
 
 
 def test_the_limit_divides_the_trials_where_it_should(study):

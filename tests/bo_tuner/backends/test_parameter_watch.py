@@ -81,8 +81,8 @@ def test_a_change_by_others_counts_right_after_a_start(watch, events):
 
 def test_a_late_event_of_the_own_change_is_no_change_by_others(watch, events):
     """It comes when the next values are expected, once; the same value again is somebody else's."""
-    watch.tell("axis", {"gain": 1.0, "load": 3.0})
-    watch.tell("axis", {"gain": 2.0})
+    watch.expect_event("axis", {"gain": 1.0, "load": 3.0})
+    watch.expect_event("axis", {"gain": 2.0})
     events.tell("changed", gain=1.0, load=3.0)
     events.tell("changed", gain=2.0)
     assert seen(watch) == []
@@ -91,15 +91,15 @@ def test_a_late_event_of_the_own_change_is_no_change_by_others(watch, events):
 
 
 def test_what_was_refused_is_not_awaited(watch, events):
-    watch.tell("axis", {"gain": 1.0})
+    watch.expect_event("axis", {"gain": 1.0})
     watch.take_back("axis", {"gain": 1.0})
     events.tell("changed", gain=1.0)
     assert seen(watch) == ["axis: parameter gain is 1.0, expected 2.0"]
 
 
 def test_an_event_that_was_lost_keeps_none_of_the_later_ones(watch, events):
-    watch.tell("axis", {"gain": 0.5})
-    watch.tell("axis", {"gain": 1.0})
+    watch.expect_event("axis", {"gain": 0.5})
+    watch.expect_event("axis", {"gain": 1.0})
     events.tell("changed", gain=1.0)
     assert seen(watch) == []
     events.tell("changed", gain=0.5)

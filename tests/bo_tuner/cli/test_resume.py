@@ -367,7 +367,7 @@ class TestLost:
         assert found.trials == complete.trials
         assert found.summary["tuned"] == complete.summary["tuned"]
         # What was lost is still on record, once.
-        assert sum(e.outcome.spoilt for e in found.evaluations) == trials
+        assert sum(e.outcome.unusable for e in found.evaluations) == trials
         assert runs.evaluations(name) == len(complete.evaluations) - len(evaluations) + trials
 
     def test_a_reader_counts_it_as_lost(self, runs, whole):

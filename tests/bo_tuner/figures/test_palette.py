@@ -65,14 +65,14 @@ def test_lines_are_told_apart_by_colour_blind_readers(palette, sight):
     def distance(one, other):
         return np.linalg.norm(as_seen(palette[one], sight) - as_seen(palette[other], sight))
 
-    default, tuned = trajectories.LOOKS.values()
+    default, tuned = trajectories.STYLES.values()
     for (dash, color), (other_dash, other) in combinations(LINES[:MOST_COMPARED], 2):
         assert dash != other_dash or distance(color, other) >= APART, (color, other)
     assert default[1] != tuned[1] or distance(default[0], tuned[0]) >= APART
 
 
 def test_outcomes_of_trials_differ_in_shape():
-    markers = [(marker, filled) for _, marker, filled in convergence.LOOKS.values()]
+    markers = [(marker, filled) for _, marker, filled in convergence.STYLES.values()]
     assert len(set(markers)) == len(markers)
 
 

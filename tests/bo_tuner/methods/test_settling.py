@@ -9,7 +9,7 @@ from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
-from bo_tuner.methods.boundary.judging import looks, required_of, runs_until
+from bo_tuner.methods.boundary.judging import judgements, required_of, runs_until
 from bo_tuner.methods.boundary.repetition import NEAR
 from bo_tuner.methods.boundary.settling import with_known_repetitions, with_repetitions
 from bo_tuner.methods.registry import BOUNDARY, METHODS
@@ -258,7 +258,7 @@ def test_a_parameter_set_is_judged_when_its_runs_have_doubled(make_trial):
     found = {}
     for count in (0, 1, 2, 3, 4, 7, 8, 40):
         repeated = with_repetitions(trial, [again] * count)
-        found[count] = (looks(repeated), runs_until(repeated, looks(repeated) + 1))
+        found[count] = (judgements(repeated), runs_until(repeated, judgements(repeated) + 1))
     assert found == {
         0: (0, 2),
         1: (0, 1),

@@ -125,7 +125,7 @@ def test_what_others_did_is_not_held_against_the_parameters(make_study):
         found = judge(make_study, axis={"status": status, "reason": "two commands"})
         assert found.state is EvaluationState.FAILED
         assert found.reason == "axis: two commands"
-        assert found.spoilt is (status == "disturbed")
+        assert found.unusable is (status == "disturbed")
 
 
 def test_all_that_was_said_is_kept(make_study):

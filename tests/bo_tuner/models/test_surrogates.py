@@ -110,15 +110,15 @@ def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
 def test_what_is_no_failure_of_its_parameters_is_not_learnt_as_one(
     study, make_trial, models, outcome, learnt
 ):
-    spoilt = make_trial(9, {"x": 0.97})
-    (evaluation,) = spoilt.evaluations
+    unusable = make_trial(9, {"x": 0.97})
+    (evaluation,) = unusable.evaluations
     told = replace(evaluation.outcome, **outcome)
-    spoilt = replace(spoilt, evaluations=(replace(evaluation, outcome=told),))
+    unusable = replace(unusable, evaluations=(replace(evaluation, outcome=told),))
     # A crash elsewhere, without which nothing is learnt of crashes at all.
     trials = [*sloped(make_trial), make_trial(8, {"x": 0.0})]
     x = np.array([[0.965]])
     (before,) = fit(study, trials, models).failures.probability(x)
-    (after,) = fit(study, [*trials, spoilt], models).failures.probability(x)
+    (after,) = fit(study, [*trials, unusable], models).failures.probability(x)
     assert (after > before + 0.3) if learnt else (after == before)
 
 

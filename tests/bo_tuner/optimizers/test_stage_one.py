@@ -199,8 +199,8 @@ class TestRepetition:
             tell(number, stage_one.ask())
         proposal = stage_one.ask()
         reason = "axis: parameter n is 1, expected 2 (changed by someone else)"
-        spoilt = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
-        evaluation = Evaluation(3, 0, Stage.DRAWN, proposal.parameters, {}, 1, spoilt)
+        unusable = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        evaluation = Evaluation(3, 0, Stage.DRAWN, proposal.parameters, {}, 1, unusable)
         tell(3, proposal, state=TrialState.FAILED, reason=reason, evaluations=(evaluation,))
         again = stage_one.ask()
         assert again.parameters == proposal.parameters

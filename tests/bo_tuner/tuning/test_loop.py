@@ -230,7 +230,7 @@ class TestFailures:
         study = make_study()
         reason = "the preparation with the safe parameters failed: run.before[1]: 'v < 1' does not"
         unprepared = Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
-        assert unprepared.spoilt
+        assert unprepared.unusable
         seen = []
         with pytest.raises(RunError, match=r"^3 trials in a row could not be prepared: the prepar"):
             iter_into(trials_of(study, function_backend(study, lambda **_: unprepared)), seen)

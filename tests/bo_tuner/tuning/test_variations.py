@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from functions import NODE, failed, make_study
 
-from bo_tuner.cli.parameter_runs import tell_effects, try_parameters
+from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.errors import RunError
 from bo_tuner.numerics.linear_effects import POWER
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -191,7 +191,7 @@ def test_without_noise(function_backend, capsys):
     study = study_of({"kp": GAIN, "ki": GAIN})
     backend = function_backend(study, lambda kp, **_: {"error": 2.0 + kp, "peak": 3.0})
     planned, runs, found = tried(study, backend)
-    assert tell_effects(study, planned, runs, whole_range=True)
+    assert show_effects(study, planned, runs, whole_range=True)
     assert found["kp"].effects.seen
     assert found["ki"].effects.unseen
     out, err = capsys.readouterr()
@@ -202,7 +202,7 @@ def test_without_noise(function_backend, capsys):
 def test_nothing_moves_anything(function_backend, capsys):
     study = study_of({"kp": GAIN, "ki": GAIN})
     planned, runs, _ = tried(study, function_backend(study, noisy(lambda **_: 1.0)))
-    assert not tell_effects(study, planned, runs, whole_range=True)
+    assert not show_effects(study, planned, runs, whole_range=True)
     err = capsys.readouterr().err
     assert err.count("error: k") == 2
     assert "kp was not seen to move any metric (an effect above " in err
@@ -214,7 +214,7 @@ def test_in_small_steps_that_is_no_error(function_backend, capsys):
     study = study_of({"kp": GAIN, "fast": KINDS["fast"]})
     backend = function_backend(study, noisy(lambda **_: 1.0))
     planned, runs, _ = tried(study, backend, whole_range=False)
-    assert tell_effects(study, planned, runs, whole_range=False)
+    assert show_effects(study, planned, runs, whole_range=False)
     out, err = capsys.readouterr()
     assert "warning: kp was not seen to move any metric" in err
     assert "These were small steps; check --sensitivity tries the whole range." in out
@@ -232,7 +232,7 @@ def test_all_runs_fail_at_one_end(function_backend, capsys):
     planned, runs, found = tried(study, function_backend(study, function))
     assert [(m.effect.metric, m.value) for m in found["kp"].moves] == [(FAILURES, 1.0)]
     assert np.isfinite(found["kp"].effects.effects[0].visible)
-    assert tell_effects(study, planned, runs, whole_range=True)
+    assert show_effects(study, planned, runs, whole_range=True)
     out, err = capsys.readouterr()
     assert "note: kp 1: 2 of 2 runs failed: axis: unstable" in out
     assert err == ""
@@ -246,7 +246,7 @@ def test_all_runs_of_both_ends_fail(function_backend, capsys):
     planned, runs, found = tried(study, backend)
     assert found["kp"].effects.seen
     assert not found["kp"].effects.told
-    assert tell_effects(study, planned, runs, whole_range=True)
+    assert show_effects(study, planned, runs, whole_range=True)
     assert capsys.readouterr().err == ""
 
 
@@ -259,7 +259,7 @@ def test_the_default_fails_as_often(function_backend, capsys):
     )
     planned, runs, found = tried(study, backend)
     assert not found["kp"].effects.seen
-    assert tell_effects(study, planned, runs, whole_range=True)
+    assert show_effects(study, planned, runs, whole_range=True)
     out, err = capsys.readouterr()
     assert err.startswith("warning: too few runs were completed to tell whether kp moves a metric")
     assert "note: the default: 6 of 8 runs failed: no" in out

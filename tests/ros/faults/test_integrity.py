@@ -102,7 +102,7 @@ def expect_disturbed(outcome, node, name, value):
     assert outcome.metrics == {}
     assert outcome.reason.startswith(f"{KEYS[node]}: parameter {name} is {value}, expected ")
     assert " (changed by someone else)" in outcome.reason
-    assert outcome.spoilt
+    assert outcome.unusable
     assert outcome.details[DISTURBED] == outcome.reason
 
 
@@ -195,12 +195,12 @@ class TestTwins:
         named = f"{package} runs more than once in ROS domain "
         while not (outcome := attached.run(lambda_mpc=-1.0)).reason.startswith(named):
             # The plant may know of a second controller before the tuner does, and says so.
-            assert outcome.spoilt or outcome.metrics == before.metrics
-        assert outcome.spoilt
+            assert outcome.unusable or outcome.metrics == before.metrics
+        assert outcome.unusable
         assert attached.run(lambda_mpc=-1.0).reason.startswith(named)
         twin.end()
         while (outcome := attached.run(lambda_mpc=-1.0)).state is not EvaluationState.COMPLETE:
-            assert outcome.spoilt
+            assert outcome.unusable
         assert outcome.metrics == before.metrics
 
 
@@ -248,7 +248,7 @@ class TestOthers:
             assert attached.meanwhile is None
             assert outcome.state is EvaluationState.FAILED
             assert outcome.reason == f"{named} {complaint}"
-            assert outcome.spoilt
+            assert outcome.unusable
             assert attached.run().metrics == before.metrics
 
     def test_a_value_of_unknown_type(self, attach, peer):

@@ -176,7 +176,7 @@ def test_a_frame_that_two_nodes_place(backend, refusal, join, leave):
     assert run(made).state is EvaluationState.COMPLETE
     other = join(partial(Frames, "odom", "base", name="wheels"))
     found = run(made)
-    assert found.spoilt
+    assert found.unusable
     expected = "the transform of base has 2 publishers (/ekf and /wheels), whose messages mix"
     assert found.reason == expected or "stand still or go back" in found.reason
     made.close()

@@ -49,7 +49,7 @@ def test_a_single_message_of_others_disturbs_a_run(backend, other, in_run):
     in_run(made, other(made).say)
     outcome = run(made)
     assert outcome.state is EvaluationState.FAILED
-    assert outcome.spoilt
+    assert outcome.unusable
     assert outcome.reason.startswith("/intruder published on /wanted in the run, too, which a step")
     assert run(made).state is EvaluationState.COMPLETE
 
@@ -87,5 +87,5 @@ def test_a_message_of_others_disturbs_the_preparation(backend, other, system, be
     with made._tuner.also_watched_by(say):
         outcome = run(made)
     assert said
-    assert outcome.spoilt
+    assert outcome.unusable
     assert "/intruder published on /wanted in the run, too" in outcome.reason

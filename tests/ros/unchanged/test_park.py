@@ -64,7 +64,7 @@ def test_a_preparation_that_fails_with_the_safe_parameters_is_no_fault_of_the_tr
         park={"parameters": {"gain": SAFE}, "between_runs": True},
     )
     outcome = run(made, 0.75)
-    assert outcome.spoilt
+    assert outcome.unusable
     assert outcome.reason.startswith(
         "the preparation with the safe parameters failed: run.before[0]: 'angle > 9' does not hold"
     )
@@ -85,7 +85,7 @@ def test_a_preparation_that_somebody_else_made_fail(backend, system):
 
     with made._tuner.also_watched_by(disturb):
         outcome = run(made, 0.75)
-    assert outcome.spoilt
+    assert outcome.unusable
     changed = "servo: parameter gain is 0.125, expected 0.25 (changed by someone else)"
     assert outcome.reason.startswith(changed)
 

@@ -185,12 +185,12 @@ def test_a_run_is_aborted_also_by_late_messages(backend, system, in_run, monkeyp
     assert failure(run(made)).startswith("aborted at ")
 
 
-def test_a_run_whose_messages_are_all_late_is_spoilt(backend, system, in_run):
+def test_a_run_whose_messages_are_all_late_is_unusable(backend, system, in_run):
     """It would count by what came before."""
     made = backend(run={"end": {"after": 5.0}})
     in_run(made, lambda: set_back(system))
     outcome = run(made)
-    assert outcome.spoilt
+    assert outcome.unusable
     assert outcome.reason.startswith("the stamps of signal angle (/joint_states) stand still or go")
 
 
@@ -261,7 +261,7 @@ def test_a_run_that_somebody_else_made_fail_is_not_put_down_to_its_parameters(
 
     in_run(made, disturb)
     outcome = run(made)
-    assert outcome.spoilt, outcome
+    assert outcome.unusable, outcome
     assert "parameter gain is 2.5, expected 0.5 (changed by someone else)" in outcome.reason
 
 
@@ -329,7 +329,7 @@ def test_a_second_publisher_of_a_signal_spoils_a_run(backend, system, join, leav
         outcomes = [run(made), run(made)]
     for outcome in outcomes:
         assert outcome.state is EvaluationState.FAILED
-        assert outcome.spoilt
+        assert outcome.unusable
         assert outcome.reason == "/sensed has 2 publishers, whose messages mix"
     leave(sensor)
     wait_until(lambda: not made._procedure._recorder.mixed, "the first sensor is gone")
@@ -343,7 +343,7 @@ def test_a_parameter_that_a_node_does_not_take_back_is_no_fault_of_the_trial(bac
     with system.refusing("it is at work"):
         for _ in range(3):
             outcome = run(made, 0.75)
-            assert outcome.spoilt
+            assert outcome.unusable
             assert outcome.reason.startswith("servo: parameter count is 5, expected 3 (changed by")
     assert run(made, 0.75).state is EvaluationState.COMPLETE
 

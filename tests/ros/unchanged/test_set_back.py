@@ -304,7 +304,7 @@ def test_a_kill_before_the_node_has_the_next_parameters(backend, system, killed)
     made = backend(run={"before": []})
     assert run(made, 0.75).state is EvaluationState.COMPLETE
     for value in (0.8, 0.9):
-        made._previous.tell({"servo": {"gain": value}})
+        made._previous.announce({"servo": {"gain": value}})
         # As of a node that does not answer.
         made._client.parameters.forget("servo")
     killed(made)

@@ -111,7 +111,7 @@ def test_a_node_that_joins_disturbs_a_signal_of_one_node_only(backend, join, lea
     other = join(partial(Driver, name="joystick", value=-2.0))
     wait_until(lambda: made._procedure._recorder.mixed, "the other one is found")
     found = run(made)
-    assert found.spoilt
+    assert found.unusable
     assert found.reason == "/cmd_vel has 2 publishers, whose messages mix"
     made.close()
     leave(other)

@@ -25,12 +25,12 @@ class ConditionError(ParameterError):
     ----------
     condition : str
         The condition.
-    found : str
+    values : str
         The values that the set has in it.
     """
 
-    def __init__(self, condition: str, found: str) -> None:
-        super().__init__(f"breaks the condition '{condition}': {found}")
+    def __init__(self, condition: str, values: str) -> None:
+        super().__init__(f"breaks the condition '{condition}': {values}")
         self.condition = condition
 
 
@@ -117,15 +117,15 @@ class Failed(BoTunerError, RuntimeError):  # noqa: N818
 
 
 class MetricsError(BoTunerError, ValueError):
-    """What a function has returned, or was told of a run, is not a number for each metric."""
+    """The result of a function or of a run is not a number for each metric."""
 
 
 class WindowFull(BoTunerError, RuntimeError):  # noqa: N818
-    """Nothing more can be asked for until the result of a run that was asked for is told."""
+    """No further run can be asked for until the result of one that was asked for is reported."""
 
 
 class UnknownRunError(BoTunerError, LookupError):
-    """The result of a run that nobody waits for: told already, or of another tuner."""
+    """The result of a run that nobody waits for: reported already, or of another tuner."""
 
 
 class MissingPackageError(BoTunerError, ImportError):

@@ -17,17 +17,17 @@ SIGNALS = (
     signal.SIGALRM,
     signal.SIGXCPU,
 )
-"""All that somebody sends to end a process, and that would leave a machine running."""
+"""Signals that end a process, and would leave a machine running."""
 PATIENCE = 1.0
 """Time [s] that an object at work has to come to its end after a request: else all is lost."""
 LOOK_AROUND = 0.1
-"""Time [s] after which a run that waits looks for other requests."""
+"""Time [s] after which a run that waits checks for other requests."""
 
 
 class Interrupted(BaseException):
     """Somebody asks for the end of the run, by a signal or as if by one.
 
-    It is a request and no error, and passes by those who handle what foreign code raises.
+    It is a request and no error, so handlers of errors of foreign code do not catch it.
     """
 
     def __init__(self, signum: int, source: str = "") -> None:
@@ -38,7 +38,8 @@ class Interrupted(BaseException):
 class Interruption:
     """Takes `SIGNALS` from its making on; make it in the main thread.
 
-    One that is ignored, as ``nohup`` has it with SIGHUP, stays ignored, but for SIGINT and SIGTERM.
+    A signal that is ignored, such as SIGHUP under ``nohup``, stays ignored, but for SIGINT and
+    SIGTERM.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class Interruption:
 
 @contextlib.contextmanager
 def breaking_off(check: Callable[[], None]) -> Iterator[None]:
-    """Let signals end what is done inside: foreign code, which looks for no request.
+    """Let signals end what is done inside: foreign code, which checks for no request.
 
     It has `PATIENCE` to come to its end by itself; a second signal ends it at once. Code that does
     not come back to Python is not reached.
@@ -98,8 +99,8 @@ def breaking_off(check: Callable[[], None]) -> Iterator[None]:
         # Python hands signals to the main thread alone.
         yield
         return
-    found = {signum: signal.getsignal(signum) for signum in SIGNALS}
-    handlers = {signum: handler for signum, handler in found.items() if callable(handler)}
+    previous = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    handlers = {signum: handler for signum, handler in previous.items() if callable(handler)}
     again: list[threading.Timer] = []
 
     def take(signum: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""What a phase of a run is: a plan, which hands out tasks and is told their results.
+"""What a phase of a run is: a plan, which hands out tasks and takes their results.
 
 The trials, the search for the answer, the validation, the parts of a certificate and the runs of
 the command ``check`` are plans. One driver carries all of them out (`bo_tuner.tuning.driver`).
@@ -90,7 +90,7 @@ TaskT = TypeVar("TaskT", bound=Task)
 
 
 class Plan(ABC, Generic[TaskT]):
-    """A phase. Its state follows from what it was made with and from what it was told.
+    """A phase. Its state follows from what it was made with and from the results that it was told.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Plan(ABC, Generic[TaskT]):
         Parameters
         ----------
         pending
-            Tasks that were planned, and whose results are not told yet, in their order.
+            Tasks that were planned and have no results yet, in their order.
 
         Returns
         -------
@@ -166,7 +166,7 @@ class Runs(Plan[Run]):
     Parameters
     ----------
     planned
-        Them, in their order.
+        The evaluations, in their order.
     what
         What they are, in the plural, for messages.
 
@@ -203,12 +203,12 @@ Batches = Generator[Sequence[Evaluation], Sequence[Evaluation], R]
 
 
 class BatchPlan(Plan[Run], Generic[R]):
-    """A plan whose evaluations depend on each other from one batch to the next only.
+    """A plan in batches, each chosen by the results of the one before.
 
     Parameters
     ----------
     batches
-        Yields them.
+        Yields the batches.
     ends
         Returns whether nothing more of a batch is planned after an evaluation.
 
@@ -224,7 +224,7 @@ class BatchPlan(Plan[Run], Generic[R]):
         self._batches = batches
         self._ends = ends
         self._unplanned: list[Evaluation] | None = None
-        self._told: list[Evaluation] = []
+        self._results: list[Evaluation] = []
         self._over = False
         self.result: R | None = None
 
@@ -236,7 +236,7 @@ class BatchPlan(Plan[Run], Generic[R]):
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation, which is a step."""
-        self._told.append(task.evaluation)
+        self._results.append(task.evaluation)
         if self._ends(task.evaluation):
             self._unplanned = []
         return True
@@ -246,7 +246,7 @@ class BatchPlan(Plan[Run], Generic[R]):
             if self._unplanned is None:
                 self._unplanned = list(next(self._batches))
             else:
-                told, self._told = self._told, []
-                self._unplanned = list(self._batches.send(told))
+                results, self._results = self._results, []
+                self._unplanned = list(self._batches.send(results))
         except StopIteration as end:
             self._over, self.result = True, end.value

@@ -1,4 +1,4 @@
-"""Which ROS 2 distribution is installed, told without importing it."""
+"""Which ROS 2 distribution is installed, without importing it."""
 
 import os
 from importlib.metadata import PackageNotFoundError, version
@@ -10,8 +10,8 @@ WHEELS = ("jazzy", "kilted")
 def distribution() -> str:
     """Return the name of the ROS 2 distribution, in lower case.
 
-    That of the wheels in this Python environment counts before ``ROS_DISTRO``, which tells of an
-    installation that may not be in use. Without either it is Jazzy, for records read without ROS.
+    That of the wheels in this Python environment counts before ``ROS_DISTRO``, which may name an
+    installation that is not in use. Without either it is Jazzy, for records read without ROS.
     """
     for name in WHEELS:
         try:

@@ -59,7 +59,7 @@ def print_table(console: Console, table: Table, *, heading: int = 1, remarks: bo
 
 
 def _width(console: Console, table: Table) -> int:
-    """Return the width of a table none of whose lines is broken."""
+    """Return the width of a table without a line that is broken."""
     return console.measure(table, options=console.options.update(width=UNLIMITED)).maximum
 
 

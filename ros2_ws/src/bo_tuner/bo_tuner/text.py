@@ -1,4 +1,4 @@
-"""Text of others, such as names in a study and what nodes say, made fit to be shown."""
+"""Text from outside, such as names in a study and messages of nodes, made fit to be shown."""
 
 import math
 import textwrap
@@ -39,16 +39,16 @@ def wrapped(text: str, width: int, indent: str = "") -> str:
     )
 
 
-def brief(said: str) -> str:
+def brief(text: str) -> str:
     """Make what a node says, however long, fit for a line of a terminal or a table."""
-    return one_line(said[:MOST_SAID])
+    return one_line(text[:MOST_SAID])
 
 
 def csv_cell(value: object) -> object:
     """Keep a spreadsheet from reading text as a formula, by an apostrophe ahead of it.
 
-    A number stays as it is, also if it is given as text; a truth value is as in a study file. See
-    https://owasp.org/www-community/attacks/CSV_Injection.
+    A number stays as it is, also if it is given as text; a truth value is ``true`` or ``false``.
+    The danger is described at https://owasp.org/www-community/attacks/CSV_Injection.
     """
     if isinstance(value, bool):
         return shown(value)
@@ -64,7 +64,7 @@ def csv_cell(value: object) -> object:
 def shown(value: bool | int | float | str) -> str:
     """Format a value: an integer in full, any other number with four digits, a dash for NaN.
 
-    A truth value is as in a study file.
+    A truth value is ``true`` or ``false``.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -74,7 +74,7 @@ def shown(value: bool | int | float | str) -> str:
 
 
 def shown_beside(value: float, limit: float) -> str:
-    """Format a number with as many digits, four at least, as show on which side of a limit it is.
+    """Format a number with so many digits, at least four, that its side of a limit is seen.
 
     A dash stands for NaN.
     """
@@ -98,7 +98,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def percent(probability: float) -> str:
-    """Format a probability in percent, not nearer to 0 or 1 than one in a thousand tells."""
+    """Format a probability in percent, not nearer to 0 or 1 than one in a thousand."""
     if math.isnan(probability):
         return "–"
     if 0.0 < probability < 0.001:

@@ -61,23 +61,23 @@ class TrialState(StrEnum):
 
 DISTURBED, UNPREPARED = "disturbed", "unprepared"
 """Keys of an outcome's details: somebody else acted on the nodes during the evaluation, or it did
-not begin, as the steps before it failed with the safe parameters, or the default failed that a
-limit is relative to."""
-SPOILING = (DISTURBED, UNPREPARED)
-"""Why a failed evaluation tells nothing of its parameters."""
+not begin, because the steps before it failed with the safe parameters, or because the default
+failed, which a limit is relative to."""
+UNUSABLE = (DISTURBED, UNPREPARED)
+"""Keys that make a failed evaluation unusable; one that was lost is so without them."""
 
 STREAMS = "streams."
-"""Begins the keys of an outcome's details that tell how the messages of a reference came out."""
+"""Begins the keys of an outcome's details on how the messages of a reference were published."""
 
 NOTE = "note"
-"""Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
+"""Key of an outcome's details: what to know of its metrics, such as signals that were silent."""
 
 STARTS, START_SECONDS = "starts", "start_seconds"
 """Keys of an outcome's details: how often nodes were started anew with other values ahead of it or
 because of it, and the time [s] that this took."""
 HOLDS = "holds "
-"""Begins the keys of an outcome's details with the value that a device has in place of one that it
-was told: it keeps fewer digits. The node in the study and the name of the parameter follow."""
+"""Begins the keys of an outcome's details with the value that a device has in place of the one
+it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
 
 DEFAULT_HAS = "default's "
 """Begins the keys of an outcome's details with what the default has, in the same context and with
@@ -87,8 +87,7 @@ the same seed, of the metric named after it."""
 def parameter_set(parameters: Mapping[str, Value]) -> ParameterSet:
     """Return the key that evaluations and trials of equal parameters share.
 
-    `SearchSpace.key` is one of the tuned parameters alone, which sets share, too, that differ by
-    less than its resolution.
+    `SearchSpace.key` is coarser: it is of the tuned parameters only, rounded to their resolution.
     """
     return tuple(sorted(parameters.items()))
 
@@ -138,18 +137,18 @@ class Outcome:
         if not count:
             return self
         before, earlier = self.starts
-        told = {STARTS: str(before + count), START_SECONDS: f"{earlier + seconds:.3f}"}
-        return replace(self, details={**self.details, **told})
+        details = {STARTS: str(before + count), START_SECONDS: f"{earlier + seconds:.3f}"}
+        return replace(self, details={**self.details, **details})
 
     @property
-    def spoilt(self) -> bool:
-        """Whether it tells nothing of its parameters: it was lost, or is one of `SPOILING`."""
-        return self.ending in (EvaluationState.LOST, *SPOILING)
+    def unusable(self) -> bool:
+        """Whether it says nothing about its parameters: it was lost, or is one of `UNUSABLE`."""
+        return self.ending in (EvaluationState.LOST, *UNUSABLE)
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or one of `SPOILING`."""
-        return next((key for key in SPOILING if key in self.details), str(self.state))
+        """How it ended, in a word: its state, or one of `UNUSABLE`."""
+        return next((key for key in UNUSABLE if key in self.details), str(self.state))
 
 
 @dataclass(frozen=True)
@@ -193,7 +192,7 @@ class Evaluation:
 
     @property
     def whose(self) -> int | str:
-        """Number of the trial; in the validation the one of `VALIDATED` that it stands for."""
+        """Number of the trial; in the validation the member of `VALIDATED` that it stands for."""
         sides = dict(enumerate(VALIDATED)) if self.stage is Stage.VALIDATION else {}
         return sides.get(self.trial, self.trial)
 
@@ -275,7 +274,7 @@ class Trial:
         ]
 
     def mean(self, metric: str) -> float | None:
-        """Return the mean of `observations`; None without any, as of a repetition."""
+        """Return the mean of `observations`; None without any, which is so for a repetition."""
         values = self.observations(metric)
         return sum(values) / len(values) if values else None
 
@@ -285,27 +284,27 @@ class Trial:
         return self.origin.partition(" (")[0]
 
     @property
-    def spoilt(self) -> bool:
-        """Whether it failed for reasons alone that tell nothing of its parameters."""
+    def unusable(self) -> bool:
+        """Whether it failed only for reasons that say nothing about its parameters."""
         return self.state is TrialState.FAILED and all(
-            evaluation.outcome.spoilt
+            evaluation.outcome.unusable
             for evaluation in self.evaluations
             if not evaluation.outcome.complete
         )
 
     @property
     def disturbed(self) -> bool:
-        """Whether it is spoilt although no node was lost, which may have died of the parameters."""
-        return self.spoilt and all(
+        """Whether it is unusable, but no node was lost, which may have died of the parameters."""
+        return self.unusable and all(
             evaluation.outcome.state is not EvaluationState.LOST for evaluation in self.evaluations
         )
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or, if that spoilt it, lost or one of `SPOILING`."""
-        if not self.spoilt:
+        """How it ended, in a word: its state; if it is unusable, lost or one of `UNUSABLE`."""
+        if not self.unusable:
             return str(self.state)
-        endings = [e.outcome.ending for e in self.evaluations if e.outcome.spoilt]
+        endings = [e.outcome.ending for e in self.evaluations if e.outcome.unusable]
         lost = str(EvaluationState.LOST)
         return lost if lost in endings or not endings else endings[-1]
 
@@ -318,7 +317,7 @@ class Trial:
     def failed_again(self) -> bool:
         """Whether it failed for its parameters when it was checked or run again."""
         outcomes = [e.outcome for e in self.evaluations if e.stage in CHECKS]
-        return any(not outcome.complete and not outcome.spoilt for outcome in outcomes)
+        return any(not outcome.complete and not outcome.unusable for outcome in outcomes)
 
     @property
     def unchecked(self) -> "Trial":
@@ -330,13 +329,15 @@ class Trial:
 
 
 def count_trials(trials: Iterable[Trial]) -> int:
-    """Return how many trials count for the budget; one that is `Trial.spoilt` does not."""
-    return sum(not trial.spoilt for trial in trials)
+    """Return how many trials count for the budget; one that is `Trial.unusable` does not."""
+    return sum(not trial.unusable for trial in trials)
 
 
 def count_evaluations(trials: Iterable[Trial]) -> int:
     """Return how many evaluations count for the budget: without checks, of `count_trials`."""
-    return sum(e.stage in TUNING for trial in trials if not trial.spoilt for e in trial.evaluations)
+    return sum(
+        e.stage in TUNING for trial in trials if not trial.unusable for e in trial.evaluations
+    )
 
 
 def count_checks(trials: Iterable[Trial]) -> int:
@@ -359,18 +360,18 @@ def latest_by_place(
 
     A later one of the same place replaces one that a kill left behind.
     """
-    found: dict[int, dict[int, Evaluation]] = {}
+    by_trial: dict[int, dict[int, Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.stage in stages:
-            found.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
-    return found
+            by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    return by_trial
 
 
 def pooled(trials: Iterable[Trial]) -> list[Trial]:
     """Join the trials of each parameter set, such as its repetitions, into its first one.
 
-    The joint trial has all evaluations that are not spoilt and the latest estimate of the worst
-    case. It is failed if one of its trials is, unless that was spoilt.
+    The joint trial has the usable evaluations and the latest estimate of the worst case. It has
+    failed if one of its usable trials has.
 
     Parameters
     ----------
@@ -385,15 +386,15 @@ def pooled(trials: Iterable[Trial]) -> list[Trial]:
 
 def _joint(trials: Sequence[Trial]) -> Trial:
     first, *others = trials
-    telling = [trial for trial in trials if not trial.spoilt]
-    if not others or not telling:
+    informative = [trial for trial in trials if not trial.unusable]
+    if not others or not informative:
         return first
-    failed = [trial for trial in telling if trial.state is TrialState.FAILED]
-    latest = failed[-1] if failed else telling[0]
+    failed = [trial for trial in informative if trial.state is TrialState.FAILED]
+    latest = failed[-1] if failed else informative[0]
     return replace(
-        telling[0],
+        informative[0],
         state=latest.state,
         reason=latest.reason,
-        evaluations=tuple(e for t in trials for e in t.evaluations if not e.outcome.spoilt),
+        evaluations=tuple(e for t in trials for e in t.evaluations if not e.outcome.unusable),
         worst_cases={name: worst for t in trials for name, worst in t.worst_cases.items()},
     )

@@ -82,7 +82,7 @@ def build(table: type[T], values: Mapping[str, object]) -> T:
     Parameters
     ----------
     table
-        Dataclass whose fields were declared with `parameter`.
+        Dataclass with fields that were declared with `parameter`.
     values
         A value for each parameter. A whole number is taken for a float, never a float for an
         integer.

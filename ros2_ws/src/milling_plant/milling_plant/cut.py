@@ -222,7 +222,7 @@ class MillingPlant:
         return cut.result()
 
     def evaluate(self, controller: Controller) -> dict[str, float | str]:
-        """Run one cut, as the in-process backend of the tuner asks for an evaluation."""
+        """Run one cut, under the name that the in-process backend of the tuner calls."""
         return self.run_cut(controller)
 
     def trace(self) -> dict[str, tuple[str, Array]]:

@@ -40,8 +40,8 @@ class FeedAxis:
     def step(self, command: float) -> None:
         """Hold `command` [m/s] for one sample time.
 
-        What acts meanwhile are the commands of d and d - 1 samples ago, switched tau after the
-        sampling instant (see `split_dead_time`).
+        The commands of d and d - 1 samples ago act meanwhile, switched tau after the sampling
+        instant, with d and tau of `split_dead_time`.
         """
         self._commands.append(command)
         u_older = self._commands[0]

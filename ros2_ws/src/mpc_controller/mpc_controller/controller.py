@@ -133,7 +133,7 @@ class MpcController:
         Raises
         ------
         ControllerError
-            As `step`.
+            If no cut was started or all samples of the cut are done.
         """
         k = self._expect_sample("skip")
         self._faults.append(f"sample {k}: the measurement was lost")
@@ -178,7 +178,7 @@ class MpcController:
         return Step(self._last_input, estimate, self._return_times[-1], solution.status)
 
     def result(self) -> dict[str, float | str]:
-        """Return `cut_result`, as the in-process backend of the tuner asks for it."""
+        """Return `cut_result`, under the name that the in-process backend of the tuner calls."""
         return self.cut_result()
 
     def cut_result(self) -> dict[str, float | str]:

@@ -15,8 +15,8 @@ from feed_axis_common.model import (
 from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
 
 UNDETECTABLE = 1e-6
-"""A mode that decays in a sample by less than this share of itself counts as undamped, and one
-whose phase per sample is this close to a multiple of pi [rad] as unseen in the samples."""
+"""A mode that decays in a sample by less than this share of itself counts as undamped, and one with
+a phase per sample this close to a multiple of pi [rad] as unseen in the samples."""
 
 
 @dataclass(frozen=True)

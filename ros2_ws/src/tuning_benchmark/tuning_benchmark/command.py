@@ -109,8 +109,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(argv)
     if arguments.jobs < 1:
         parser.error(f"--jobs: expected at least 1, found {arguments.jobs}")
-    scheme, found, _ = arguments.cluster.partition("://")
-    if arguments.cluster and (not found or scheme not in ("dask", "tcp")):
+    scheme, separator, _ = arguments.cluster.partition("://")
+    if arguments.cluster and (not separator or scheme not in ("dask", "tcp")):
         parser.error("--cluster: expected dask://host:port or tcp://host:port")
     folder = arguments.records or arguments.output
     chosen = arguments.experiment or ["paper"]

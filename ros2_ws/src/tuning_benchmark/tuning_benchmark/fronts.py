@@ -135,17 +135,17 @@ def _measure(runs: int) -> dict[str, Any]:
     }
     with threadpool_limits(1):
         for parameters in PARAMETERS:
-            found: dict[str, list[dict[str, Any]]] = {}
+            by_optimizer: dict[str, list[dict[str, Any]]] = {}
             for name in (*OURS, *PEERS):
                 judged = [
                     vars(run(TwoObjectives(parameters), name, seed)) for seed in range(1, runs + 1)
                 ]
-                found[name] = judged
+                by_optimizer[name] = judged
                 sys.stderr.write(
                     f"{parameters} parameters, {name}: "
                     f"{np.mean([item['volume'] for item in judged]):.3f}\n"
                 )
-            record["problems"][str(parameters)] = found
+            record["problems"][str(parameters)] = by_optimizer
     return record
 
 

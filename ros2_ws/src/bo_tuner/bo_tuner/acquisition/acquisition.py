@@ -92,8 +92,10 @@ class AcquisitionRule(Protocol):
             Models of all trials.
         incumbent
             Cost to improve on; None while no parameter set is believed feasible.
-        avoid, reinterpolate
-            As in `constrained_improvement`.
+        avoid
+            Largest probability of a failure.
+        reinterpolate
+            Whether the improvement is under the reinterpolation model.
         """
 
 
@@ -101,8 +103,8 @@ class AcquisitionRule(Protocol):
 class LogImprovement:
     """Log expected improvement on `best` by the means and variances that a model predicts.
 
-    Under the reinterpolation model, as in Eq. 5, it is -inf at the data; under the noisy one it is
-    also finite there.
+    Under the reinterpolation model (Eq. 5), it is -inf at the data; under the noisy one it is also
+    finite there.
     """
 
     predict: Callable[[Array], tuple[Array, Array]]

@@ -43,7 +43,8 @@ def certify(
     Parameters
     ----------
     function
-        As in `Study.optimize`.
+        Called as ``function(parameters, context, seed)``; returns a number for each metric, by
+        name, or raises `Failed`.
     study
         The study, for contexts and limits.
     parameters
@@ -59,8 +60,8 @@ def certify(
     Returns
     -------
     Certificate
-        `passed`, `verdict`, and the findings for each limit. `apply` refuses it: it tells of the
-        function, whose code it does not know.
+        `passed`, `verdict`, and the findings for each limit. `apply` refuses it: it is about the
+        function, and does not know its code.
 
     Raises
     ------
@@ -115,8 +116,8 @@ def certify_trial(
                 confidence=spent(level, attempt, 1),
                 attempt=attempt,
             )
-            (found,) = certification.collect(subjects, most)
-        evidence = {TUNED: found}
+            (collected,) = certification.collect(subjects, most)
+        evidence = {TUNED: collected}
         made = make_certificate(
             record, trial, evidence, most, level, attempt, FUNCTION, best_sha256=None
         )

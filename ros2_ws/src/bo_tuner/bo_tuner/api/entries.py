@@ -124,7 +124,7 @@ class WorstCase(Entry):
     metric
         What is limited.
     upper
-        Largest permitted value, as of `Chance`.
+        Largest permitted value, or text such as ``1.1 * default``.
     lower
         Smallest permitted value; at least one of both.
     probability

@@ -76,8 +76,8 @@ class Result:
         from bo_tuner.report.page import chapters, report_figures
 
         analysis = Analysis(self._record)
-        found = report_figures(analysis, chapters(analysis))
-        return {item.name: Picture(item) for item in found}
+        figures = report_figures(analysis, chapters(analysis))
+        return {item.name: Picture(item) for item in figures}
 
     def trials(self) -> "DataFrame":
         """Return the trials as a data frame; columns as of ``trials.csv``.
@@ -117,9 +117,11 @@ class Result:
         trial = self._record.result
         if trial is None:
             raise RunRecordError(f"{self.folder}: has no result to certify")
-        found = certify_trial(self._record, trial, function, draws=draws, confidence=confidence)
+        certificate = certify_trial(
+            self._record, trial, function, draws=draws, confidence=confidence
+        )
         self._record = with_verdict(self._record)
-        return found
+        return certificate
 
     def report(self) -> Path:
         """Write the report of the run, ``report.html`` in its folder, and return its path.
@@ -141,9 +143,9 @@ class Result:
             f"<tr><th>{html.escape(name)}</th><td>{html.escape(shown(value))}</td></tr>"
             for name, value in (self.best or {}).items()
         )
-        said = html.escape(" ".join(self.verdict.sentences))
+        sentences = html.escape(" ".join(self.verdict.sentences))
         headline = html.escape(self.verdict.headline)
-        return f"<p><b>{headline}</b></p><table>{rows}</table><p>{said}</p>"
+        return f"<p><b>{headline}</b></p><table>{rows}</table><p>{sentences}</p>"
 
 
 class Picture:
@@ -203,6 +205,6 @@ def _frame(rows: Iterable[Mapping[str, object]], first: str) -> "DataFrame":
             "data frames need pandas: pip install 'bo_tuner[pandas]'; without it, the tables are "
             "trials.csv and evaluations.csv in the run folder"
         ) from error
-    found = list(rows)
-    columns = list(dict.fromkeys(column for row in found for column in row)) or [first]
-    return DataFrame(found, columns=columns)
+    records = list(rows)
+    columns = list(dict.fromkeys(column for row in records for column in row)) or [first]
+    return DataFrame(records, columns=columns)

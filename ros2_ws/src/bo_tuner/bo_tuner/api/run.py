@@ -58,7 +58,7 @@ class OpenRun:
     on_record
         Evaluations on record that are not of these.
     observers
-        Is told of each evaluation.
+        Is notified of each evaluation.
 
     Raises
     ------

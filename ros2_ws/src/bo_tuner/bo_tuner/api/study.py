@@ -75,7 +75,7 @@ class Study:
             "constraints": {} if constraints is None else constraints,
             **sections,
         }
-        with _all_told():
+        with _with_other_problems():
             self._study = study_from_mapping(with_function(plain(given)))
         returned_metrics(self._study)
 
@@ -89,7 +89,7 @@ class Study:
             If it cannot be read, something is wrong with it, or its metrics are not reported but
             computed from signals, which a function does not have.
         """
-        with _all_told():
+        with _with_other_problems():
             study = load_study(path, of_function=True)
         returned_metrics(study)
         made = cls.__new__(cls)
@@ -204,7 +204,7 @@ def _by_name(metrics: object) -> Mapping[str, object]:
 
 
 @contextlib.contextmanager
-def _all_told() -> Iterator[None]:
+def _with_other_problems() -> Iterator[None]:
     """Let a traceback show also what else is wrong with a study."""
     try:
         yield

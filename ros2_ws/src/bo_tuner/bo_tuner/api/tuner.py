@@ -141,11 +141,11 @@ class Tuner:
         if self._over:
             return None
         with self._working():
-            found = self._next_run()
-        if found is None and not self._over:
+            run = self._next_run()
+        if run is None and not self._over:
             count = len(self._pending)
             raise WindowFull(f"tell a result first: {count} of {self._run.window} are waited for")
-        return found
+        return run
 
     def tell(self, run: Run, metrics: Mapping[str, float]) -> None:
         """Take the result of a run.
@@ -175,7 +175,7 @@ class Tuner:
         self.tell_outcome(run, failed(str(reason)))
 
     def lose(self, run: Run, reason: str = "") -> None:
-        """Take that a run came to nothing for reasons that tell nothing of its parameters.
+        """Take that a run came to nothing for reasons that say nothing about its parameters.
 
         It is asked for again, once in a trial. Three trials in a row without a result end the run,
         until it is continued.
@@ -279,15 +279,15 @@ class Tuner:
         if self._steps is not None and self._steps.over:
             self._next_phase()
 
-    def _note(self, told: Iterator[Any]) -> None:
-        """Tell observers of the trials among the tasks that a plan was told of."""
-        for task in told:
+    def _note(self, tasks: Iterator[Any]) -> None:
+        """Note the trials among the tasks that a plan has the results of."""
+        for task in tasks:
             if isinstance(self._plan, TrialPlan):
                 self._run.note_trial(self._plan.trials, recorded=task.recorded)
 
 
 def _key(evaluation: Evaluation) -> tuple[object, ...]:
-    """Return what tells a run from the others that are waited for."""
+    """Return the key of a run among those that are waited for."""
     place = (Stage(evaluation.stage), evaluation.trial, evaluation.index, evaluation.seed)
     return (*place, parameter_set(evaluation.parameters))
 

@@ -36,13 +36,13 @@ def make_backend(
     study
         The study.
     log_directory, attach, run_log, ros_arguments
-        As in `RosBackend`; of no meaning in process. Attached nodes have a guard.
+        Arguments of `RosBackend`; of no meaning in process. Attached nodes have a guard.
     interrupted
-        As in `RosBackend` and `InProcessBackend`.
+        Asked while waiting; raises what ends the wait.
     earlier
-        Evaluations on record, in their order; see `RosBackend.recall`.
+        Evaluations on record, in their order: they show how often messages come.
     halt
-        As in `RosBackend`.
+        Called when the guard has taken over; without it that ends the run.
     workers
         How many evaluations are run at once; with several, none of the nodes runs already.
     """

@@ -8,8 +8,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
     DEFAULT_HAS,
-    SPOILING,
     UNPREPARED,
+    UNUSABLE,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -57,7 +57,7 @@ class DefaultBeside:
         Returns
         -------
         Outcome
-            As `runs` returns it.
+            With the relative metrics; lost or not prepared where the default fails.
         """
         runs = self.runs(planned)
         due = next(runs)
@@ -68,8 +68,8 @@ class DefaultBeside:
             try:
                 due = runs.send(outcome)
             except StopIteration as end:
-                found: Outcome = end.value
-                return found
+                result: Outcome = end.value
+                return result
 
     def runs(self, planned: Evaluation) -> Generator[Evaluation, Outcome, Outcome]:
         """Yield what is to be run for an evaluation, one after the other, and be sent the outcomes.
@@ -127,5 +127,5 @@ def _without_default(default: Outcome) -> Outcome:
     )
     if default.state is EvaluationState.LOST:
         return replace(default, reason=reason)
-    ending = next((key for key in SPOILING if key in default.details), UNPREPARED)
+    ending = next((key for key in UNUSABLE if key in default.details), UNPREPARED)
     return replace(default, reason=reason, details={**default.details, ending: reason})

@@ -38,10 +38,10 @@ class OnRecord:
 
     def take(self, planned: Evaluation) -> Evaluation | None:
         """Return a planned evaluation with its outcome on record; None if it is to be run."""
-        found = self._evaluations.get(self._key(planned))
-        if not found:
+        recorded = self._evaluations.get(self._key(planned))
+        if not recorded:
             return None
-        earlier = found.pop(0)
+        earlier = recorded.pop(0)
         # Those of another run may have been judged by another study.
         outcome = judged(self._study, earlier.outcome)
         return replace(planned, outcome=outcome, seconds=earlier.seconds, recorded=True)

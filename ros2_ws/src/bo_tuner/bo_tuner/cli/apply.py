@@ -161,7 +161,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             write_bundle(record)
         if trial is None:
             new, title = read_rollback(record), f"back to {DEPLOY}/{ROLLBACK}"
-            # As in the file of a run of which nothing was set yet.
+            # Equal to those in the parameter file of a run before anything was set.
             if new == node_values(record.study, record.study.search_space().defaults):
                 title += ", the study's default"
             elif new == before_run(record):
@@ -286,7 +286,7 @@ def _remark(nodes: LiveParameters) -> None:
 
 
 def _forget_killed(nodes: LiveParameters, values: NodeValues) -> None:
-    """Let the nodes keep values that somebody wants them to have, also as a killed run's."""
+    """Let the nodes keep values that a user has set, also where they are a killed run's."""
     for node, of_node in values.items():
         nodes.forget_killed(node, of_node)
 
@@ -300,7 +300,7 @@ def _rollback(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> Node
 
 
 def _own(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValues:
-    """Return what the nodes have, but for what a run has left on them, killed or parked."""
+    """Return what the nodes have, without what a killed or a parking run has left on them."""
     own = {}
     before = before_run(record) or {}
     parked = _parked(record.study, before) if before else {}

@@ -68,7 +68,7 @@ class Certifier:
     interruption
         Ends the evaluations.
     console
-        Is told how far they are.
+        Shows how far they are.
     with_default
         Whether the default is certified, too, in the same draws.
     more
@@ -123,12 +123,12 @@ class Certifier:
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
         subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
-        self._tell_earlier(subjects)
+        self._show_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))
-        self._tell_most(subjects, draws)
+        self._show_most(subjects, draws)
         probable = outlook(study, draws, confidence, subjects[-1].earlier.drawn, trial.worst_cases)
         left = _Left(self.record, probable, len(subjects))
-        left.tell(self.console)
+        left.show(self.console)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
@@ -150,18 +150,18 @@ class Certifier:
                 finishing=lambda: self.time.over,
             )
             with opened(backend, self.interruption, again=self.more) as unrestored, bar.progress:
-                found = certification.collect(subjects, draws)
+                collected = certification.collect(subjects, draws)
         finally:
             unfinished.close()
         if certification.cut_short:
             raise UndecidedError(
                 [
                     f"{subject.name}: {line}" if len(subjects) > 1 else line
-                    for subject, item in zip(subjects, found, strict=True)
+                    for subject, item in zip(subjects, collected, strict=True)
                     for line in so_far(study, item, confidence)
                 ]
             )
-        evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+        evidence = {subject.name: item for subject, item in zip(subjects, collected, strict=True)}
         certificate = make_certificate(
             self.record,
             trial,
@@ -177,17 +177,17 @@ class Certifier:
         unfinished.remove()
         return certificate, path, unrestored
 
-    def _tell_earlier(self, subjects: Sequence[Subject]) -> None:
+    def _show_earlier(self, subjects: Sequence[Subject]) -> None:
         """Say what failed before, and where it is evaluated again."""
         for subject in subjects:
             for refutation in subject.earlier.refutations:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} evaluated again, and " if count else ""
-                told = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
-                print_line(self.console, told, "  ")
+                line = f"{subject.name}: {refutation.told}; {again}its runs count against a PASS"
+                print_line(self.console, line, "  ")
 
-    def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
+    def _show_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""
         most = most_evaluations(self.record.study, subjects, draws)
         parts = [f"{most.drawn} draws"]
@@ -223,7 +223,7 @@ class _Left(RunObserver):
         self._each = fmean(complete) if complete else 0.0
         self._done = 0
 
-    def tell(self, console: Console) -> None:
+    def show(self, console: Console) -> None:
         """Say how many evaluations it probably takes."""
         if self._probable is None:
             return
@@ -274,7 +274,7 @@ class _Bar(RunObserver):
         self.progress.add_task(phase, total=total, left=self._left.words)
         if self.progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._tell(f"{phase}: {most}")
+            self._print(f"{phase}: {most}")
 
     def advance(self) -> None:
         for task in self.progress.tasks:
@@ -282,8 +282,8 @@ class _Bar(RunObserver):
             self.progress.update(task.id, advance=1, left=left)
             if self.progress.disable and self._lines.due:
                 done = f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}"
-                self._tell(f"{done}, {left}" if left else done)
+                self._print(f"{done}, {left}" if left else done)
 
-    def _tell(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
-        self._lines.told()
+        self._lines.printed()

@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
-from bo_tuner.cli.parameter_runs import tell_effects, try_parameters
+from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against
 from bo_tuner.cli.study_options import (
@@ -185,8 +185,8 @@ def _try(
         heard: list[str] = []
 
         def look(tuner: TunerNode) -> None:
-            found = heard_of_others(study, tuner)
-            heard.extend(name for name, spec in found.items() if spec.is_number)
+            signals = heard_of_others(study, tuner)
+            heard.extend(name for name, spec in signals.items() if spec.is_number)
             if not attach:
                 hold_against(study, tuner, attached=False)
 
@@ -196,7 +196,7 @@ def _try(
             with opened(backend, interruption) as left:
                 done, recordings = _runs(study, backend)
                 complete = [e for e in done if e.outcome.complete]
-                sound = _tell_runs(study, done, recordings, heard)
+                sound = _show_runs(study, done, recordings, heard)
                 if sound and sensitivity is not False:
                     whole_range = bool(sensitivity) or not attach
                     acts = _try_parameters(study, backend, complete, whole_range=whole_range)
@@ -211,7 +211,7 @@ def _try(
         return code
 
 
-def _tell_runs(
+def _show_runs(
     study: Study,
     done: Sequence[Evaluation],
     recordings: Sequence[Recording],
@@ -219,9 +219,9 @@ def _tell_runs(
 ) -> bool:
     """Show runs of the default; returns whether all are complete, and something moves."""
     show_signals(recordings[-1], RUNS)
-    for name, told in done[-1].outcome.details.items():
+    for name, stream in done[-1].outcome.details.items():
         if name.startswith(STREAMS):
-            say(f"stream on {name.removeprefix(STREAMS)}: {told}")
+            say(f"stream on {name.removeprefix(STREAMS)}: {stream}")
     failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
         say_error(
@@ -233,7 +233,7 @@ def _tell_runs(
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
     # Of a run that failed, nothing may be known.
-    return not failed and _tell_of_motion(study, recordings, heard)
+    return not failed and _show_motion(study, recordings, heard)
 
 
 def _try_parameters(
@@ -243,7 +243,7 @@ def _try_parameters(
     planned, runs = try_parameters(
         study, Driver(backend), done, whole_range=whole_range, wait=_seconds(done)
     )
-    return tell_effects(study, planned, runs, whole_range=whole_range)
+    return show_effects(study, planned, runs, whole_range=whole_range)
 
 
 def _seconds(complete: Sequence[Evaluation]) -> float:
@@ -286,13 +286,13 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
         done.append(task.evaluation)
         recordings.append(backend.recording)
         if len(done) == RUNS - 1:
-            # As for each other parameter set.
+            # Each other parameter set restarts such nodes, too.
             backend.start_anew()
     return done, recordings
 
 
-def _tell_of_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
-    """Tell what the signals of complete runs look wrong in; returns whether anything moves."""
+def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
+    """Show what may be wrong with the signals of complete runs; returns whether any moves."""
     if all_stand(recordings, heard):
         say_error(
             f"error: nothing moves: {', '.join(standing(recordings, heard))} did not change in "
@@ -337,7 +337,7 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
-    """Tell how long tuning and certificate will take, by test runs that completed."""
+    """Show how long tuning and certificate will take, by test runs that completed."""
     starting = sum(e.outcome.starts[1] for e in complete)
     seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")

@@ -1,4 +1,4 @@
-"""Choose some of what was found on running nodes: by an option, or on a terminal."""
+"""Choose some of what running nodes offer: by an option, or on a terminal."""
 
 import re
 import sys
@@ -21,7 +21,7 @@ Row = Callable[[Offer], Sequence[str]]
 
 
 class Chooser:
-    """Lets the user choose of what was found: by an option, on a terminal, or else as suggested.
+    """Lets the user choose: by an option, on a terminal, or else as suggested.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ class Chooser:
         Parameters
         ----------
         what
-            Their name in the plural, which is that of the option too.
+            Their name in the plural, which is also that of the option.
         given
             The option.
         offers, suggested
             All of them, and those to take unless the user says otherwise.
         names
-            Names of an offer, one of which the option holds.
+            Names of an offer; the option may hold any of them.
         row
             What to show of an offer.
 
@@ -105,14 +105,14 @@ def numbers(text: str, most: int) -> list[int]:
     StudyError
         If it lists anything else.
     """
-    found: set[int] = set()
+    chosen: set[int] = set()
     for word in text.replace(",", " ").split():
         match = SPAN.fullmatch(word)
         low, high = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= low <= high <= most:
             raise StudyError(f"expected numbers from 1 to {most}, found {checks.quoted(word)}")
-        found |= set(range(low, high + 1))
-    return sorted(found)
+        chosen |= set(range(low, high + 1))
+    return sorted(chosen)
 
 
 def _named(
@@ -123,12 +123,12 @@ def _named(
 ) -> list[Offer]:
     chosen: list[Offer] = []
     for name in given:
-        found = [offer for offer in offers if name in names(offer)]
-        if not found:
+        matches = [offer for offer in offers if name in names(offer)]
+        if not matches:
             known = dict.fromkeys(n for o in offers for n in names(o))
             # Each offer once: with its node or topic if the name has one.
             alike = [other for other in known if (":" in other) == (":" in name)]
             hint = checks.suggestion(name, alike or known)
             raise StudyError(f"--{what}: there is no {checks.quoted(name)}; {hint}")
-        chosen += [offer for offer in found if offer not in chosen]
+        chosen += [offer for offer in matches if offer not in chosen]
     return chosen

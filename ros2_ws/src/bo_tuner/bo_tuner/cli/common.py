@@ -83,7 +83,7 @@ class Parser(argparse.ArgumentParser):
         default
             Of the backend, for the help.
         trust
-            As in `add_trust_argument`.
+            Put ahead of the help of ``--trust``.
         """
         group = self.add_argument_group("nodes")
         group.add_argument(
@@ -165,7 +165,7 @@ def _is_full(error: Exception) -> bool:
 
 
 def _fault(error: OSError, interruption: Interruption) -> int:
-    """Tell, where that is possible, what could not be read or written; returns the exit code."""
+    """Show, where that is possible, what could not be read or written; returns the exit code."""
     if interruption.signum is not None:
         # A terminal that is gone sends SIGHUP, and takes no more output.
         return EXIT_SIGNAL + interruption.signum
@@ -196,8 +196,8 @@ def opened(
     Yields
     ------
     list of str
-        Empty; after the block it has what the nodes could not be left with. That is told, and does
-        not keep the command from writing what it has found: `ended` gives its exit code.
+        Empty; after the block it has what the nodes could not be left with. That is shown, and does
+        not keep the command from writing its result: `ended` gives the exit code.
     """
     left: list[str] = []
     try:
@@ -267,7 +267,7 @@ def recorded_backend(record: RunRecord) -> str:
 def attached(
     arguments: argparse.Namespace, parser: Parser, backend: str, record: RunRecord | None
 ) -> bool:
-    """Return whether to use running nodes: as the option says, or else as in a run.
+    """Return whether to use running nodes: by the option, or else if the run did.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str
 
 
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
-    """Refuse to start what the study of a stranger's run names, unless told to.
+    """Refuse to start what the study of a stranger's run names, unless the user trusts it.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def read_result(given: Path) -> RunRecord:
     Raises
     ------
     RunRecordError
-        As in `read_run`.
+        If the folder is no run, or its record cannot be read.
     """
     return with_summary(read_run(run_folder(given)), say_error)
 

@@ -107,7 +107,7 @@ def write_first_study(
     nodes, parameters, signals
         What to take of each; None to ask on a terminal, or to take what is suggested.
     ros_arguments
-        ``--ros-args`` of the node that looks.
+        ``--ros-args`` of the node that queries the graph.
     interruption
         Ends the command on a signal.
 
@@ -140,8 +140,8 @@ def write_first_study(
                 file.write(text)
         except FileExistsError:
             _check_path(path)
-    found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
-    say(f"{path}: {found}; now review it and")
+    contents = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
+    say(f"{path}: {contents}; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  {shlex.join(['check', str(path), *ros_arguments])}")
     return EXIT_OK
@@ -220,7 +220,7 @@ def _parameter_names(node: str, name: str) -> list[str]:
 
 
 def _signal_names(offer: SignalOffer) -> list[str]:
-    """Return what an option may call a signal: its topic tells those that have a value."""
+    """Return what an option may call a signal: its topic stands for those that have a value."""
     of_topic = signal_offers(offer.topic)
     is_taken = offer.is_finite or not any(other.is_finite for other in of_topic)
     return [str(offer), offer.topic.name] if is_taken else [str(offer)]

@@ -71,40 +71,40 @@ def try_parameters(
     for done_so_far, task in enumerate(driver.run(Runs(evaluations, "runs")), start=1):
         if lines.due:
             say(f"{done_so_far} of {counted(len(order), 'run')}")
-            lines.told()
+            lines.printed()
         evaluation = task.evaluation
-        if not evaluation.outcome.spoilt:
+        if not evaluation.outcome.unusable:
             place = places[evaluation.index]
             kept = tried.default if place is None else tried.varied.setdefault(place, [])
             kept.append(evaluation)
     return planned, tried
 
 
-def tell_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_range: bool) -> bool:
+def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_range: bool) -> bool:
     """Show what each parameter moves; returns whether the study has something to tune.
 
-    It has not if over their whole range none of the parameters was seen to move a metric. That none
-    did in small steps may be for the noise.
+    It has nothing to tune if no parameter was seen to move a metric over its whole range. In small
+    steps the noise may hide an effect.
 
     Parameters
     ----------
     study
         The study.
     planned, runs
-        As from `try_parameters`.
+        Returned by `try_parameters`.
     whole_range
-        As there.
+        Whether each parameter was tried over its whole range.
     """
-    found = judge(study, planned, runs)
-    moves = [(name, move) for name, item in found.items() for move in item.moves]
+    judged = judge(study, planned, runs)
+    moves = [(name, move) for name, item in judged.items() for move in item.moves]
     if moves:
         print_table(plain_console(), _table(study, planned, moves))
-    _tell_failures(planned, runs)
-    if untried := [name for name in study.search_space().names if name not in found]:
+    _show_failures(planned, runs)
+    if untried := [name for name in study.search_space().names if name not in judged]:
         how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
         say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
-    unseen = [item.effects for item in found.values() if item.effects.unseen]
-    open_ = [n for n, item in found.items() if not (item.effects.seen or item.effects.told)]
+    unseen = [item.effects for item in judged.values() if item.effects.unseen]
+    open_ = [n for n, item in judged.items() if not (item.effects.seen or item.effects.told)]
     if open_:
         verb = "moves" if len(open_) == 1 else "move"
         say_error(
@@ -152,7 +152,7 @@ def _table(study: Study, planned: Variations, moves: Sequence[tuple[str, Move]])
     return table
 
 
-def _tell_failures(planned: Variations, runs: VariedRuns) -> None:
+def _show_failures(planned: Variations, runs: VariedRuns) -> None:
     """Name the runs that failed for their parameters."""
     screened: list[Evaluation] = []
     for place, variation in enumerate(planned.variations):
@@ -161,12 +161,12 @@ def _tell_failures(planned: Variations, runs: VariedRuns) -> None:
             screened += done
         else:
             value = variation.parameters[variation.moved]
-            _tell_failed(f"{variation.moved} {shown(value)}", done)
-    _tell_failed("several parameters moved at once", screened)
-    _tell_failed("the default", runs.default)
+            _show_failed(f"{variation.moved} {shown(value)}", done)
+    _show_failed("several parameters moved at once", screened)
+    _show_failed("the default", runs.default)
 
 
-def _tell_failed(what: str, done: Sequence[Evaluation]) -> None:
+def _show_failed(what: str, done: Sequence[Evaluation]) -> None:
     failed = [evaluation for evaluation in done if not evaluation.outcome.complete]
     if failed:
         reasons = "; ".join(dict.fromkeys(e.outcome.reason for e in failed))

@@ -77,11 +77,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         table.add_column(column)
     rows: list[tuple[object, ...]] = []
     wrong = 0
-    for found in recompute(record, study, interruption.check):
+    for recomputed in recompute(record, study, interruption.check):
         interruption.check()
-        differs = differing(record, study, found)
+        differs = differing(record, study, recomputed)
         wrong += bool(differs)
-        rows.append(_row(names, found, differs))
+        rows.append(_row(names, recomputed, differs))
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in rows[-1]])
     print_table(plain_console(), table, heading=4, remarks=True)
     if arguments.csv is not None:
@@ -96,8 +96,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     return EXIT_INFEASIBLE if wrong else EXIT_OK
 
 
-def _row(names: Sequence[str], found: Recomputed, differs: Sequence[str]) -> tuple[object, ...]:
-    run, outcome = found.run, found.outcome
+def _row(
+    names: Sequence[str], recomputed: Recomputed, differs: Sequence[str]
+) -> tuple[object, ...]:
+    run, outcome = recomputed.run, recomputed.outcome
     notes = [] if outcome.complete else [outcome.reason]
     if differs:
         recorded = (f"{name} {run.evaluation['metrics'][name]!r}" for name in differs)

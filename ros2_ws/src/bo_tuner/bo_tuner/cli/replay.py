@@ -189,7 +189,7 @@ def _notes(
     default: Evaluation,
     lost: int,
 ) -> dict[str, object]:
-    """Tell what is in the bag."""
+    """Say what is in the bag."""
     notes: dict[str, object] = {
         "study": record.study.name,
         "trial": str(recorded.trial),

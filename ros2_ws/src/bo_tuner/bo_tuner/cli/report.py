@@ -108,10 +108,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         path = write_trial(analysis, trial, parts, arguments.output or of_trial)
     elif len(analyses) == 1:
         (analysis,) = analyses
-        found = chapters(analysis)
-        drawn = report_figures(analysis, found)
+        contents = chapters(analysis)
+        drawn = report_figures(analysis, contents)
         interruption.check()
-        path = write_page(analysis, found, arguments.output or analysis.record.path / REPORT)
+        path = write_page(analysis, contents, arguments.output or analysis.record.path / REPORT)
     else:
         parts = comparison(dict(zip(names(analyses), analyses, strict=True)))
         drawn = figures(parts)
@@ -129,19 +129,19 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
 def _read(runs: Sequence[Path]) -> list[Analysis]:
     """Read all runs; none if one cannot be read, with a line on each of these."""
-    found: dict[Path, Analysis] = {}
+    analyses: dict[Path, Analysis] = {}
     readable = True
     for run in runs:
         try:
             analysis = Analysis(read_result(run))
             path = analysis.record.path.resolve()
-            if path in found:
+            if path in analyses:
                 raise RunRecordError(f"{run}: named twice; expected different runs")
-            found[path] = analysis
+            analyses[path] = analysis
         except RunRecordError as error:
             say_error(f"error: {error}")
             readable = False
-    return list(found.values()) if readable else []
+    return list(analyses.values()) if readable else []
 
 
 def _formats(text: str) -> tuple[str, ...]:

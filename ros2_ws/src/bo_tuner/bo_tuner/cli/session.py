@@ -163,7 +163,7 @@ class Session:
         )
 
     def _halt(self, reason: str) -> None:
-        """Let the run wait: the guard has taken over, and somebody is to look at the machine."""
+        """Let the run wait: the guard has taken over, and somebody must see to the machine."""
         self._gate.halt(reason)
         self._display.warn(f"{reason}; the run waits until you have looked at the machine")
 
@@ -192,7 +192,7 @@ class Session:
         folder = self._folder.path
         with LivePage(self._study, folder, status, address, display.warn, control) as page:
             self._live_page = page
-            show = display.warn if self._options.output is Output.QUIET else display.tell
+            show = display.warn if self._options.output is Output.QUIET else display.inform
             show(f"live page: {address.url}")
             yield
 
@@ -231,7 +231,7 @@ class Session:
                     raise
                 export_csv(folder.journal, folder.path)
                 known = known_incumbents(self._incumbents)
-                write_deliverables(folder.path, self._display.tell, self._display.warn, known)
+                write_deliverables(folder.path, self._display.inform, self._display.warn, known)
                 return ended(left, code)
             except Interrupted as interrupt:
                 if not folder.journal.exists():
@@ -298,11 +298,11 @@ class Session:
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
         if several := options.workers.text(options.backend):
-            self._display.tell(several)
+            self._display.inform(several)
         if options.carried is not None:
-            self._display.tell(f"begins with {options.carried.text}, of {options.carried.run}")
+            self._display.inform(f"begins with {options.carried.text}, of {options.carried.run}")
         elif earlier.evaluations:
-            self._display.tell(
+            self._display.inform(
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
                 f"{counted(len(earlier.evaluations), 'evaluation')} on record"
             )
@@ -326,23 +326,27 @@ class Session:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
                 observers.recall(tuning.trials, self._best(tuning))
-                # What others have made of them took its time, which is none of a trial.
+                # The time that observers took for these trials is none of the next trial's.
                 self._status.restart()
             for trial in self._trials(tuning):
                 best = self._best(tuning)
                 self._incumbents[len(tuning.trials)] = best
                 observers.trial(trial, best)
             observers.end(Phase.TUNING)
-            found = conclude(study, driver, self._method, tuning.trials)
-            summary = None if found is None else self._summary(found, len(tuning.trials), journal)
+            conclusion = conclude(study, driver, self._method, tuning.trials)
+            summary = (
+                None
+                if conclusion is None
+                else self._summary(conclusion, len(tuning.trials), journal)
+            )
             verdict = self._verdict(summary)
             self._status.conclude(verdict)
         if recording.summary["policy"] != Policy.NONE:
             self._folder.write_json(RECORDING, recording.summary)
-        if found is None or summary is None:
+        if conclusion is None or summary is None:
             self._display.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
             return exit_code(verdict)
-        self._report(found, verdict, summary)
+        self._report(conclusion, verdict, summary)
         return exit_code(verdict)
 
     @contextlib.contextmanager
@@ -377,7 +381,7 @@ class Session:
     def _show_on_ros(
         self, context: Context, park: Callable[[], list[str]], stack: contextlib.ExitStack
     ) -> None:
-        """Let a node tell of the run and take requests, and have the machine parked in a pause."""
+        """Let a node publish the run and take requests, and have the machine parked in a pause."""
         live = LiveNode(context, self._study, self._folder.path, self._status, self._control)
         self._observers.add(stack.enter_context(contextlib.closing(live)))
         self._observers.add(ParkInPause(park, self._display.warn))
@@ -399,10 +403,10 @@ class Session:
     def _best(self, tuning: Tuning) -> Candidate | None:
         return self._method.incumbent(self._study, tuning.trials)
 
-    def _summary(self, found: Conclusion, trials: int, journal: Journal) -> dict[str, object]:
+    def _summary(self, conclusion: Conclusion, trials: int, journal: Journal) -> dict[str, object]:
         return summarize(
             self._study,
-            found,
+            conclusion,
             self._advisor.advice,
             stop_early=self._options.stop_early,
             trials=trials,
@@ -411,7 +415,7 @@ class Session:
 
     @property
     def _ways_to_continue(self) -> Iterator[str]:
-        """In which a run that is paused can be told to go on."""
+        """Ways in which a paused run can be continued, in words."""
         options = self._options
         if options.web is not None and options.web_control:
             yield "on the live page"
@@ -426,7 +430,7 @@ class Session:
         return namespace_of(options.ros_arguments) if options.backend == ROS else ""
 
     def _verdict(self, summary: Mapping[str, object] | None) -> Verdict:
-        """Return what is known of the result; of one that has a certificate this is its verdict."""
+        """Return the verdict on the result: that of its certificate, if it has one."""
         content = read_journal(self._folder.journal)
         return run_verdict(
             RunRecord(
@@ -448,9 +452,9 @@ class Session:
             )
         )
 
-    def _report(self, found: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
+    def _report(self, conclusion: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
-        parameters = found.recommendation.candidate.trial.parameters
+        parameters = conclusion.recommendation.candidate.trial.parameters
         notes = (*verdict.file_warnings, *file_notes(self._study, verdict.unseen))
         path = folder.write_parameters(self._study, parameters, notes)
         summary |= verdict.to_summary()

@@ -26,7 +26,7 @@ class MistakesError(Exception):
 
 
 def hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:
-    """Hold a study against its nodes, and tell what is wrong.
+    """Hold a study against its nodes, and say what is wrong.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
 
 
 def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
-    """Tell in a line that a node has another clock than the run; empty if it has the same."""
+    """Return a line if a node has another clock than the run; empty if it has the same."""
     described = known.get(USE_SIM_TIME)
     if study.run is None or described is None:
         return ""

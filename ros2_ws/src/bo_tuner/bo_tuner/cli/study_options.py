@@ -81,7 +81,7 @@ def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -
     Parameters
     ----------
     study
-        As in its file.
+        The study of the file.
     arguments
         With those of `add_budget_arguments` and `add_bounds_argument`, and ``start`` if the command
         takes parameter sets.

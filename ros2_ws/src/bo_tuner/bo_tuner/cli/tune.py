@@ -55,7 +55,7 @@ class Plan:
     Attributes
     ----------
     study, algorithm, backend, attach, stop_early
-        As in `RunOptions`.
+        Passed on in the options of the run.
     resumed
         The run that it continues.
     carried
@@ -190,9 +190,9 @@ def _after_earlier(
     """Plan a run that begins with the trials of an earlier one."""
     backend = recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
-    for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
-        if getattr(arguments, name) not in (None, found):
-            parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
+    for name, recorded in (("backend", record.backend), ("algorithm", record.algorithm)):
+        if getattr(arguments, name) not in (None, recorded):
+            parser.error(f"--{name}: expected {recorded}, as in the run of --from; leave it out")
     if arguments.study is not None:
         study = _given(arguments.study, attach, arguments, ros_arguments, interruption)
     else:
@@ -246,7 +246,7 @@ def _new(
 
 
 def _check_installed(study: Study, backend: str) -> None:
-    """Refuse a shipped study whose nodes are not installed, and say what to do instead.
+    """Refuse a shipped study if its nodes are not installed, and say what to do instead.
 
     Raises
     ------
@@ -293,10 +293,10 @@ def _resumed_in(
 ) -> list[str]:
     """Return the ``--ros-args`` of the rest of a run, which is on the same nodes."""
     arguments, recorded = in_namespace_of(record, ros_arguments), record.namespace
-    found = namespace_of(arguments)
-    if attach and record.attached and recorded and found != recorded:
+    namespace = namespace_of(arguments)
+    if attach and record.attached and recorded and namespace != recorded:
         parser.error(
-            f"--resume: the run is of nodes in the namespace {recorded}, not {found}; --from "
+            f"--resume: the run is of nodes in the namespace {recorded}, not {namespace}; --from "
             "begins a new run with its trials"
         )
     return arguments
@@ -320,7 +320,7 @@ def _check_options(
 
 
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:
-    """Refuse to continue a run to what it has already, or to what it was to have anyway."""
+    """Refuse a budget that a run has used up already, or was to have anyway."""
     trials, evaluations = record.study.budget.trials, record.study.budget.evaluations
     done = count_evaluations(record.trials)
     if evaluations is not None or record.finished is not None:
@@ -337,7 +337,7 @@ def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser
 
 
 def _check_budget(study: Study, carried: Carried, parser: Parser) -> None:
-    """Refuse to begin with as many trials as there are to be in all."""
+    """Refuse a budget that the trials taken from an earlier run use up."""
     trials, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
     budget = study.budget
     if not budget.is_spent(trials, evaluations):

@@ -179,13 +179,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     )
     console = plain_console(stderr=True)
 
-    def tell(text: str) -> None:
+    def show(text: str) -> None:
         print_line(console, text, "  ")
 
     trial = _trial(record, arguments.trial)
     begun = _unfinished(record, trial, backend) if most > 1 else None
     if begun is not None:
-        tell(f"trial {begun.number} comes first, whose certificate was interrupted")
+        show(f"trial {begun.number} comes first, whose certificate was interrupted")
         trial = begun
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
@@ -238,26 +238,26 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     break
             interruption.ignore()
             if certificate.passed and not verdict.is_result and most > 1:
-                tell(_not_the_result(verdict))
+                show(_not_the_result(verdict))
             missing = shortfall(record.study, draws, confidence)
             if missing and certificate.passed:
-                tell(f"warning: not sufficient for apply: {missing}")
+                show(f"warning: not sufficient for apply: {missing}")
         except UndecidedError as undecided:
-            tell(f"the time is over, without a verdict: {undecided.shown[0]}")
+            show(f"the time is over, without a verdict: {undecided.shown[0]}")
             for line in undecided.shown[1:]:
-                tell(f"  {line}")
-            tell(again)
+                show(f"  {line}")
+            show(again)
             return EXIT_FAULT
         except (RunError, OutputError) as error:
-            tell(f"error: {error}; {again}")
+            show(f"error: {error}; {again}")
             return EXIT_FAULT
         except Interrupted as interrupt:
-            tell(f"interrupted by {interrupt}; {again}")
+            show(f"interrupted by {interrupt}; {again}")
             return EXIT_SIGNAL + interrupt.signum
         finally:
             if path is not None and record.result is not None:
                 # The verdict on it names the confidence of all certificates of the run.
-                write_deliverables(folder.path, tell, tell)
+                write_deliverables(folder.path, show, show)
     return ended(left, exit_code(verdict))
 
 
@@ -294,7 +294,7 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     known = {trial.number} | {
         other.number for other in record.trials if latest_certificate(record, other) is not None
     }
-    # What failed its check, or when it was run again, is no candidate.
+    # A set that failed its check, or failed when it was run again, is no candidate.
     trials = record.method.checked(record.study, record.trials, record.evaluations)
     ranked = record.method.ranking.rank(record.study, trials)
     # Trials of one parameter set are one candidate.
@@ -319,9 +319,9 @@ def _trial(record: RunRecord, number: int | None) -> Trial:
 
 
 def _unfinished(record: RunRecord, trial: Trial, backend: str) -> Trial | None:
-    """Return the trial whose certificate was interrupted, if it comes before a further one.
+    """Return the trial with an interrupted certificate, if it comes before a further one.
 
-    Those ahead of it in rank have theirs, as `trial` must have.
+    Trials ahead of it in rank, and `trial` itself, must have theirs.
     """
     if latest_certificate(record, trial) is None:
         return None
@@ -339,13 +339,13 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
     path = record.path / BEST
     try:
         content = read_text(path)
-        found = from_yaml(content)
+        values = from_yaml(content)
     except (OSError, ValueError):
         notes = file_notes(record.study, run_verdict(record).unseen)
         path = folder.write_parameters(record.study, trial.parameters, notes)
         console.print(f"warning: {path}: missing or damaged; made from the journal", soft_wrap=True)
         return hashlib.sha256(path.read_bytes()).hexdigest()
-    if found != node_values(record.study, trial.parameters):
+    if values != node_values(record.study, trial.parameters):
         raise RunRecordError(
             f"{path}: does not hold the values of trial {trial.number}, the result of the run"
         )

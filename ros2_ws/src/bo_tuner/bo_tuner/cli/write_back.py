@@ -110,4 +110,4 @@ def _show(old: str, new: str, path: Path) -> None:
 def _unused(path: Path) -> Path:
     """Return where the previous file goes: none that is kept already is replaced."""
     names = (f"{path.name}{PREVIOUS}{'' if n == 1 else f'.{n}'}" for n in range(1, 10_000))
-    return next(found for name in names if not (found := path.with_name(name)).exists())
+    return next(unused for name in names if not (unused := path.with_name(name)).exists())

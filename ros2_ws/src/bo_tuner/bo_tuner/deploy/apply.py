@@ -28,7 +28,7 @@ class NodeError(BoTunerError, RuntimeError):
 
 
 class RefusedError(NodeError):
-    """A node refused its parameters, or was not told them, and keeps its previous ones."""
+    """A node refused its parameters, or did not get them, and keeps its previous ones."""
 
 
 class Nodes(Protocol):
@@ -49,18 +49,18 @@ class Nodes(Protocol):
         Raises
         ------
         RefusedError
-            If the node refuses them, or is not told.
+            If the node refuses them, or does not get them.
         NodeError
             If the node does not answer; it may have set them.
         """
 
     def watch(self, values: NodeValues) -> None:
-        """Look on for a while whether nodes keep the values that they have been set.
+        """Watch for a while whether nodes keep the values that were set.
 
         Raises
         ------
         NodeError
-            If a node tells that it has another one.
+            If a node reports that it has another one.
         """
 
 
@@ -70,7 +70,7 @@ def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
     Raises
     ------
     NodeError
-        As in `Nodes.get`.
+        If a node does not answer, or does not have one of them.
     """
     return {node: nodes.get(node, list(values)) for node, values in like.items()}
 
@@ -128,7 +128,7 @@ def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:
     for node, values in before.items():
         try:
             nodes.set(node, _changes(new[node], values))
-            # A node may have changed others along with those that it was told.
+            # A node may have changed others along with those that were set.
             if others := _changes(nodes.get(node, list(values)), values):
                 nodes.set(node, others)
             _read_back(nodes, node, values)
@@ -138,14 +138,14 @@ def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:
 
 
 def _read_back(nodes: Nodes, node: str, values: Mapping[str, object]) -> None:
-    """Raise `NodeError` if a node does not have the values that it was told."""
-    found = nodes.get(node, list(values))
+    """Raise `NodeError` if a node does not have the values that were set."""
+    actual = nodes.get(node, list(values))
     for name, value in values.items():
-        if not checks.holds(found[name], value):
-            shown = brief(str(found[name]))
+        if not checks.holds(actual[name], value):
+            shown = brief(str(actual[name]))
             raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
 
 
 def _changes(before: Mapping[str, object], new: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that differ; a node may refuse to be told others, as read-only ones."""
+    """Return the values that differ; a node may refuse to have others set, as read-only ones."""
     return {name: v for name, v in new.items() if not checks.holds(before[name], v)}

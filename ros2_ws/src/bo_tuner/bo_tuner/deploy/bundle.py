@@ -51,7 +51,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the node has the new value, see `checks.holds`."""
+        """Whether the node has the new value, or that rounded to 32 bits."""
         return checks.holds(self.now, self.new)
 
 
@@ -144,7 +144,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
 
 
 def withdraw_bundle(folder: Path) -> None:
-    """Remove the bundle in a run folder, but for what tells how to roll back.
+    """Remove the bundle in a run folder, but for what a rollback needs.
 
     Raises
     ------
@@ -179,13 +179,13 @@ def before_run(record: RunRecord) -> NodeValues | None:
     try:
         noted = json.loads(read_text(record.path / LOGS / PREVIOUS_PARAMETERS))
         nodes = {record.study.nodes[key].node: values for key, values in noted.items()}
-        found = {
+        previous = {
             node: {name: nodes[node][name] for name in values} for node, values in default.items()
         }
-        _check_like(found, default)
+        _check_like(previous, default)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return found
+    return previous
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:

@@ -32,7 +32,7 @@ NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
 SETTLED = 2.0
 """Time [s] in which a node that was set new values shows whether it keeps them: one that judges
-them in its own cycle, or is told others by a supervisor, does so within a period of these."""
+them in its own cycle, or gets others from a supervisor, does so within a period of these."""
 
 
 class LiveParameters:
@@ -84,21 +84,21 @@ class LiveParameters:
             self._claim.release()
 
     def get(self, node: str, names: list[str]) -> dict[str, object]:
-        """Read parameters of a node, as `Nodes.get`, unless it runs more than once."""
+        """Read parameters of a node; raises `NodeError` if it runs more than once."""
         self._refuse_twins(node)
         try:
-            (found,) = self._tuner.complete([self._clients[node].values(names)])
+            (values,) = self._tuner.complete([self._clients[node].values(names)])
         except SilentError as error:
             raise NodeError(str(error)) from error
-        if missing := [name for name, value in found.items() if value is None]:
+        if missing := [name for name, value in values.items() if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
-        for name, value in found.items():
+        for name, value in values.items():
             if isinstance(value, UnknownType):
                 raise NodeError(f"{node}: {name} is {value}")
-        return dict(found)
+        return dict(values)
 
     def set(self, node: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
+        """Set parameters of a node; raises `NodeError` if it runs more than once."""
         self._refuse_twins(node)
         try:
             (result,) = self._tuner.complete([self._clients[node].set(values)])
@@ -109,11 +109,11 @@ class LiveParameters:
             raise RefusedError(f"{node} refuses: {reason}")
 
     def take_remarks(self) -> list[str]:
-        """Tell in lines, each of them once, what nodes do not offer and is done instead."""
+        """Return lines, each of them once, on what nodes lack and what is done instead."""
         return [text for client in self._clients.values() for text in client.take_remarks()]
 
     def watch(self, values: NodeValues) -> None:
-        """Look on for `SETTLED` seconds whether nodes keep values, as `Nodes.watch`."""
+        """Watch for `SETTLED` seconds whether nodes keep values; raises `NodeError` if not."""
         self._events.expect(values)
         self._tuner.spin_for(SETTLED)
         if self._events.problem:
@@ -149,11 +149,11 @@ class LiveParameters:
             guard.end()
 
     def before_killed(self, node: str, values: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before a tuner that was killed, of what that has left on it."""
+        """Return what a node had before a killed tuner, of what still has its values."""
         return self._note.left_behind(node, values)
 
     def forget_killed(self, node: str, names: Iterable[str]) -> None:
-        """Let the next tuner take parameters of a node for its own, also if they are as left."""
+        """Let the next tuner take parameters for the node's own, whatever a killed run set."""
         self._note.forget(node, names)
         # At worst a later run sets back what it would leave.
         with contextlib.suppress(OutputError):
@@ -162,7 +162,7 @@ class LiveParameters:
     def _refuse_twins(self, node: str) -> None:
         """Refuse a node that runs more than once, ahead of asking it for anything.
 
-        Who answers would not tell of the other.
+        The one that answers would not show the values of the other.
         """
         if self._clients[node].servers() > 1:
             raise RefusedError(f"{self._tuner.repeated(node)}; {END_OTHERS}")

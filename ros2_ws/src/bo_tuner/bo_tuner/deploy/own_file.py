@@ -98,9 +98,9 @@ def _check(text: str, changes: _Changes, wanted: Mapping[str, Mapping[str, Value
         sections = read_sections(text)
     except StudyError as error:
         raise StudyError("cannot be changed by itself, since ROS would refuse it") from error
-    found = {section.name: section.values for section in sections}
-    if list(found) != list(changes.expected) or not all(
-        _same_all(found[name], values) for name, values in changes.expected.items()
+    actual = {section.name: section.values for section in sections}
+    if list(actual) != list(changes.expected) or not all(
+        _same_all(actual[name], values) for name, values in changes.expected.items()
     ):
         raise StudyError(problem)
     for node, values in wanted.items():
@@ -127,28 +127,28 @@ def _is_shared(section: Section, node: str, sections: list[Section], values: Nod
 
 def _replace(text: str, source: Source, value: Values, changes: _Changes) -> None:
     """Replace a value where it stands."""
-    found, name = source.found, source.setting.name
-    if _same(found.value, value):
+    current, name = source.found, source.setting.name
+    if _same(current.value, value):
         return
     changes.expected[source.section.name][name] = value
-    if found.is_list != isinstance(value, list):
-        expected = "a single value" if found.is_list else "a list"
+    if current.is_list != isinstance(value, list):
+        expected = "a single value" if current.is_list else "a list"
         raise StudyError(f"{name}: expected {expected}, as the node has", line=source.line)
     new = value if isinstance(value, list) else [value]
-    if len(new) == len(found.items):
-        for item, single in zip(found.items, new, strict=True):
+    if len(new) == len(current.items):
+        for item, single in zip(current.items, new, strict=True):
             if _same(item.value, single):
                 continue
             if item.style in ("|", ">"):
                 raise StudyError(f"{name}: expected its text on one line", line=item.line)
             like = text[item.start : item.end]
             changes.replaced[item.start, item.end] = _written(single, like, item.style)
-    elif found.span is not None:
-        style = found.items[0].style if found.items else ""
-        changes.replaced[found.span] = _written(new, style=style)
+    elif current.span is not None:
+        style = current.items[0].style if current.items else ""
+        changes.replaced[current.span] = _written(new, style=style)
     else:
         raise StudyError(
-            f"{name}: expected {len(new)} items, found {len(found.items)}", line=source.line
+            f"{name}: expected {len(new)} items, found {len(current.items)}", line=source.line
         )
 
 

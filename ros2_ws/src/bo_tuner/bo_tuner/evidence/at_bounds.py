@@ -58,11 +58,11 @@ def at_bounds(study: Study, parameters: Mapping[str, Value]) -> tuple[AtBound, .
     return tuple(_at_bound(study.parameters[name], side) for name, side in sides.items())
 
 
-def wider_options(found: Iterable[AtBound]) -> str:
+def wider_options(bounds: Iterable[AtBound]) -> str:
     """Return the options of `tune` for wider bounds; empty without any."""
     return " ".join(
         f"--bounds {shlex.quote(f'{each.parameter}={_exact(lower)}:{_exact(upper)}')}"
-        for each in found
+        for each in bounds
         if each.wider is not None
         for lower, upper in (each.wider,)
     )

@@ -4,7 +4,7 @@ Default and tuned parameter set are evaluated in the same draws of context and n
 between draws cancels from the difference of each pair; a Student interval of the mean of these
 differences is the paired t interval (Box, Hunter and Hunter 2005, Sec. 3.2). What the context
 explains of the differences is taken out of both (`numerics.adjusted_means`). Where the contexts
-differ, as in the worst contexts of two parameter sets, the interval is Welch's (1947).
+differ, which is so in the worst contexts of two parameter sets, the interval is Welch's (1947).
 
 References
 ----------
@@ -100,7 +100,7 @@ def unpaired(default: tuple[float, float, int], tuned: tuple[float, float, int])
     mean, count = ours - theirs, min(m, n)
     if count < 2:
         return Difference(mean, -inf, inf, count)
-    # As parts of the same power of two, whose fourth powers are numbers, too.
+    # Divided by the same power of two: the fourth powers must not overflow.
     exponent = frexp(max(their_error, our_error))[1]
     their_error, our_error = ldexp(their_error, -exponent), ldexp(our_error, -exponent)
     variance = their_error**2 + our_error**2

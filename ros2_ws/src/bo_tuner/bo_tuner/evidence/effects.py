@@ -11,24 +11,24 @@ NAMED = 3
 """Largest number of metrics that are named beside a parameter; the summary has all."""
 
 
-def not_seen(found: ParameterEffects) -> str:
+def not_seen(item: ParameterEffects) -> str:
     """Return what to know of a parameter that was not seen to move any metric."""
-    return f"{found.parameter} was not seen to move any metric ({_visible(found.effects)})"
+    return f"{item.parameter} was not seen to move any metric ({_visible(item.effects)})"
 
 
-def effects_in_words(study: Study, found: Sequence[ParameterEffects]) -> tuple[str, ...]:
+def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tuple[str, ...]:
     """Return sentences on the parameters that a run has not seen to move any metric.
 
     Parameters
     ----------
     study
         The study.
-    found
+    parameters
         Its parameters; there is nothing to say of those that move one.
     """
-    sentences = [f"{not_seen(item)}." for item in found if item.unseen]
-    sentences += proposals(study, [item.parameter for item in found if item.unseen])
-    if open_ := [item.parameter for item in found if not item.seen and not item.told]:
+    sentences = [f"{not_seen(item)}." for item in parameters if item.unseen]
+    sentences += proposals(study, [item.parameter for item in parameters if item.unseen])
+    if open_ := [item.parameter for item in parameters if not item.seen and not item.told]:
         verb = "moves" if len(open_) == 1 else "move"
         sentences.append(f"The trials are too few to tell whether {listed(open_)} {verb} a metric.")
     return tuple(sentences)
@@ -42,12 +42,12 @@ def proposals(study: Study, parameters: Iterable[str]) -> list[str]:
     return [_proposal(study, key, names) for key, names in by_node.items()]
 
 
-def file_notes(study: Study, found: Iterable[ParameterEffects]) -> tuple[str, ...]:
+def file_notes(study: Study, parameters: Iterable[ParameterEffects]) -> tuple[str, ...]:
     """Return what a file of parameters is to say of its values, a line each."""
     return tuple(
         f"{item.parameter} of {study.nodes[study.parameters[item.parameter].node].node}: not seen "
         f"to move any metric ({_visible(item.effects)})"
-        for item in found
+        for item in parameters
         if item.unseen
     )
 
@@ -93,5 +93,5 @@ def _is_set_at_start(study: Study, name: str) -> bool:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as in ``a, b and c``."""
+    """Return names in a list such as ``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

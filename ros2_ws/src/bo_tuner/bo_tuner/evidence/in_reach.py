@@ -66,31 +66,31 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
     )
     runs = "that runs of a trial keep as often as they must"
     whose = runs if constraint.rule.on_runs else "of any trial"
-    found = [
+    sentences = [
         f"In reach: the {'smallest' if upper else 'largest'} {constraint.metric} {whose}{where} "
         f"is {number} (trial {trial.number}), the limit is {limit}."
     ]
     if bounds := at_bounds(study, trial.parameters):
         names = " and ".join(f"the {b.side} bound of {b.parameter}" for b in bounds)
-        found.append(f"That trial is at {names}: widen the range first.")
+        sentences.append(f"That trial is at {names}: widen the range first.")
     elif not constraint.violations(value):
-        found.append(
+        sentences.append(
             "It keeps this limit by its own few test runs, but no trial is sure enough to keep all "
             "of them: run more trials, or loosen this limit, which leaves the least to spare."
         )
     elif (elsewhere := _elsewhere(constraint, trial)) is not None and study.contexts:
-        there = f"{shown_beside(elsewhere, constraint.limit)} {unit}".rstrip()
-        found.append(
-            f"In the contexts that were drawn at random it is {there} on average, so the limit is "
+        mean = f"{shown_beside(elsewhere, constraint.limit)} {unit}".rstrip()
+        sentences.append(
+            f"In the contexts that were drawn at random it is {mean} on average, so the limit is "
             "lost in extreme contexts: narrow them if the machine cannot differ so much, or loosen "
             "the limit."
         )
     else:
         most = "at least" if upper else "at most"
-        found.append(
+        sentences.append(
             f"Loosen the limit to {most} {number}, with some margin, or tune other parameters."
         )
-    return found
+    return sentences
 
 
 def _decisive(constraint: Constraint, trial: Trial) -> float:

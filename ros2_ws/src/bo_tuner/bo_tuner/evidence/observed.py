@@ -44,7 +44,7 @@ class Observed:
     worst
         By the name of a worst-case constraint, the mean in the worst context, if it was searched.
     paired
-        Metrics in the draws that the other parameter set has, too, if these are not `drawn`.
+        Metrics in the draws that both parameter sets have, if these are not `drawn`.
     contexts
         Of the draws in `drawn`, by their number.
     """
@@ -63,8 +63,8 @@ class Observed:
 
     def mean(self, metric: str) -> float:
         """Return the mean of a metric over the draws; NaN without any."""
-        found = self.values(metric)
-        return sum(found) / len(found) if found else nan
+        values = self.values(metric)
+        return sum(values) / len(values) if values else nan
 
     def values(self, metric: str) -> list[float]:
         """Return the values of a metric in the draws."""

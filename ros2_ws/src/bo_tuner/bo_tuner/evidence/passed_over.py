@@ -10,20 +10,20 @@ NAMED = 3
 """Largest number of them that are named; the summary has all."""
 
 
-def passed_over_in_words(study: Study, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def passed_over_in_words(study: Study, passed_over: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Return a remark on the parameter sets that were passed over; none without any.
 
     Parameters
     ----------
     study
         The study.
-    found
-        As in ``summary.json``: each a `bo_tuner.methods.recommendation.PassedOver` as a mapping.
+    passed_over
+        From ``summary.json``: each a `bo_tuner.methods.recommendation.PassedOver` as a mapping.
     """
-    if not found:
+    if not passed_over:
         return ()
-    names = ", ".join(_in_words(study, item) for item in found[:NAMED])
-    more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    names = ", ".join(_in_words(study, item) for item in passed_over[:NAMED])
+    more = f", and {len(passed_over) - NAMED} more" if len(passed_over) > NAMED else ""
     better = "A better compromise" if len(study.objectives) > 1 else "Better"
     return (
         f"{better} by the model, but passed over: {names}{more}. validate --trial N tests one of "

@@ -39,7 +39,7 @@ def quantities(
     remarks
         A further remark on constraints, by their names.
     """
-    found = [
+    all_quantities = [
         replace(
             _of_constraint(study, constraint, default, tuned, remarks.get(name, "")),
             default_found=default_limits.get(name),
@@ -49,7 +49,7 @@ def quantities(
     ]
     objectives = {objective.metric for objective in study.objectives}
     # The worst case of an objective says nothing of its mean.
-    compared = {q.metric for q in found if q.difference is not None} - objectives
+    compared = {q.metric for q in all_quantities if q.difference is not None} - objectives
     signs = {constraint.metric: constraint.sign for constraint in study.constraints.values()}
     both = {
         constraint.metric
@@ -70,7 +70,7 @@ def quantities(
         means = [adjusted_mean(side, of_draws, CONFIDENCE).mean for side in both_sides]
         if not difference.count:
             means = [side.mean(name) for side in (default, tuned)]
-        found.append(
+        all_quantities.append(
             Quantity(
                 label=f"mean {name}",
                 metric=name,
@@ -86,7 +86,7 @@ def quantities(
                 objective=name in objectives,
             )
         )
-    return ordered(found, study.objective.metric)
+    return ordered(all_quantities, study.objective.metric)
 
 
 def _of_constraint(
@@ -144,7 +144,7 @@ def _of_constraint(
 
 def _draws(default: Observed, tuned: Observed, metric: str, difference: Difference | None) -> str:
     """Tell how many draws each number is from, unless all are from the same number of draws."""
-    m, n = (sum(metric in found for found in side.drawn.values()) for side in (default, tuned))
+    m, n = (sum(metric in metrics for metrics in side.drawn.values()) for side in (default, tuned))
     if difference is not None and difference.count:
         if difference.count == m == n:
             return ""

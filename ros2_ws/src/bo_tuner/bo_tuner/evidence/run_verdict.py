@@ -110,8 +110,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
 def _outliers(record: RunRecord, ranked: object) -> list[int]:
     """Return the trials that broke no limit, but were not ranked as they are outliers.
 
-    Not ranked are also those that repeat a parameter set, whose evaluations count as one trial, and
-    those that failed when they were run again.
+    Not ranked are also those that repeat a parameter set, since its evaluations count as one trial,
+    and those that failed when they were run again.
     """
     if not isinstance(ranked, list):
         return []
@@ -283,17 +283,17 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     ]
 
 
-def _remark(study: Study, found: ConstraintVerdict, draws: int, confidence: float) -> str:
-    constraint = study.constraints[found.name]
-    where = f"at most {found.violation_bound:.3g}"
-    if found.worst and constraint.rule.on_runs:
-        worst = max(context.violation_bound for context in found.worst)
+def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: float) -> str:
+    constraint = study.constraints[verdict.name]
+    where = f"at most {verdict.violation_bound:.3g}"
+    if verdict.worst and constraint.rule.on_runs:
+        worst = max(context.violation_bound for context in verdict.worst)
         where = (
-            f"of a violation {where}, and {shown_beside(worst, found.allowed)} in the worst "
-            f"contexts, allowed {shown(found.allowed)},"
+            f"of a violation {where}, and {shown_beside(worst, verdict.allowed)} in the worst "
+            f"contexts, allowed {shown(verdict.allowed)},"
         )
     return (
-        f"{found.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
+        f"{verdict.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
         f"with {100.0 * confidence:g} % confidence"
     )
 
@@ -301,14 +301,14 @@ def _remark(study: Study, found: ConstraintVerdict, draws: int, confidence: floa
 def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerdict]:
     """Return what a certificate says of each limit of a parameter set, by its name."""
     return {
-        found.name: by_certificate(
+        finding.name: by_certificate(
             study,
-            study.constraints[found.name],
-            passed=found.passed,
+            study.constraints[finding.name],
+            passed=finding.passed,
             draws=draws,
-            violations=found.violations,
+            violations=finding.violations,
         )
-        for found in findings.constraints
+        for finding in findings.constraints
     }
 
 

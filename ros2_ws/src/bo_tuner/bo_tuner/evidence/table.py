@@ -77,8 +77,8 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
     """Yield what the table needs to be read: the limits in detail, and what ± means."""
     yield from verdict.draws_in_words
     for quantity in verdict.quantities:
-        found = quantity.found
-        parts = ("" if found is None else found.words, quantity.bound_in_words, quantity.remark)
+        limit = quantity.found
+        parts = ("" if limit is None else limit.words, quantity.bound_in_words, quantity.remark)
         if any(parts):
             yield f"{quantity.label}: {'; '.join(filter(None, parts))}"
     yield (
@@ -88,8 +88,8 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
 
 
 def _difference(quantity: Quantity) -> str:
-    found = quantity.difference
-    if found is None or not isfinite(found.mean):
+    difference = quantity.difference
+    if difference is None or not isfinite(difference.mean):
         return "–"
-    half = 0.5 * (found.high - found.low)
-    return f"{found.mean:+.3g} ± {half:.2g}" if isfinite(half) else f"{found.mean:+.3g}"
+    half = 0.5 * (difference.high - difference.low)
+    return f"{difference.mean:+.3g} ± {half:.2g}" if isfinite(half) else f"{difference.mean:+.3g}"

@@ -76,7 +76,7 @@ def validated(
     measured
         Whether metrics of time are measured, on nodes, and not modelled.
     outliers
-        As in `Verdict`.
+        Numbers of the trials that are outliers of the objective, and so were no candidates.
     """
     limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
     reasons = (*([doubt] if doubt else []), *_problems(study, tuned, limits).values())
@@ -163,7 +163,7 @@ def observed(
 
 
 def limits_in(
-    study: Study, found: Validation, evaluations: Sequence[Evaluation]
+    study: Study, validation: Validation, evaluations: Sequence[Evaluation]
 ) -> dict[str, LimitVerdict]:
     """Return what the validation of a parameter set says of each limit, by its name.
 
@@ -171,31 +171,33 @@ def limits_in(
     ----------
     study
         The study.
-    found
+    validation
         The validation.
     evaluations
-        All that are on record: they tell whether its worst context was searched, which there is
-        none of without contexts.
+        All that are on record: they show whether its worst context was searched. Without contexts
+        there is none.
     """
-    unsearched = bool(study.contexts) and not _searched(evaluations, found.parameters)
+    unsearched = bool(study.contexts) and not _searched(evaluations, validation.parameters)
     return {
         name: by_test_runs(study, sample, unsearched=unsearched)
-        for name, sample in found.constraints.items()
+        for name, sample in validation.constraints.items()
     }
 
 
 def _problems(
-    study: Study, found: Validation, limits: Mapping[str, LimitVerdict]
+    study: Study, validation: Validation, limits: Mapping[str, LimitVerdict]
 ) -> dict[str, str]:
     """Return what speaks against a parameter set in the validation, by the constraint's name."""
     problems = {
         name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
         for name, limit in limits.items()
-        # All of the test runs may have been lost, which tells nothing.
-        if limit.standing is Standing.VIOLATED and (limit.runs or not found.lost)
+        # All of the test runs may have been lost, which shows nothing.
+        if limit.standing is Standing.VIOLATED and (limit.runs or not validation.lost)
     }
-    if found.failures:
-        problems[FAILURES] = f"{found.failures} of {counted(found.draws, 'test run')} failed"
+    if validation.failures:
+        problems[FAILURES] = (
+            f"{validation.failures} of {counted(validation.draws, 'test run')} failed"
+        )
     return problems
 
 
@@ -241,13 +243,13 @@ def _choice(study: Study) -> str:
 
 
 def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
-    """Return that test runs of the tuned parameter set tell nothing of it; empty if all do."""
+    """Return that test runs of the tuned parameter set are unusable; empty if none is."""
     if not tuned.lost:
         return ""
     why = {
         evaluation.outcome.reason
         for evaluation in evaluations_of(evaluations, tuned.parameters)
-        if evaluation.whose == TUNED and evaluation.outcome.spoilt
+        if evaluation.whose == TUNED and evaluation.outcome.unusable
     }
     cause = f" ({why.pop()})" if len(why) == 1 else ""
     runs = counted(tuned.draws, "test run")

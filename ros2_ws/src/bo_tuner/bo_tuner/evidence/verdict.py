@@ -115,17 +115,18 @@ class Quantity:
     @property
     def change_in_words(self) -> str:
         """The change with its interval, in the unit of the quantity."""
-        found = self.difference
-        if found is None or not isfinite(found.mean):
+        difference = self.difference
+        if difference is None or not isfinite(difference.mean):
             return "–"
-        text = f"{abs(found.mean):.3g} {'lower' if found.mean < 0.0 else 'higher'}"
-        if not (isfinite(found.low) and isfinite(found.high)):
+        text = f"{abs(difference.mean):.3g} {'lower' if difference.mean < 0.0 else 'higher'}"
+        if not (isfinite(difference.low) and isfinite(difference.high)):
             return text
         interval = f"{100.0 * CONFIDENCE:g} % CI"
-        if found.low <= 0.0 <= found.high:
+        if difference.low <= 0.0 <= difference.high:
             # Neither side is shown.
-            return f"{found.mean:+.3g} ({interval} {found.low:+.3g} to {found.high:+.3g})"
-        near, far = sorted((abs(found.low), abs(found.high)))
+            low, high = difference.low, difference.high
+            return f"{difference.mean:+.3g} ({interval} {low:+.3g} to {high:+.3g})"
+        near, far = sorted((abs(difference.low), abs(difference.high)))
         return f"{text} ({interval} {near:.3g} to {far:.3g})"
 
     @property
@@ -162,7 +163,7 @@ class Verdict:
     observed
         What was observed of the default and of the tuned parameter set; None without a result.
     default_certified
-        Whether a certificate covers the default, too; else its validation tells.
+        Whether a certificate covers the default, too; else its validation counts.
     apply_refuses
         Whether `apply` refuses a result that passed, such as for code that has changed since.
     is_default
@@ -177,9 +178,9 @@ class Verdict:
     at_bounds
         The tuned parameters of the result that are at a bound of the search.
     default_lost
-        Number of test runs of the default that tell nothing of it.
+        Number of test runs of the default that are unusable.
     effects
-        What the trials tell of each tuned parameter.
+        Effects of each tuned parameter that the trials show.
     of_parameters
         What is to know of those that were not seen to move any metric, in sentences.
     advice
@@ -287,7 +288,7 @@ class Verdict:
             return Status.WARNING
         if not self.feasible:
             return Status.BAD
-        exceeds = any(found.exceeds for found in self._tuned_limits.values())
+        exceeds = any(limit.exceeds for limit in self._tuned_limits.values())
         gained = (self.gained or self.default_reasons is None) and not self.objective_worse
         if not gained or (exceeds and self.standing is Standing.OPEN):
             return Status.WARNING
@@ -311,7 +312,7 @@ class Verdict:
                     return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
             case State.VALIDATED:
-                return f"{_found_in_words(self._tuned_limits)}; {self.trust}"
+                return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
                 return f"{PASS}: the tuned parameter set is proven to stay within all limits"
             case State.REFUSED:
@@ -322,8 +323,8 @@ class Verdict:
         """What was found of the limits of a result that may be used, beside the default."""
         if self.state is State.CERTIFIED:
             return "proven to stay within all limits"
-        text = _found_in_words(self._tuned_limits)
-        over = sum(found.violations for found in self._default_limits.values())
+        text = _standing_in_words(self._tuned_limits)
+        over = sum(limit.violations for limit in self._default_limits.values())
         beside = f" (default: {over})" if over and not self.is_default else ""
         return f"{text[:1].lower()}{text[1:]}{beside}"
 
@@ -339,19 +340,19 @@ class Verdict:
             return self.remarks
         if self.trial is None:
             return (*(f"{reason}." for reason in self.reasons), *self.remarks)
-        found = [f"Trial {self.trial} against the default, in {self.evidence}."]
+        sentences = [f"Trial {self.trial} against the default, in {self.evidence}."]
         if self.state is not State.INCOMPLETE:
-            found += [f"{reason}." for reason in self.reasons]
+            sentences += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:
-            found += self._not_to_be_used()
-            found += self.advice
-        found.append(self.default_in_words)
-        found += self._changes()
-        found += [bound.sentence for bound in self.at_bounds]
-        found += self.of_parameters
+            sentences += self._not_to_be_used()
+            sentences += self.advice
+        sentences.append(self.default_in_words)
+        sentences += self._changes()
+        sentences += [bound.sentence for bound in self.at_bounds]
+        sentences += self.of_parameters
         if self.choice:
-            found.append(self.choice)
-        return (*found, *self.remarks)
+            sentences.append(self.choice)
+        return (*sentences, *self.remarks)
 
     def _not_to_be_used(self) -> list[str]:
         """Return what to know of ``best.yaml`` where nothing was found feasible."""
@@ -388,7 +389,7 @@ class Verdict:
         if self.certificate and self.default_certified:
             too = ", too" if self.feasible else ""
             return f"The default is proven to stay within all limits{too}."
-        return f"The default by the same evidence: {_found_in_words(self._default_limits)}."
+        return f"The default by the same evidence: {_standing_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:
         """Return the changes, by what they are: what improved first."""
@@ -400,7 +401,7 @@ class Verdict:
             change: [q for q in self.quantities if q.change is change] for change in Change
         }
         better, lower = by_change[Change.BETTER], by_change[Change.LOWER]
-        found = [
+        changes = [
             f"{title}: {', '.join(q.gain_in_words for q in chosen)}."
             for title, chosen in (
                 ("Better", better),
@@ -411,15 +412,15 @@ class Verdict:
             if chosen
         ]
         if same := by_change[Change.NONE]:
-            found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
+            changes.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
         if self.feasible and self.default_preferred:
             preferred = "By the objective the default is the better choice"
             doubt = ", unless it breaks a limit: validate --with-default checks this"
             sure = self.certificate and self.default_certified
-            found.append(f"{preferred}{'' if sure else doubt}.")
+            changes.append(f"{preferred}{'' if sure else doubt}.")
         elif self.feasible and not self.gained and self.default_reasons is not None:
-            found.append("Tuning gained nothing that can be distinguished from chance.")
-        return found
+            changes.append("Tuning gained nothing that can be distinguished from chance.")
+        return changes
 
     @property
     def keeps_in_words(self) -> tuple[str, str]:
@@ -479,10 +480,10 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
 
 
 def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:
-    return all(found.standing is Standing.SHOWN for found in limits.values())
+    return all(limit.standing is Standing.SHOWN for limit in limits.values())
 
 
-def _found_in_words(limits: Mapping[str, LimitVerdict]) -> str:
+def _standing_in_words(limits: Mapping[str, LimitVerdict]) -> str:
     """Return what test runs say of all limits of a parameter set that none of them refutes.
 
     Violations that a limit permits are counted, and a limit is kept only if that is shown.
@@ -490,8 +491,8 @@ def _found_in_words(limits: Mapping[str, LimitVerdict]) -> str:
     if not limits:
         return "No limits to keep"
     if _all_shown(limits):
-        asked = "; ".join(f"{name} {found.asked}" for name, found in limits.items())
+        asked = "; ".join(f"{name} {limit.asked}" for name, limit in limits.items())
         return f"Shown to be kept: {asked}"
-    beyond = [f"{name}: {found.words}" for name, found in limits.items() if found.violations]
-    runs = max(found.runs for found in limits.values())
+    beyond = [f"{name}: {limit.words}" for name, limit in limits.items() if limit.violations]
+    runs = max(limit.runs for limit in limits.values())
     return "; ".join(beyond) or f"No limit broken in {counted(runs, 'test run')}"

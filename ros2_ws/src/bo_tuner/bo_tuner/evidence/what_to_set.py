@@ -35,15 +35,15 @@ def what_to_set(study: Study, verdict: Verdict, parameters: Mapping[str, Value])
             return f"{verdict.headline}: do not set {_values(study, parameters)}"
         case State.REFUSED:
             return f"Do not set {_values(study, parameters)}. {verdict.headline}"
-    found = [verdict.limits_in_words, *map(_objective, _objectives(verdict)), verdict.trust]
-    found += [f"{each.parameter} at its {each.side} bound" for each in verdict.at_bounds]
+    remarks = [verdict.limits_in_words, *map(_objective, _objectives(verdict)), verdict.trust]
+    remarks += [f"{each.parameter} at its {each.side} bound" for each in verdict.at_bounds]
     if verdict.is_default:
         first = "Keep the default"
     elif verdict.default_preferred:
         first = f"Keep the default, which has the better objective. {_values(study, parameters)}"
     else:
         first = f"Set {_values(study, parameters)}"
-    return f"{first}: {', '.join(filter(None, found))}"
+    return f"{first}: {', '.join(filter(None, remarks))}"
 
 
 def _values(study: Study, parameters: Mapping[str, Value]) -> str:

@@ -47,8 +47,8 @@ def hatching(region: Region) -> tuple[Array, Array]:
 
 def _along(places: Array, share: Array) -> Array:
     """Return where shares (n,) of the way along the places of a grid are, 0 to 1."""
-    found: Array = np.interp(share * (len(places) - 1), np.arange(len(places)), places)
-    return found
+    places_at: Array = np.interp(share * (len(places) - 1), np.arange(len(places)), places)
+    return places_at
 
 
 def _bilinear(z: Array, u: Array, v: Array) -> Array:
@@ -58,10 +58,10 @@ def _bilinear(z: Array, u: Array, v: Array) -> Array:
     j = np.minimum(column.astype(int), columns - 2)
     i = np.minimum(row.astype(int), rows - 2)
     s, t = column - j, row - i
-    found: Array = (
+    interpolated: Array = (
         z[i, j] * (1 - s) * (1 - t)
         + z[i, j + 1] * s * (1 - t)
         + z[i + 1, j] * (1 - s) * t
         + z[i + 1, j + 1] * s * t
     )
-    return found
+    return interpolated

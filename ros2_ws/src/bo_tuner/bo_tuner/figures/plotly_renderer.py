@@ -33,8 +33,8 @@ def figure_data(figure: Figure) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``panels`` are as in `panel_data`, but ``hovertext`` has places in the list ``texts``: the
-        panels of a figure show the same trials, and these texts are most of a long run's page.
+        ``panels`` are those of `panel_data`, but ``hovertext`` has places in the list ``texts``:
+        the panels of a figure show the same trials, and these texts are most of a long run's page.
     """
     panels = [panel_data(panel, figure.panel_height) for panel in figure.panels]
     places: dict[str, int] = {}
@@ -83,8 +83,10 @@ def _values(
     drawn: Sequence[Trace], shapes: Sequence[Mapping[str, Any]], letter: str
 ) -> list[float]:
     """Return all that an axis shows."""
-    found = [v for trace in drawn for v in trace.get(letter, ()) if v is not None]
-    return found + [shape[f"{letter}0"] for shape in shapes if shape.get(f"{letter}ref") != "paper"]
+    values = [v for trace in drawn for v in trace.get(letter, ()) if v is not None]
+    return values + [
+        shape[f"{letter}0"] for shape in shapes if shape.get(f"{letter}ref") != "paper"
+    ]
 
 
 def _axis(axis: Axis, shown: Sequence[float]) -> dict[str, Any]:
@@ -100,11 +102,11 @@ def _axis(axis: Axis, shown: Sequence[float]) -> dict[str, Any]:
         layout["tickformat"] = "~g"
         seen = shown if axis.limits is None else axis.limits
         if seen and max(seen) > MUCH * min(seen):
-            # Of each decade 1 alone: with 2 and 5 the numbers would run into each other.
+            # Only 1 of each decade: with 2 and 5 the numbers would run into each other.
             layout["dtick"] = 1
         elif not seen or max(seen) > LITTLE * min(seen):
-            # 1, 2 and 5 of each decade, in full. Fewer than two of them would be seen on less than
-            # that, where Plotly's own choice is as on a linear axis.
+            # 1, 2 and 5 of each decade, in full. On a shorter axis fewer than two of them would be
+            # seen; there Plotly's own choice is that of a linear axis.
             layout["dtick"] = "D2"
     if axis.limits is not None:
         ends = [math.log10(v) if axis.scale is Scale.LOG else v for v in axis.limits]

@@ -74,8 +74,8 @@ class _Ruler:
             low, high = self.low, self.high
             if self.scale is Scale.LOG:
                 v, low, high = np.log10(v), math.log10(low), math.log10(high)
-            found: Array = self.begin + (v - low) / (high - low) * (self.end - self.begin)
-        return found
+            place: Array = self.begin + (v - low) / (high - low) * (self.end - self.begin)
+        return place
 
 
 def panel_svg(panel: Panel, width: int, height: int) -> str:
@@ -104,14 +104,14 @@ def ticks(axis: Axis, low: float, high: float) -> list[tuple[float, str]]:
         return [(place, text) for place, text in axis.ticks if low <= place <= high]
     if axis.scale is Scale.LOG and high >= 10.0 * low:
         powers = range(math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9) + 1)
-        found = [10.0**k for k in powers][:: -(-len(powers) // MOST_TICKS)]
+        values = [10.0**k for k in powers][:: -(-len(powers) // MOST_TICKS)]
     else:
         rough = (high - low) / MOST_TICKS
         power = 10.0 ** math.floor(math.log10(rough))
         step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= rough * (1.0 - 1e-9))
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        found = [k * step for k in range(first, last + 1)]
-    return [(value, f"{value + 0.0:.6g}") for value in found]
+        values = [k * step for k in range(first, last + 1)]
+    return [(value, f"{value + 0.0:.6g}") for value in values]
 
 
 def _ruler(panel: Panel, axis: Axis, letter: str, begin: float, end: float) -> _Ruler:
@@ -357,8 +357,10 @@ def _level(contour: Contour, level: float, x: _Ruler, y: _Ruler) -> str:
             if not all(math.isfinite(z[corner]) for corner in corners):
                 continue
             sides = zip(corners, corners[1:] + corners[:1], strict=True)
-            found = [_crossing(z, a, b, across, up) for a, b in sides if (z[a] > 0) != (z[b] > 0)]
-            for (a, b), (c, d) in zip(found[::2], found[1::2], strict=True):
+            crossings = [
+                _crossing(z, a, b, across, up) for a, b in sides if (z[a] > 0) != (z[b] > 0)
+            ]
+            for (a, b), (c, d) in zip(crossings[::2], crossings[1::2], strict=True):
                 parts.append(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}")
     return "".join(parts)
 

@@ -20,7 +20,7 @@ class FirstContexts(Protocol):
         """Return how many they are, unless a proposal says otherwise."""
 
     def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
-        """Return as `Method.unusable`, for context variables whose distribution has `moved`."""
+        """Return why an earlier run is no data if distributions of contexts have `moved`."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class DrawnContexts:
 
     def count(self, study: Study) -> int:
         """Return the number that the study says, or else `drawn`."""
-        said = study.budget.drawn_contexts
-        return self.drawn if said is None else said
+        declared = study.budget.drawn_contexts
+        return self.drawn if declared is None else declared
 
     def unusable(self, then: Study, now: Study, moved: Sequence[str]) -> str:
-        """Refuse trials whose means are over another distribution."""
+        """Refuse trials with means over another distribution."""
         return other_distribution(moved[0], "takes means over draws") if moved else ""
 
 

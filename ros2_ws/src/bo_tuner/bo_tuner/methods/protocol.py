@@ -174,7 +174,7 @@ class Method(Protocol):
         then, now
             The study of the earlier run, and that of the new one.
         moved
-            Context variables whose distribution is another one.
+            Context variables that have another distribution now.
         unsearched
             Worst-case constraints that the earlier run has not searched for.
         """
@@ -210,6 +210,6 @@ class Method(Protocol):
         evaluations
             Of all trials.
         made
-            Those that it has run already.
+            Evaluations that it has run already.
         """
         return 0

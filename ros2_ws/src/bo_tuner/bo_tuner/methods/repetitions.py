@@ -16,5 +16,5 @@ def most_check_evaluations(study: Study) -> int:
 
 def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:
     """Return the evaluations on record that checked trials, by number of the trial."""
-    found = latest_by_place(evaluations, CHECKS)
-    return {trial: list(checks.values()) for trial, checks in found.items()}
+    by_trial = latest_by_place(evaluations, CHECKS)
+    return {trial: list(checks.values()) for trial, checks in by_trial.items()}

@@ -28,7 +28,7 @@ class SearchRule(Protocol):
         trials: Sequence[Trial],
         evaluations: int,
     ) -> WorstCaseSearch:
-        """Make the search for one constraint, which is told `Constraint.sign` times its metric.
+        """Make the search for one constraint; it observes `Constraint.sign` times the metric.
 
         Parameters
         ----------
@@ -45,7 +45,7 @@ class SearchRule(Protocol):
         """
 
     def unusable(self, unsearched: Sequence[str]) -> str:
-        """Return as `Method.unusable`, for constraints that an earlier run has not searched for."""
+        """Return why an earlier run is no data without the search for these constraints."""
         if not unsearched:
             return ""
         return (
@@ -85,7 +85,10 @@ class ModelSearch(SearchRule):
 def searches_of(
     rule: SearchRule, study: Study, proposal: Proposal, trials: Sequence[Trial], evaluations: int
 ) -> WorstCaseSearches:
-    """Make the searches for all worst-case constraints; parameters as in `SearchRule`."""
+    """Make the searches for all worst-case constraints, of a trial that is proposed.
+
+    `evaluations` is the largest number of contexts that they ask for together.
+    """
     searches = [
         ConstraintSearch(
             constraint, rule(study, constraint, proposal, trials, evaluations), study.measured
@@ -97,5 +100,5 @@ def searches_of(
 
 def search_evaluations(study: Study, usual: int) -> int:
     """Return the evaluations of a search: what the study says, or else as `usual`."""
-    said = study.budget.search_evaluations
-    return usual if said is None else said
+    declared = study.budget.search_evaluations
+    return usual if declared is None else declared

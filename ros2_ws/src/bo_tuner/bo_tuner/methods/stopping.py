@@ -11,10 +11,10 @@ to stop is given if
 
 holds twice in a row; it is computed after every fifth trial. Makarova et al. (2022) also compare
 the remaining gain with the statistical error of the incumbent. They bound the gain by confidence
-bounds; here it is the one that the acquisition function expects, as in Jones et al. (1998), who
-stop once the largest expected improvement is small. It is no bound: trials chosen one after the
-other learn from each other, and the models can be wrong. docs/live.md says what
-trials gained that the advice would have spared.
+bounds; here it is the one that the acquisition function expects (Jones et al. 1998), who stop once
+the largest expected improvement is small. It is no bound: trials chosen one after the other learn
+from each other, and the models can be wrong. docs/live.md says what trials gained that the advice
+would have spared.
 
 With pooled evaluations (algorithm `boundary`) the incumbent is the parameter set that is shown to
 keep its limits, and what counts of a new one is the probability that it will be shown, too. The
@@ -109,8 +109,8 @@ class StopAdvisor:
             return None
         if done < budget.initial_trials or done % PERIOD:
             return None
-        found = self._method.outlook(self._study, trials)
-        if found is None or remaining * found.gain >= found.noise:
+        outlook = self._method.outlook(self._study, trials)
+        if outlook is None or remaining * outlook.gain >= outlook.noise:
             self._in_a_row = 0
             return None
         self._in_a_row += 1
@@ -119,8 +119,8 @@ class StopAdvisor:
         objective = self._study.objective
         # On a log scale the error towards larger values is the larger one in the metric's unit, so
         # that the gain stays below it in either direction.
-        cost = found.incumbent + np.array(
-            [0.0, -remaining * found.gain, objective.sign * found.noise]
+        cost = outlook.incumbent + np.array(
+            [0.0, -remaining * outlook.gain, objective.sign * outlook.noise]
         )
         now, better, larger = objective.from_cost(cost).tolist()
         self.advice = StopAdvice(done, remaining, abs(better - now), abs(larger - now))

@@ -49,8 +49,8 @@ class Collector:
             Without metrics that are relative to the default, which `backends.paired` adds. Failed
             if a node ran with another parameter, if it says so or sends more than `maxima.ANSWER`
             values, if a metric is missing, no number, not finite or beyond `LARGEST_METRIC`, or if
-            an objective has no logarithm, see `judged`. With the status `DISTURBED` a node says
-            that somebody else had a hand in the evaluation.
+            a metric with a logarithmic scale is not positive. With the status `DISTURBED` a node
+            says that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -74,7 +74,7 @@ class Collector:
                 disturbed = {DISTURBED: reason} if pairs.get("status") == DISTURBED else {}
                 return Outcome(EvaluationState.FAILED, {}, reason, details | disturbed)
         metrics: dict[str, float] = {}
-        # Those that are computed from others come after these.
+        # Metrics that are computed from others come after these.
         ordered = sorted(
             self._study.metrics.items(), key=lambda item: isinstance(item[1], CombinedMetric)
         )
@@ -82,24 +82,24 @@ class Collector:
             if isinstance(metric, RelativeMetric):
                 continue
             try:
-                found: object
+                value: object
                 if isinstance(metric, CombinedMetric):
-                    found = metric.value(metrics)
+                    value = metric.value(metrics)
                 else:
-                    found = self._sources[name].value(results)
+                    value = self._sources[name].value(results)
             except MissingMetricError as error:
                 return Outcome(EvaluationState.FAILED, {}, brief(str(error)), details)
-            if problem := metric_problem(found):
+            if problem := metric_problem(value):
                 reason = f"metric {name} is {problem}"
                 if isinstance(metric, ReportedMetric):
                     reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
-            metrics[name] = float(found)  # type: ignore[arg-type]
+            metrics[name] = float(value)  # type: ignore[arg-type]
         metrics = {name: metrics[name] for name in self._study.metrics if name in metrics}
         return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
     def _mismatch(self, results: Results, assigned: Results) -> str:
-        """Name a parameter that a node ran with another value of than it was given."""
+        """Return in words a parameter for which a node reports another value than it was given."""
         reported = [m for m in self._study.metrics.values() if isinstance(m, ReportedMetric)]
         metrics = {(metric.node, metric.key) for metric in reported}
         for node, pairs in results.items():
@@ -121,21 +121,21 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
     return outcome
 
 
-def metric_problem(found: object) -> str:
-    """Tell in a few words why this cannot be the value of a metric; empty if it can."""
-    shown = brief(_text(found)[:40]) or "empty"
-    if isinstance(found, bool):
+def metric_problem(value: object) -> str:
+    """Return in a few words why this cannot be the value of a metric; empty if it can."""
+    shown = brief(_text(value)[:40]) or "empty"
+    if isinstance(value, bool):
         return shown
     try:
-        value = float(found)  # type: ignore[arg-type]
+        number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return shown
     except named_code.faults() as error:
-        # An object's own conversion, which may raise anything.
-        return f"a {type(found).__name__} that is no number: {named_code.told(error)}"
-    if not isfinite(value):
+        # The object's own conversion to a number may raise anything.
+        return f"a {type(value).__name__} that is no number: {named_code.told(error)}"
+    if not isfinite(number):
         return shown
-    if abs(value) > LARGEST_METRIC:
+    if abs(number) > LARGEST_METRIC:
         return f"{shown}, beyond {LARGEST_METRIC:g}"
     return ""
 

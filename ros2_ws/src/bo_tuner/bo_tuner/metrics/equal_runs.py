@@ -1,4 +1,4 @@
-"""What equal runs of the default tell of a study: whether anything moves, and how they start."""
+"""Checks of a study by equal runs of the default: whether anything moves, and how they start."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
@@ -12,15 +12,15 @@ from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.study import Study
 
 OF_ERRORS = ("iae", "ise", "itae", "rms", "steady_state_error")
-"""Measures of a signal that stands still as well, where that differs from one that follows."""
+"""Measures of an error, which differ between a signal that stands still and one that follows."""
 STILL = 0.02
-"""Share of such a measure by which it differs at least if the signal moves."""
+"""Share of such a measure by which it changes at least if the signal moves."""
 MESSAGES = 10
-"""How many messages of a run tell something of the range and the noise of a signal."""
+"""Messages of a run from which on the range and the noise of a signal can be estimated."""
 UNLIKE = 0.1
 """Share of a signal's range by which it differs at most at the start of two equal runs."""
 NOISES = 4.0
-"""The same in standard deviations of its noise; those of a difference are 1.4."""
+"""The same in standard deviations of its noise, of which a difference of two values has 1.4."""
 
 
 def standing(recordings: Sequence[Recording], heard: Collection[str]) -> list[str]:
@@ -31,16 +31,16 @@ def standing(recordings: Sequence[Recording], heard: Collection[str]) -> list[st
     recordings
         Equal runs, at least one.
     heard
-        Names of the signals that others publish. One of which a single message comes in a run, as
-        of a result, may well be the same in each.
+        Names of the signals that others publish. A signal with a single message in each run, such
+        as a result, may well be the same in all.
     """
-    found = []
+    constant = []
     for name in heard:
         seen = [recording.signals[name] for recording in recordings]
         values = np.concatenate([each.value for each in seen])
         if min(each.messages for each in seen) > 1 and np.ptp(values) == 0.0:
-            found.append(name)
-    return found
+            constant.append(name)
+    return constant
 
 
 def all_stand(recordings: Sequence[Recording], heard: Collection[str]) -> bool:
@@ -52,8 +52,8 @@ def all_stand(recordings: Sequence[Recording], heard: Collection[str]) -> bool:
 def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Iterator[str]:
     """Yield the metrics that are what they would be if the signals of others stood still.
 
-    Noise hides from `standing` that a machine does not move. An error then is that of its first
-    value.
+    Where a machine does not move but its signals are noisy, no signal keeps one value, but an
+    error is that of its first value.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Itera
         if not response or not (of | to) - response:
             continue
         still = _frozen(recording, response)
-        found, frozen = (_value(metric, study, each) for each in (recording, still))
+        actual, frozen = (_value(metric, study, each) for each in (recording, still))
         # Without a step of the reference there is nothing to follow.
-        if frozen != 0.0 and abs(found - frozen) <= STILL * abs(frozen):
+        if frozen != 0.0 and abs(actual - frozen) <= STILL * abs(frozen):
             names = ", ".join(sorted(response))
             yield (
                 f"{name}: is what it would be if {names} stood still; see that the machine is "
@@ -99,7 +99,7 @@ def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> It
     for name in heard:
         for number, other in enumerate(others, start=2):
             seen = [first.signals[name], other.signals[name]]
-            # What was said before the start does not depend on when the run answers to it.
+            # A signal from before the start does not depend on when the run began.
             if any(each.messages < MESSAGES or each.time[0] >= 0.0 for each in seen):
                 continue
             one, two = (float(each.value[0]) for each in seen)
@@ -114,7 +114,7 @@ def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> It
 
 
 def _noise(seen: RecordedSignal) -> float:
-    """Return the standard deviation of a signal's noise, if it is smooth besides.
+    """Return the standard deviation of a signal's noise, if the signal is smooth without it.
 
     The second difference of white noise has six times its variance.
     """

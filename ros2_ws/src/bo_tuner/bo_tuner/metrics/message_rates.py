@@ -1,8 +1,8 @@
 """How often the messages of a signal come, and what to make of it when none comes for long.
 
 Where a study does not limit the gaps of a signal, the first complete runs show what is usual. A
-signal whose messages come in even distances there is *regular*; one of events or of what is only
-told once is not, and may be silent.
+signal with messages in even distances there is *regular*; one of events, or of something that is
+published only once, is not, and may be silent.
 """
 
 import re
@@ -23,25 +23,25 @@ from bo_tuner.trials import Outcome
 FIRST_RUNS = 3
 """Complete runs that show what is usual."""
 FEWEST = 10
-"""Messages in a run from which on their distance tells something."""
+"""Messages in a run from which on their distance can be estimated."""
 REGULAR, NOTED = 3.0, 5.0
 """Largest gap of a regular signal, and of one that is worth a note, in usual distances."""
 JITTER = 0.1
 """Length [s] of a gap that is usual on a busy machine, however often messages come."""
-TOLD = 0.95
-"""Share of the usual messages below which those of an even signal are too few."""
+FEWEST_SHARE = 0.95
+"""Share of the usual number of messages that an even signal has at least, or they are too few."""
 EVEN = 2.0
-"""Distance of the messages of an even signal, in nine of ten cases, in usual distances at most."""
+"""Largest distance of the messages of an even signal, in nine of ten cases, in usual distances."""
 LONG = 50.0
 """A gap of so many usual distances fails a run, if it is long beside the run as well."""
 SHARE, SHORTEST, LONGEST = 0.25, 0.5, 2.0
 """Share of the run that such a gap takes at least, between these lengths [s]."""
 
 RATE = "rate."
-"""Begin of the keys of an outcome's details that have the rates of the signals."""
+"""Beginning of the keys of an outcome's details that hold the rates of the signals."""
 TEXT = re.compile(r"(\d+) messages, every (\S+) s, 90 % (\S+) s, largest gap (\S+) s, run (\S+) s")
 FEW = "too few messages"
-"""What is said instead of a signal without a rate."""
+"""The text in place of the rate, of a signal that has none."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Rate:
     distance
         Median of the time between two messages [s].
     most
-        What it does not exceed in nine of ten cases [s].
+        What that time does not exceed in nine of ten cases [s].
     gap
         Longest time without a message [s], start and end included.
     duration
@@ -86,7 +86,7 @@ def rate_of(seen: RecordedSignal, end: float) -> Rate | None:
 
 
 def gaps(times: Array, end: float) -> Array:
-    """Return the times [s] without a message, (n + 1,), by those of the messages (n,)."""
+    """Return the times [s] without a message (n + 1,), from the times of the messages (n,)."""
     return np.diff(np.concatenate(([0.0], times, [end])))
 
 
@@ -103,7 +103,7 @@ class MessageRates:
     """
 
     def __init__(self, study: Study) -> None:
-        # One with a limit of its own is judged by that; one that need not come may be silent.
+        # A signal with a `largest_gap` is judged by that; one that need not come may be silent.
         self._signals = {
             name: spec
             for name, spec in study.signals.items()
@@ -113,29 +113,29 @@ class MessageRates:
         self._runs: list[dict[str, Rate]] = []
 
     def note(self, outcome: Outcome) -> None:
-        """Take note of what an evaluation came to, as recorded by `details`."""
-        said = {
+        """Take note of the rates that the outcome of an evaluation has in its details."""
+        texts = {
             key.removeprefix(RATE): text
             for key, text in outcome.details.items()
             if key.startswith(RATE)
         }
-        if outcome.complete and said and len(self._runs) < FIRST_RUNS:
+        if outcome.complete and texts and len(self._runs) < FIRST_RUNS:
             self._runs.append(
                 {
                     name: Rate(*map(float, match.groups()))
-                    for name, text in said.items()
+                    for name, text in texts.items()
                     if (match := TEXT.fullmatch(text))
                 }
             )
 
     def details(self, recording: Recording) -> dict[str, str]:
         """Return the rates of a run, for the details of its outcome."""
-        found = {
+        rates = {
             name: rate_of(recording.signals[name], recording.end)
             for name in self._signals
             if name in recording.signals
         }
-        return {f"{RATE}{name}": str(rate or FEW) for name, rate in found.items()}
+        return {f"{RATE}{name}": str(rate or FEW) for name, rate in rates.items()}
 
     @property
     def largest_gaps(self) -> dict[str, float]:
@@ -154,11 +154,11 @@ class MessageRates:
         }
 
     def remarks(self, recording: Recording) -> list[str]:
-        """Tell, a line each, of signals that were silent for longer than usual, or too rare.
+        """Return a line on each signal that was silent for longer than usual, or too rare.
 
         In the first runs a signal is compared with itself.
         """
-        found = []
+        remarks = []
         for name, spec in self._signals.items():
             seen = recording.signals.get(name)
             rate = self._usual.get(name)
@@ -166,8 +166,8 @@ class MessageRates:
                 rate = rate_of(seen, recording.end)
                 rate = rate and replace(rate, messages=0.0, gap=0.0)
             if seen is not None and rate is not None:
-                found += _remarks(named(name, spec), seen, recording.end, rate)
-        return found
+                remarks += _remarks(named(name, spec), seen, recording.end, rate)
+        return remarks
 
     @property
     def _usual(self) -> dict[str, Rate]:
@@ -197,16 +197,16 @@ def _remarks(where: str, seen: RecordedSignal, end: float, usual: Rate) -> list[
             f"every {usual.distance:.3g} s"
         ]
     expected = usual.messages * end / usual.duration
-    if usual.most <= EVEN * usual.distance and len(times) < TOLD * expected - 1.0:
+    if usual.most <= EVEN * usual.distance and len(times) < FEWEST_SHARE * expected - 1.0:
         return [f"{where} has {len(times)} messages, usually about {expected:.0f}"]
     return []
 
 
 def used_signals(study: Study) -> Collection[str]:
     """Return the signals that a metric, or a condition on the end or abortion of a run, needs."""
-    found = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
+    used = {name for m in study.metrics.values() for name in signals_of(m, study.signals)}
     if study.run is not None:
         for text in (study.run.abort_when, study.run.end.when):
             if text:
-                found |= expression(without_contexts(text), study.signals).names
-    return found
+                used |= expression(without_contexts(text), study.signals).names
+    return used

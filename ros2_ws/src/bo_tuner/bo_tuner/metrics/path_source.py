@@ -1,4 +1,4 @@
-"""The distance of a path from the plan that holds just then."""
+"""The distance of a path from the plan that holds at the time."""
 
 from collections.abc import Callable
 
@@ -36,7 +36,7 @@ class PathSource:
         self._recording = recording
 
     def value(self, results: Results) -> float:
-        """Return the value; of `results` nothing is needed."""
+        """Return the value; `results` is not used."""
         metric = self._metric
         time, distance = self._distance(self._recording())
         if not np.isfinite(distance).all():
@@ -54,7 +54,7 @@ class PathSource:
         """Return times (n,) [s] and distances (n,) [m], from where path and plan are known."""
         metric = self._metric
         seen = recording.messages[metric.plan]
-        # The plan that holds is found as the value of a signal is: by its number.
+        # A signal holds the number of the plan, so that its value says which plan holds when.
         numbers = RecordedSignal(seen.time, np.arange(len(seen.time), dtype=np.float64))
         known = {name: recording.signals[name] for name in metric.path} | {metric.plan: numbers}
         time, values = Recording(known, recording.end).held(known)

@@ -1,6 +1,6 @@
 """Runs the functions by which a study computes metrics, in a process of their own.
 
-Whatever they do there ends with that process: a loop that no signal reaches, a crash, an exit.
+Whatever they do there, such as an endless loop, a crash or an exit, ends with that process.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ class PythonProcess:
     folder
         Where it works, and where modules are looked for last; empty for the present one.
     interrupted
-        Asked while waiting; raises what shall end the wait, and with it the process.
+        Called while waiting; what it raises ends the wait, and with it the process.
     """
 
     def __init__(self, folder: str, interrupted: Callable[[], None]) -> None:
@@ -49,14 +49,14 @@ class PythonProcess:
         return self._ask(path, None, None)[1]
 
     def compute(self, path: str, signals: Signals, timeout: float | None) -> float:
-        """Return what a function makes of signals.
+        """Return the value that a function computes from signals.
 
         Parameters
         ----------
         path
             The function.
         signals
-            What it is given.
+            Its argument.
         timeout
             Longest time [s] that it may take; None for any.
 
@@ -93,7 +93,7 @@ class PythonProcess:
             while not connection.poll(LOOK_AROUND):
                 self._interrupted()
                 if process.poll() is not None and not connection.poll():
-                    # What it has started may keep its end of the connection open.
+                    # Processes that it has started may keep its end of the connection open.
                     raise EOFError
                 if deadline is not None and time.monotonic() > deadline:
                     self.close()
@@ -101,7 +101,7 @@ class PythonProcess:
             answer: tuple[float | None, str] = connection.recv()
             return answer
         except (EOFError, OSError):
-            # That it ended is seen ahead of how.
+            # The connection closes a moment before the exit code is known.
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(LOOK_AROUND)
             self.close()
@@ -120,7 +120,7 @@ class PythonProcess:
     def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
         if self._folder and not Path(self._folder).is_dir():
             raise StudyError(f"there is no folder {self._folder}", ("folder",))
-        # Also for relative parts of Python's path, from another folder; the study's is last.
+        # Absolute, as the process works in another folder; the folder of the study comes last.
         path = [str(Path(part).absolute()) for part in sys.path if part]
         if self._folder:
             path.append(self._folder)

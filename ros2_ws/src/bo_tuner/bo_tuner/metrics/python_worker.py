@@ -1,7 +1,7 @@
 """The process in which the functions of a study compute metrics; `PythonProcess` is its other end.
 
-It is asked over a socket for ``(path, signals)``, and answers ``(value, problem)``: a number and
-nothing, or nothing and what was wrong, in words. Without signals it only loads the function.
+It receives ``(path, signals)`` over a socket, and answers ``(value, problem)``: a number and an
+empty text, or None and what was wrong, in words. Without signals it only loads the function.
 """
 
 import os
@@ -36,39 +36,39 @@ def serve(connection: Connection) -> None:
 def _loaded(path: str) -> tuple[None, str]:
     try:
         with named_code.kept_in_place():
-            found = named_code.load(path)
+            function = named_code.load(path)
     except named_code.faults() as error:
         return None, f"cannot import {path}: {named_code.told(error)}"
-    return None, "" if callable(found) else f"expected a function, found {checks.show(found)}"
+    return None, "" if callable(function) else f"expected a function, found {checks.show(function)}"
 
 
 def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
     try:
         with named_code.kept_in_place():
-            found = named_code.load(path)(
-                {name: (time, _read(said)) for name, (time, said) in signals.items()}
+            value = named_code.load(path)(
+                {name: (time, _read(content)) for name, (time, content) in signals.items()}
             )
     except named_code.MovedError as error:
         return None, str(error)
     except named_code.faults() as error:
         return None, f"raised {named_code.told(error)}"
-    if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
-        return None, f"returned {checks.show(found)}, expected a number"
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return None, f"returned {checks.show(value)}, expected a number"
     try:
-        return float(found), ""
+        return float(value), ""
     except named_code.faults() as error:
-        name = type(found).__name__
+        name = type(value).__name__
         return None, f"returned a {name} that is no number: {named_code.told(error)}"
 
 
-def _read(said: Array | tuple[str, Sequence[bytes]]) -> Any:
+def _read(content: Array | tuple[str, Sequence[bytes]]) -> Any:
     """Return values as they are, and whole messages as objects with their fields."""
-    return decoded(*said) if isinstance(said, tuple) else said
+    return decoded(*content) if isinstance(content, tuple) else content
 
 
 if __name__ == "__main__":
-    # What the functions print is not to mix with what a command writes.
+    # The output of a command must not have in it what the functions print.
     os.dup2(2, 1)
-    # No Ctrl-C comes here: it goes to the tuner alone, which ends this process.
+    # Ctrl-C reaches only the tuner, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     serve(Connection(int(sys.argv[1])))

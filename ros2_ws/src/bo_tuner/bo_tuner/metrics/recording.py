@@ -11,7 +11,7 @@ from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study.signals import TIME, Signal
 
 OTHER_CLOCK = 5.0
-"""Time [s] by which stamps differ from the clock of a run that are not of the same clock."""
+"""Time [s] from which on stamps that differ from the clock of a run are of another clock."""
 
 NO_LIMITS: Mapping[str, float] = {}
 
@@ -48,7 +48,7 @@ class Recorded:
 
     @property
     def other_clock(self) -> str:
-        """Tell in a few words that the stamps are of another clock; empty if they are not."""
+        """Return in a few words that the stamps are of another clock; empty if they are not."""
         if abs(self.offset) <= OTHER_CLOCK:
             return ""
         side = "ahead of" if self.offset > 0.0 else "behind"
@@ -73,7 +73,7 @@ class RecordedSignal(Recorded):
     Attributes
     ----------
     value
-        What each message said (n,).
+        The number in each message (n,).
     """
 
     value: Array
@@ -106,8 +106,8 @@ class RecordedMessages(Recorded):
 class Recording:
     """What was recorded in a run.
 
-    Between two of its messages a signal has the value of the first one (zero-order hold), and so
-    have signals whose messages come at different times.
+    Between two of its messages a signal has the value of the first one (zero-order hold). So
+    signals have values at the same time even if their messages come at different times.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Recording:
     def check(
         self, specs: Mapping[str, Signal], largest_gaps: Mapping[str, float] = NO_LIMITS
     ) -> None:
-        """Fail a run whose signals are not whole.
+        """Raise `FailedRunError` if a signal of the run is not whole.
 
         Parameters
         ----------
@@ -177,7 +177,7 @@ class Recording:
         late: float,
         largest_gaps: Mapping[str, float] = NO_LIMITS,
     ) -> None:
-        """Fail a run that goes on, but of which it is certain that `check` will fail it.
+        """Raise `FailedRunError` during a run as soon as it is certain that `check` will fail it.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class Recording:
         late
             Time [s] that a message may take.
         largest_gaps
-            As of `check`.
+            Longest time [s] without a message, of signals whose specification has none.
 
         Raises
         ------
@@ -235,13 +235,13 @@ class Recording:
             If a signal has no message.
         """
         time, values = self.held(expression.names - {TIME}, held, since)
-        found = expression(values | {TIME: time})
-        return time, np.broadcast_to(found, time.shape).astype(np.float64)
+        evaluated = expression(values | {TIME: time})
+        return time, np.broadcast_to(evaluated, time.shape).astype(np.float64)
 
     def held(
         self, names: Iterable[str], held: bool = True, since: float = 0.0
     ) -> tuple[Array, dict[str, Array]]:
-        """Return the values of signals at the time of each message of them, as `sample`.
+        """Return the values of signals at the time of each message of any of them.
 
         Returns
         -------
@@ -255,8 +255,8 @@ class Recording:
         begin = max([since, *(seen.time[0] for seen in used.values())])
         runs = [np.array([begin, self.end] if held else []), *(s.time for s in used.values())]
         stamps = np.concatenate(runs)
-        # Sorted runs, which a merge sort takes in one pass. Counted along it, the messages of a
-        # signal give which one holds; of equal times the last place knows of all of them.
+        # The stamps of each signal are sorted: a merge sort takes one pass. Counted along it, the
+        # messages of a signal give which one holds; the last place of equal times counts them all.
         order = np.argsort(stamps, kind="stable")
         source = np.repeat(np.arange(len(runs)), [len(run) for run in runs])[order]
         time = stamps[order]

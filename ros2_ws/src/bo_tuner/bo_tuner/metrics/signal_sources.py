@@ -55,12 +55,12 @@ class SignalSource:
         if self._target is not None:
             target = float(recording.sample(self._target)[1][-1])
             if not np.isfinite(target):
-                # No step to nowhere overshoots.
+                # There is no step without a target.
                 raise MissingMetricError(
                     f"metric {metric.name}: its target, {metric.target}, is undefined at the end"
                 )
             options["target"] = target
-        # What holds at the start came before it: its change would look too steep.
+        # The value at the start is of an earlier message: dated there, it changes too steeply.
         time, value = recording.sample(self._of, held=metric.measure != "largest_rate")
         if not np.isfinite(value).all():
             when = time[np.flatnonzero(~np.isfinite(value))[0]]
@@ -80,10 +80,10 @@ class PythonSource:
     """Computes a metric of the signals of the last run by a function of the user.
 
     It runs in a process of its own. It is passed, by their names, the times (n,) [s] and values
-    (n,) of all signals that have messages, and returns the value. As for the other measures the
-    first time is 0, or that of the first message, the last one is the end of the run, and a value
-    holds until the next one. Of a signal of whole messages it has the time and each of them (n),
-    where the one that holds at the start has the time 0.
+    (n,) of all signals that have messages, and returns the value. The first time is 0, or
+    that of the first message, the last one is the end of the run, and a value holds until the next
+    one. For a signal of whole messages it is passed their times and the messages themselves (n);
+    the message that holds at the start has the time 0.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def signal_sources(
     recording
         Returns what was recorded in the last run.
     interrupted
-        Asked while a function of the study computes; raises what shall end it.
+        Called while a function of the study computes; what it raises ends the function.
 
     Yields
     ------

@@ -45,13 +45,13 @@ class ResultMessage:
 
     def value(self, results: Results) -> object:
         """Return the value as the node reported it."""
-        said = results.get(self._node, {})
-        found = said.get(self._key)
-        if found is None:
-            meant = checks.meant(self._key, map(str, said))
+        reported = results.get(self._node, {})
+        value = reported.get(self._key)
+        if value is None:
+            meant = checks.meant(self._key, map(str, reported))
             missing = f"{self._node}: metric {self._key} is missing"
             raise MissingMetricError(f"{missing}; {meant}" if meant else missing)
-        return found
+        return value
 
 
 def reported_sources(study: Study) -> dict[str, MetricSource]:

@@ -79,11 +79,11 @@ class Coding:
 
     def names(self, names: Sequence[str]) -> list[str]:
         """Return names of the models' columns, for names of the cube's."""
-        found = []
+        columns = []
         for column, name in enumerate(names):
             levels = self._levels(column)
-            found += [f"{name}.{level}" for level in range(levels)] if levels else [name]
-        return found
+            columns += [f"{name}.{level}" for level in range(levels)] if levels else [name]
+        return columns
 
     def _levels(self, column: int) -> int:
         return self.levels[column] if column < len(self.levels) else 0

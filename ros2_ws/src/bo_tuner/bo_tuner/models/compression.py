@@ -1,11 +1,11 @@
 """The scale of a limited metric: as it is up to some distance beyond its limit, then logarithmic.
 
 Where a loop is close to instability, a metric can be a hundred times its limit. A process that has
-to explain such values, too, is too coarse to tell which side of the limit the others are on, and
-all that matters of them is that they are far beyond it. So only a distance d > W beyond the limit
-is changed, to W (1 + log(d / W)), where the width W is the largest distance of a value within the
+to explain such values, too, is too coarse to say which side of the limit the others are on, and all
+that matters of them is that they are far beyond it. So only a distance d > W beyond the limit is
+changed, to W (1 + log(d / W)), where the width W is the largest distance of a value within the
 limit, or the median distance of all values if that is larger. (Eriksson and Poloczek, 2021, take
-the logarithm on both sides of the limit, which would change what runs near it tell.)
+the logarithm on both sides of the limit, which would change what runs near it show.)
 
 The map is increasing, so it maps quantiles to quantiles. It does not map means to means: a mean is
 larger than what the mean on this scale stands for, which matters where most runs are within the
@@ -43,7 +43,7 @@ class Compression:
     width
         W in the metric's unit; infinite if nothing is changed.
     largest
-        Largest distance beyond the limit of a known value. No restored one is farther, as a small
+        Largest distance beyond the limit of a known value. No restored one is farther: a small
         error of a logarithm would be a large one of the metric.
     """
 
@@ -100,17 +100,17 @@ class Compression:
         with np.errstate(over="ignore", invalid="ignore"):
             near = mu * ndtr(left) - s * np.exp(-0.5 * left**2) / np.sqrt(2.0 * np.pi)
             far = np.exp(mu - 1.0 + 0.5 * s**2) * ndtr(s - left)
-        found = np.clip(near + far, mu, most)
+        expected = np.clip(near + far, mu, most)
         # Elsewhere the noise does not reach so far.
-        return np.where(left < REACH, self.limit + self.sign * self.width * found, mean)
+        return np.where(left < REACH, self.limit + self.sign * self.width * expected, mean)
 
     def restore_deviation(self, deviation: ArrayLike, z: ArrayLike) -> Array:
         """Return a small deviation at z, on the scale of the model, in the metric's unit."""
         values = np.asarray(z, dtype=np.float64)
-        found: Array = np.asarray(deviation) * np.where(
+        stretched: Array = np.asarray(deviation) * np.where(
             self._is_far(values), self._stretch(values), 1.0
         )
-        return found
+        return stretched
 
     def _is_far(self, z: Array) -> NDArray[np.bool_]:
         return np.asarray(self.sign * (z - self.limit) > self.width)
@@ -119,8 +119,8 @@ class Compression:
         """Return exp(d / W - 1) of the distance d beyond the limit, at most that of `largest`."""
         ratio = self.sign * (z - self.limit) / self.width
         most = max(self.largest / self.width, 1.0)
-        found: Array = np.exp(np.minimum(ratio - 1.0, np.log(most)))
-        return found
+        factor: Array = np.exp(np.minimum(ratio - 1.0, np.log(most)))
+        return factor
 
 
 NO_COMPRESSION = Compression()

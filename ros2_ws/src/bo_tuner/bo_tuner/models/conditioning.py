@@ -81,8 +81,12 @@ def choose_basis(
 
     Parameters
     ----------
-    hyperparameters, x, variances
-        As in `Prior` and `Prior.condition`.
+    hyperparameters
+        Of the kernel; their noise is not used.
+    x : ndarray, shape (n, d)
+        Distinct points.
+    variances : ndarray, shape (n,)
+        Noise variances of the means observed there.
     """
     if len(x) <= BASIS:
         return None

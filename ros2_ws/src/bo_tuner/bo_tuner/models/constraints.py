@@ -34,7 +34,7 @@ class LimitedResponse(ABC):
         return self.predict(x)[0]
 
     def band(self, x: Array, deviations: float) -> tuple[Array, Array, Array]:
-        """Return mean, lower and upper end (m,) of a band of so many standard deviations."""
+        """Return mean, lower and upper end (m,) of a band, in standard deviations."""
         mean, variance = self.predict(x)
         half = deviations * np.sqrt(variance)
         return mean, mean - half, mean + half

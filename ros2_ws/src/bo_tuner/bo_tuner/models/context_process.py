@@ -61,10 +61,10 @@ class ContextProcess(Fitted, Protocol):
         """Return the variance (m,) of sums over contexts (k, e) with weights (m, k)."""
 
     def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return noise variance and its degrees of freedom (m,), places as in `variances`."""
+        """Return noise variance and degrees of freedom (m,), each of x in the context `which`."""
 
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
-        """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
+        """Return noise variance and degrees of freedom (m, k) of x (m, d) in contexts (k, e)."""
 
     def noise_deviations(self, z: float, sign: float) -> float:
         """Return the local standard deviations within which noise stays with probability Φ(z).

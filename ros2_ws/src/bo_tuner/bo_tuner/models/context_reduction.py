@@ -78,10 +78,10 @@ class ContextReduction:
         factored = self._factors_pay & (self._asked > WORTH_A_FACTOR)[which]
         reduction = np.empty(len(kernel))
         for column in np.unique(which[factored]):
-            here = which == column
-            extended = np.vstack([kernel[here].T, np.ones(here.sum())])
+            rows = which == column
+            extended = np.vstack([kernel[rows].T, np.ones(rows.sum())])
             reduced = blas.dtrmm(1.0, self._factor(column), extended)
-            reduction[here] = np.einsum("ij,ij->j", reduced, reduced)
+            reduction[rows] = np.einsum("ij,ij->j", reduced, reduced)
         direct = ~factored
         reduction[direct] = self._reduced(kernel[direct], self._columns.T[which[direct]])
         return reduction

@@ -40,8 +40,8 @@ class Covariates:
     def unit(self, values: Array) -> Array:
         """Map values (m, w) to the unit cube that the seen ones span."""
         low, high = self.seen.min(axis=0), self.seen.max(axis=0)
-        found: Array = (values - low) / np.where(high > low, high - low, 1.0)
-        return found
+        scaled: Array = (values - low) / np.where(high > low, high - low, 1.0)
+        return scaled
 
     def rows(self, count: int) -> Array:
         """Return seen values (count, w) in the unit cube: a quantile each of the first context.

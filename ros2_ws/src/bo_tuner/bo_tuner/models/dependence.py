@@ -108,8 +108,8 @@ def _dependence(
     turned = vectors.T @ np.column_stack([response, np.ones(n), factor])
     likelihoods = np.array([_restricted_likelihood(turned, variances + noise) for noise in NOISE])
     plausible = NOISE[likelihoods >= likelihoods.max() - PLAUSIBLE]
-    found = [_given_noise(turned, variances, noise, contrasts, level) for noise in plausible]
-    return max(found, key=lambda effect: effect.p_value)
+    effects = [_given_noise(turned, variances, noise, contrasts, level) for noise in plausible]
+    return max(effects, key=lambda effect: effect.p_value)
 
 
 def _given_noise(
@@ -134,9 +134,9 @@ def _restricted_likelihood(turned: Array, variances: Array) -> float:
     y, *columns = (turned / np.sqrt(variances)[:, None]).T
     q, r = np.linalg.qr(np.stack(columns, axis=1))
     sizes = np.abs(np.diag(r))
-    told = sizes > 1e-9 * sizes.max()
-    rest = y - q[:, told] @ (q[:, told].T @ y)
-    degrees = len(y) - int(told.sum())
+    independent = sizes > 1e-9 * sizes.max()
+    rest = y - q[:, independent] @ (q[:, independent].T @ y)
+    degrees = len(y) - int(independent.sum())
     squares = max(float(rest @ rest), np.finfo(float).tiny)
-    determinant = np.log(variances).sum() + 2.0 * np.log(sizes[told]).sum()
+    determinant = np.log(variances).sum() + 2.0 * np.log(sizes[independent]).sum()
     return float(-0.5 * (degrees * np.log(squares) + determinant))

@@ -8,20 +8,20 @@ from bo_tuner.trials import Trial, WorstCase
 
 
 def estimated(study: Study, models: Surrogates, trial: Trial) -> Trial:
-    """Return a trial with its worst cases as the models of all evaluations estimate them.
+    """Return a trial with the worst cases that models of all evaluations estimate.
 
-    Those estimated when it was run know nothing of evaluations that came later. Where a model knows
-    no contexts, the worst case stays as it is.
+    The estimates of its own time know nothing of later evaluations. Where a model knows no
+    contexts, the worst case stays as it is.
     """
     contexts = study.context_space()
     x = study.search_space().to_cube(trial.parameters)[None]
     worst_cases = dict(trial.worst_cases)
     for name in trial.worst_cases:
-        # Of trials that have all failed when they were run again there is no model.
+        # There is no model if all trials failed when they were run again.
         constraint, response = study.constraints[name], models.constraints.get(name)
-        found = None if response is None else response.estimate(x)
-        if found is not None:
-            point, value, noise = found
+        estimate = None if response is None else response.estimate(x)
+        if estimate is not None:
+            point, value, noise = estimate
             context = contexts.to_dict(contexts.to_contexts(point[None])[0])
             values = [
                 evaluation.outcome.metrics[constraint.metric]

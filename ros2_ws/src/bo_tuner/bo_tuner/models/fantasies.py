@@ -1,9 +1,9 @@
-"""Fantasies: what models believe of trials whose results are not known yet.
+"""Fantasies: the results that models expect of pending trials.
 
-A proposal that did not know of the trials that are pending would ask for the same as they do. They
-are given the posterior mean of the results that are known as theirs, as if it had been observed:
-the kriging believer of Ginsbourger, Le Riche and Carraro (2010, Sec. 4.1). The models of a method
-then have little uncertainty left there, and its acquisition function looks elsewhere.
+A proposal that did not know of the trials that are pending would ask for the same as they do. So
+the posterior mean at a pending trial is taken for its result, as if it had been observed: the
+kriging believer of Ginsbourger, Le Riche and Carraro (2010, Sec. 4.1). The models of a method then
+have little uncertainty left there, and its acquisition function looks elsewhere.
 
 References
 ----------
@@ -48,7 +48,7 @@ def fantasies(
     study
         The study.
     trials
-        Those whose results are known. Without a complete one nothing is believed.
+        Those that have ended. Without a complete one nothing is expected.
     pending
         Those that are not finished, with planned evaluations in the contexts that they begin in.
     rng
@@ -102,13 +102,14 @@ def _believed(
 ) -> Trial:
     space, contexts = study.search_space(), study.context_space()
     point = space.to_cube(pending.parameters)
-    there = contexts.cube_of([e.context for e in pending.evaluations])
-    values = {name: mean(point, there) for name, mean in means.items()}
+    points = contexts.cube_of([e.context for e in pending.evaluations])
+    values = {name: mean(point, points) for name, mean in means.items()}
     evaluations = tuple(
         replace(
             evaluation,
             outcome=Outcome(
-                EvaluationState.COMPLETE, {name: float(found[k]) for name, found in values.items()}
+                EvaluationState.COMPLETE,
+                {name: float(predicted[k]) for name, predicted in values.items()},
             ),
         )
         for k, evaluation in enumerate(pending.evaluations)

@@ -36,7 +36,7 @@ number of fits grows with the logarithm of the trials.
 
 
 def fitted_after(trials: int) -> bool:
-    """Return whether hyperparameters are fitted after so many trials, or those before are kept."""
+    """Return whether hyperparameters are fitted anew after a number of trials, or kept."""
     if trials <= FITTED_EACH:
         return True
     now, before = (np.log(n / FITTED_EACH) // np.log1p(GROWTH) for n in (trials, trials - 1))
@@ -60,7 +60,7 @@ class Fitting:
     Attributes
     ----------
     study, rng
-        As in the parameters.
+        The study, and the generator of the starting points.
     coding
         Of the parameters' columns.
     minimum : ndarray, shape (d,)
@@ -145,10 +145,10 @@ class Fitting:
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
         """Return the numbers of the complete trials that are outliers of an objective."""
-        found = self._outliers(complete, self.study.objective, OUTLIERS)
+        numbers = self._outliers(complete, self.study.objective, OUTLIERS)
         for further in self.study.further_objectives:
-            found |= self._outliers(complete, further, f"{OUTLIERS}_{further.metric}")
-        return found
+            numbers |= self._outliers(complete, further, f"{OUTLIERS}_{further.metric}")
+        return numbers
 
     def _outliers(
         self, complete: Sequence[Trial], objective: Objective, name: str
@@ -198,7 +198,7 @@ class Fitting:
     ) -> tuple[Array, Array, NDArray[np.int_]]:
         """Return points (N, d), values (N,) and trial numbers (N,) of `Trial.observations`."""
         values = [trial.observations(metric) for trial in trials]
-        counts = [len(found) for found in values]
+        counts = [len(of_trial) for of_trial in values]
         x = np.repeat(self.points(trials), counts, axis=0)
         number = np.repeat([trial.number for trial in trials], counts)
-        return x, np.array([value for found in values for value in found]), number
+        return x, np.array([value for of_trial in values for value in of_trial]), number

@@ -25,7 +25,7 @@ class Logarithm:
     limit
         L, in the metric's unit; not 0.
     most
-        Largest known ratio y / L. No restored value is beyond it, as a small error of a logarithm
+        Largest known ratio y / L. No restored value is beyond it: a small error of a logarithm
         would be a large one of the metric.
     """
 
@@ -43,10 +43,10 @@ class Logarithm:
         """
         if not limit:
             raise ValueError("a logarithmic scale needs a limit other than 0")
-        found = cls(limit)
+        scale = cls(limit)
         for value in y:
-            found = found.including(float(value))
-        return found
+            scale = scale.including(float(value))
+        return scale
 
     def including(self, value: float) -> Self:
         """Return the same map, with another known value."""

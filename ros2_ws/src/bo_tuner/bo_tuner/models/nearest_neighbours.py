@@ -25,7 +25,7 @@ from scipy.spatial.distance import cdist
 from bo_tuner.numerics.arrays import Array
 
 FEW = 100
-"""Up to so many points, comparing with all of them is faster than a search tree.
+"""Largest number of points at which comparing with all is faster than a search tree.
 
 Measured for the hundred particles of a swarm; both find the same neighbours.
 """

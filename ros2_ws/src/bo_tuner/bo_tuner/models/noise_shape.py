@@ -6,8 +6,9 @@ more than is kept. So where more residuals are beyond the normal quantile than a
 put there by chance, the quantile is that of the residuals, each divided by the local standard
 deviation (as in split conformal prediction, Lei and others 2018). Elsewhere it is the normal one:
 the quantile of some hundred residuals differs from it by chance, and each half of a standard
-deviation costs as much in the objective as the limit does. A residual whose own observation
-determines the mean there tells nothing of the noise; it counts as much as it is left unexplained.
+deviation costs as much in the objective as the limit does. A residual at an observation that
+determines the mean there shows nothing of the noise; its weight is the share that the mean leaves
+unexplained.
 
 References
 ----------
@@ -70,7 +71,7 @@ class NoiseShape:
         if sign < 0.0:
             residuals, weights = -residuals[::-1], weights[::-1]
         beyond = float(weights[residuals > z].sum())
-        # The upper tail of a binomial law, as a function of counts that need not be integers.
+        # The upper tail of a binomial law; counts need not be integers.
         if not beyond or betainc(beyond, count - beyond + 1.0, 1.0 - probability) > CHANCE:
             return z
         share = (np.cumsum(weights) - 0.5 * weights) / count

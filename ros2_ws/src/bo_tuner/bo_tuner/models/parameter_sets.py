@@ -31,8 +31,8 @@ class ParameterSets:
 
     def sum(self, values: Array, axis: int = 0) -> Array:
         """Return the sums of values (…, n, …) over the points of each set, shape (…, q, …)."""
-        found: Array = np.add.reduceat(values, self._starts, axis=axis)
-        return found
+        sums: Array = np.add.reduceat(values, self._starts, axis=axis)
+        return sums
 
     def spread(self, values: Array) -> Array:
         """Return values (m, q) of the sets at their points, shape (m, n)."""

@@ -77,10 +77,10 @@ class PooledSurrogates(Surrogates):
     @property
     def warm_starts(self) -> dict[str, tuple[float, ...]]:
         """Starting points for the next fit, by model name."""
-        found = super().warm_starts
+        starts = super().warm_starts
         if self.crashes.warm_start is not None:
-            found[FAILURES] = self.crashes.warm_start
-        return found
+            starts[FAILURES] = self.crashes.warm_start
+        return starts
 
     def weighted(self, weights: Array) -> Self:
         """Return the models with other weights (k,) of several objectives."""
@@ -130,7 +130,7 @@ class PooledModels:
         costs: dict[str, ExpectedObjective] = {}
         constraints: dict[str, PooledResponse] = {}
         if complete:
-            # A failed trial's complete evaluations tell of the contexts that they were in.
+            # The complete evaluations of a failed trial are data for their contexts.
             kept = [t for t in trials if t.number not in outliers]
             costs = self._costs(fitting, kept, covariates, several=weights is not None)
             constraints = self._constraints(fitting, kept, covariates)
@@ -160,13 +160,13 @@ class PooledModels:
         study, contexts = fitting.study, fitting.study.context_space()
         drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
         over = covariates.beside(contexts.to_cube(drawn))
-        found: dict[str, ExpectedObjective] = {}
+        costs: dict[str, ExpectedObjective] = {}
         for objective in study.objectives if several else (study.objective,):
             x, c, y = _observations(fitting, trials, covariates, objective.metric)
-            name = f"{OBJECTIVE}_{objective.metric}" if found else OBJECTIVE
+            name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
             process = fitting.process(self.processes, name, x, c, objective.to_cost(y))
-            found[objective.metric] = ExpectedObjective(process, over, objective)
-        return found
+            costs[objective.metric] = ExpectedObjective(process, over, objective)
+        return costs
 
     def _constraints(
         self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
@@ -183,7 +183,7 @@ class PooledModels:
             (point, evaluation)
             for trial, point in zip(trials, fitting.points(trials), strict=True)
             for evaluation in trial.evaluations
-            if not evaluation.outcome.spoilt
+            if not evaluation.outcome.unusable
         ]
         return CrashModel.fit(
             np.array([point for point, _ in runs]).reshape(-1, len(fitting.minimum)),
@@ -193,7 +193,7 @@ class PooledModels:
             coding=fitting.coding,
             contexts=contexts.candidates(),
             neighbours=fitting.classifier(
-                [t for t in trials if not t.spoilt], lambda t: t.state is TrialState.FAILED
+                [t for t in trials if not t.unusable], lambda t: t.state is TrialState.FAILED
             ),
             rng=fitting.rng,
             start=fitting.kept(FAILURES),

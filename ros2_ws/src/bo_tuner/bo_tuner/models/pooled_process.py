@@ -52,16 +52,16 @@ from bo_tuner.numerics.arrays import Array
 T = TypeVar("T")
 
 WIDTH = 0.2
-"""Width of the kernel around a place whose noise is estimated, in edges of the unit cube.
+"""Width of the kernel around a place where noise is estimated, in edges of the unit cube.
 
 Along the tuned parameters it grows with √d, as typical distances do.
 """
 
 RESTARTED = 300
-"""Most observations with which a fit starts anew, too, and not at the last hyperparameters alone.
+"""Most observations with which a fit also starts anew, not only at the last hyperparameters.
 
-The last ones can be a local optimum, found with less data, that takes for noise what a context
-variable does. With more observations that has been found out, and a fit takes long.
+The last ones can be a local optimum of less data, which takes for noise what a context variable
+does. With more observations that has come out, and a fit takes long.
 """
 
 FITTED = 500
@@ -72,7 +72,7 @@ changes.
 """
 
 BLOCK = 1000
-"""Number of points whose noise is estimated at a time."""
+"""Number of points at which noise is estimated at a time."""
 
 PRIOR_DEGREES = 2.0
 """Weight of the common noise variance in a local one, in degrees of freedom."""
@@ -131,7 +131,7 @@ class PooledProcess:
     posterior : Posterior
         Of the standardized response, with the local noise.
     width : float
-        Of the kernel around a place whose noise is estimated, see `PooledProcesses`.
+        Of the kernel around a place where noise is estimated, see `PooledProcesses`.
     warnings : tuple of str
         Numerical problems, one line each.
     over : ndarray, shape (r, w), or None
@@ -185,7 +185,8 @@ class PooledProcess:
         minimum_length_scales : ndarray, shape (d,), optional
             Lower bounds of the parameters' length scales.
         width, restarted
-            As in `PooledProcesses`.
+            Of the kernel around a place, and most observations with which a fit starts anew; see
+            `WIDTH` and `RESTARTED`.
         """
         if keep and start is not None:
             return cls.condition(start, x, c, y, coding=coding, width=width)
@@ -193,10 +194,10 @@ class PooledProcess:
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
         z = np.hstack([coding.encode(x), c])
-        some = _spread_over_values(y)
+        chosen = _spread_over_values(y)
         process = GaussianProcess.fit(
-            z[some],
-            y[some],
+            z[chosen],
+            y[chosen],
             rng=rng,
             priors=priors,
             minimum_length_scales=minimum,
@@ -321,8 +322,8 @@ class PooledProcess:
         """Return the posterior mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
         constant = MEAN_SD**2 * self.posterior.weights.sum()
         mean = self._parameter_kernel(x) @ self._reduction(contexts).weights + constant
-        found: Array = self.standardization.shift + self.scale * mean
-        return found
+        means: Array = self.standardization.shift + self.scale * mean
+        return means
 
     def variances(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> Array:
         """Return the posterior variance (m,) of x (m, d), each in the context of its own row.
@@ -355,8 +356,10 @@ class PooledProcess:
 
         Parameters
         ----------
-        x, contexts, which
-            As in `variances`.
+        x : ndarray, shape (m, d)
+        contexts : ndarray, shape (k, e)
+        which : ndarray of int, shape (m,)
+            Row of `contexts` for each parameter set.
         """
         near, (squares, degrees) = self._near(x), self._noise_across(contexts)
         variance, total = self._noise(
@@ -368,7 +371,7 @@ class PooledProcess:
         return variance + self._spread(x, contexts)[np.arange(len(x)), which], total
 
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
-        """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
+        """Return noise variance and degrees of freedom (m, k) of x (m, d) in contexts (k, e)."""
         near, (squares, degrees) = self._near(x), self._noise_across(contexts)
         variance, total = self._noise(near @ squares, near @ degrees)
         if self.over is None:
@@ -376,13 +379,13 @@ class PooledProcess:
         return variance + self._spread(x, contexts), total
 
     def noise_deviations(self, z: float, sign: float) -> float:
-        """Return as `NoiseShape.deviations`, by the residuals of all observations."""
+        """Return `NoiseShape.deviations` by the residuals of all observations."""
         return self._shape.deviations(z, sign)
 
     @cached_property
     def _shape(self) -> NoiseShape:
-        # Of r observations at a point, whose mean has the leverage h, each has the variance
-        # σ² (1 - h / r) about the posterior mean.
+        # Each of r observations at a point has the variance σ² (1 - h / r) about the posterior
+        # mean, with h the leverage of their mean.
         own, index = self.posterior, self.data.index
         left = np.clip(1.0 - own.leverages / self.data.count, 0.0, 1.0)[index]
         deviation = np.sqrt(own.variances * self.data.count)[index]
@@ -408,8 +411,8 @@ class PooledProcess:
         return replace(self, over=None)
 
     def _variance(self, prior: float | Array, reduction: Array) -> Array:
-        found: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
-        return found
+        variance: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
+        return variance
 
     @property
     def _prior_variance(self) -> float:
@@ -478,8 +481,8 @@ class PooledProcess:
             return correlation(own, contexts, scales)
         e = contexts.shape[1]
         measured = correlation(own[:, e:], self.over, scales[e:]).mean(axis=1)
-        found: Array = correlation(own[:, :e], contexts, scales[:e]) * measured[:, None]
-        return found
+        averaged: Array = correlation(own[:, :e], contexts, scales[:e]) * measured[:, None]
+        return averaged
 
     def _near(self, x: Array) -> Array:
         """Return the weight in the noise at x (m, d) of the sets of the data, shape (m, p)."""
@@ -514,7 +517,7 @@ class PooledProcesses:
     Attributes
     ----------
     width
-        Of the kernel around a place whose noise is estimated, in edges of the unit cube; see
+        Of the kernel around a place where noise is estimated, in edges of the unit cube; see
         `WIDTH`. With a large one the noise is the same everywhere.
     restarted
         Most observations with which a fit starts anew, too; see `RESTARTED`.
@@ -536,7 +539,7 @@ class PooledProcesses:
         start: Sequence[float] | None = None,
         keep: bool = False,
     ) -> PooledProcess:
-        """Fit a process; as `PooledProcess.fit`."""
+        """Fit a process, see `PooledProcess.fit`."""
         return PooledProcess.fit(
             x,
             c,
@@ -554,7 +557,7 @@ class PooledProcesses:
     def condition(
         self, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
     ) -> PooledProcess:
-        """Condition a process on data; as `PooledProcess.condition`."""
+        """Condition a process on data, see `PooledProcess.condition`."""
         return PooledProcess.condition(hyperparameters, x, c, y, coding=coding, width=self.width)
 
 
@@ -565,7 +568,7 @@ def _local_ratio(
     contexts = points.shape[1] - columns
     widths = np.append(_parameter_widths(columns, width), np.full(contexts, width))
     weighted = np.column_stack([squares, degrees])
-    # In blocks, lest the kernel between all data takes more memory than anything else.
+    # In blocks: the kernel between all data would take more memory than anything else.
     blocks = np.array_split(z, 1 + len(z) // BLOCK)
     near = np.vstack([correlation(block, points, widths) @ weighted for block in blocks])
     ratio: Array = (near[:, 0] + PRIOR_DEGREES) / (near[:, 1] + PRIOR_DEGREES)

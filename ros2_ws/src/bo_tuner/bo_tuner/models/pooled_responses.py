@@ -97,8 +97,8 @@ class ExpectedObjective:
             linear: Array = cost.mean(axis=1)
             return linear
         logarithm = _log_mean_exp(self.objective.sign * cost)
-        found: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
-        return found
+        log_mean: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
+        return log_mean
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return as `predict`, with a variance of 0 at `points`."""
@@ -114,8 +114,8 @@ class ExpectedObjective:
     def variance_of_run(self, x: ArrayLike) -> Array:
         """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""
         means = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)
-        found: Array = means.var(axis=1) + self.noise_variance
-        return found
+        variance: Array = means.var(axis=1) + self.noise_variance
+        return variance
 
     def weighted(self, weights: Array) -> Self:
         """Return itself: a single objective has no weights."""
@@ -139,10 +139,10 @@ class PooledResponse(LimitedResponse):
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return mean and variance (m,) of the limited quantile at x (m, d), and that of a run.
 
-        The last is the variance (m,) with which one further run tells the quantile.
+        The last is the variance (m,) of the quantile estimated from one further run.
 
-        Runs tell a quantile by their mean plus z times their standard deviation. From n runs whose
-        variance is σ², that has about the variance σ² (1 + z² / 2) / n.
+        A quantile is estimated by the mean of runs plus z times their standard deviation. From n
+        runs with the variance σ², that has about the variance σ² (1 + z² / 2) / n.
         """
 
     def predict(self, x: Array) -> tuple[Array, Array]:
@@ -160,7 +160,7 @@ class PooledResponse(LimitedResponse):
         return mean, low, high
 
     def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
-        """Return where runs of x (1, d) tell most of whether the limit is kept.
+        """Return where runs of x (1, d) show most clearly whether the limit is kept.
 
         Returns
         -------
@@ -245,9 +245,9 @@ class EveryContext(PooledResponse):
 
     def log_kept_in(self, x: Array, contexts: Array) -> Array:
         """Return the log probability (k,) that the limit is kept by x (1, d) in contexts (k, e)."""
-        there = replace(self, contexts=contexts)
+        in_contexts = replace(self, contexts=contexts)
         points = np.tile(x, (len(contexts), 1))
-        return self.log_kept(*there.predict_in(points, np.arange(len(contexts))))
+        return self.log_kept(*in_contexts.predict_in(points, np.arange(len(contexts))))
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
@@ -310,15 +310,15 @@ class EveryContext(PooledResponse):
 
     def most_doubtful(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the row of the most doubtful context, and the log probability there, (m,) each."""
-        found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
+        least, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
         means = self.process.means(x, self.contexts)
         noise, degrees = self.process.noise_everywhere(x, self.contexts)
         for row, (mean, *of_runs) in enumerate(zip(means.T, noise.T, degrees.T, strict=True)):
             quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean, *of_runs)
-            here = self.log_kept(quantile, variance)
-            rows[here < found] = row
-            found = np.minimum(found, here)
-        return rows, found
+            log_probability = self.log_kept(quantile, variance)
+            rows[log_probability < least] = row
+            least = np.minimum(least, log_probability)
+        return rows, least
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,18 +395,18 @@ class OverContexts(PooledResponse):
             kept = ndtr((middle[:, None] - mean) / deviation).mean(axis=1)
             lower = np.where(kept < self.probability, middle, lower)
             upper = np.where(kept < self.probability, upper, middle)
-        found: Array = upper
-        return found
+        quantile: Array = upper
+        return quantile
 
 
 @dataclass(frozen=True, eq=False)
 class FutureBound(LimitedResponse):
     """Limit on the confidence bound of a response after further runs of the same parameter set.
 
-    With s² the variance of the response today and t² that of what a run tells of it, n runs leave
+    With s² the variance of the response today and t² that of its estimate from a run, n runs leave
     the variance s_n² = s² t² / (t² + n s²). The bound is then the mean plus z s_n, or minus for a
-    lower limit, and seen from today its mean has the variance s² - s_n². So the probability that
-    it keeps the limit is that with which the response is *shown* to keep it after n runs.
+    lower limit, and seen from today its mean has the variance s² - s_n². So the probability that it
+    keeps the limit is that with which the response is *shown* to keep it after n runs.
 
     Attributes
     ----------
@@ -448,5 +448,5 @@ def _variance_of_quantile(variance: Array, deviations: float) -> Array:
 def _log_mean_exp(values: Array) -> Array:
     """Return log of the mean of exp(values) over the columns, (m,) of (m, k)."""
     largest: Array = values.max(axis=1)
-    found: Array = largest + np.log(np.exp(values - largest[:, None]).mean(axis=1))
-    return found
+    log_mean: Array = largest + np.log(np.exp(values - largest[:, None]).mean(axis=1))
+    return log_mean

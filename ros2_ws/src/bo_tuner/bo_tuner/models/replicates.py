@@ -46,8 +46,8 @@ def checked_data(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         raise ValueError(f"y: expected finite values, found {_first_not_finite(responses)}")
     distance = np.maximum(points - 1.0, -points)
     if distance.max() > CUBE_TOLERANCE:
-        found = points.flat[int(np.argmax(distance))]
-        raise ValueError(f"x: expected coordinates in the unit cube [0, 1], found {found:g}")
+        outside = points.flat[int(np.argmax(distance))]
+        raise ValueError(f"x: expected coordinates in the unit cube [0, 1], found {outside:g}")
     largest = np.abs(responses).max()
     if largest > LARGEST_RESPONSE:
         raise ValueError(f"y: expected magnitudes below {LARGEST_RESPONSE:g}, found {largest:g}")

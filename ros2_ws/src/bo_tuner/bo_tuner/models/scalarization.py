@@ -44,7 +44,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
 
 AUGMENTATION = 0.05
-"""ρ, as in Knowles (2006)."""
+"""ρ of Knowles (2006)."""
 
 BEYOND = 0.3
 """Part of the front's width by which the utopian point is better than the ideal one."""
@@ -61,8 +61,8 @@ def equal_weights(count: int) -> Array:
 
 def leaning_weights(count: int) -> Array:
     """Return weights (k, k) that lean towards one of `count` objectives each."""
-    found: Array = LEANING * np.eye(count) + (1.0 - LEANING) * equal_weights(count)
-    return found
+    weights: Array = LEANING * np.eye(count) + (1.0 - LEANING) * equal_weights(count)
+    return weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Chebyshev:
         feasible : ndarray of bool, shape (n,)
             Which of them are believed feasible; without any, all count.
         weights : ndarray, shape (k,)
-            As in the attributes.
+            w, not negative, of sum 1.
         """
         known = means[feasible] if feasible.any() else means
         front = known[nondominated(known)]
@@ -101,7 +101,7 @@ class Chebyshev:
         nadir = np.maximum(front.max(axis=0), np.median(means, axis=0))
         for further in (known, means):
             nadir = np.where(nadir > ideal, nadir, further.max(axis=0))
-        # Of large numbers, 1 more may be the same.
+        # Adding 1 to a large number may not change it.
         wide = ideal + np.maximum(1.0, 1e-9 * np.abs(ideal))
         return cls(weights, ideal, np.where(nadir > ideal, nadir, wide))
 
@@ -115,8 +115,8 @@ class Chebyshev:
         """Return the derivatives (n, k) of f_w by the costs at mean costs (n, k)."""
         weighted = self._weighted(costs)
         largest = np.arange(len(self.weights)) == weighted.argmax(axis=1)[:, None]
-        found: Array = self.weights / (self.nadir - self.ideal) * (AUGMENTATION + largest)
-        return found
+        gradient: Array = self.weights / (self.nadir - self.ideal) * (AUGMENTATION + largest)
+        return gradient
 
     def linearized(self, costs: Array) -> Array:
         """Return values (m,) for the costs (m, k) of a trial's evaluations; their mean is f_w."""

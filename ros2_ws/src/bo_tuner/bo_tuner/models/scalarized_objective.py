@@ -100,5 +100,5 @@ class ScalarizedObjective:
 
     def _variance(self, means: Array, variances: Array) -> Array:
         """Return the variance (m,) of the cost, by means and variances (m, k) of the k costs."""
-        found: Array = (self.chebyshev.gradient(means) ** 2 * variances).sum(axis=1)
-        return found
+        variance: Array = (self.chebyshev.gradient(means) ** 2 * variances).sum(axis=1)
+        return variance

@@ -11,14 +11,14 @@ model shares. The reference is fitted to the bulk of the data, so that outliers 
 An outlier is judged by its residual at the mode of Ψ(f) = log p(ȳ | f) - ½ fᵀ K⁻¹ f, f being the
 latent values.
 
-Mode finding. The t likelihood is not log-concave: far from its centre the curvature is negative,
-Ψ can have several maxima, and Newton's method may diverge. But t is a scale mixture of normals, and
+Mode finding. The t likelihood is not log-concave: far from its centre the curvature is negative, Ψ
+can have several maxima, and Newton's method may diverge. But t is a scale mixture of normals, and
 the expectation-maximization algorithm over the mixing variables is iteratively reweighted least
 squares, f ← K (K + W⁻¹)⁻¹ ȳ with W_i = (ν + 1) / (ν s_i² + (ȳ_i - f_i)²), of which every step
 increases Ψ. A step of twice that length is tried as well, and taken only if it increases Ψ more; so
 the iteration is monotone, and f is usable whether it ends by tolerance or by the iteration limit.
-Of several modes it finds the one in whose basin the mean of the reference lies, where it starts:
-the mode at which the model does not follow the outliers.
+It starts at the mean of the reference, and so ends in the mode of that basin: the one at which the
+model does not follow the outliers.
 
 References
 ----------
@@ -190,7 +190,7 @@ def find_outliers(
 
 
 def _bulk(x: Array, y: Array) -> NDArray[np.bool_]:
-    """Mark the observations of points whose mean is not far above the median, shape (N,)."""
+    """Mark the observations of points with a mean not far above the median, shape (N,)."""
     data = Replicates.group(x, Standardization.of(y).apply(y))
     above = data.mean - np.median(data.mean)
     width = BULK_WIDTH * MAD_TO_SD * np.median(np.abs(above))

@@ -1,7 +1,7 @@
 """Models of trials: each is one point, by its mean and its estimated worst case (paper, Sec. 4.1).
 
-One process for the objective, one for each constrained response, and classifiers of failures and
-of outliers. A failed trial tells of failures only.
+One process for the objective, one for each constrained response, and classifiers of failures and of
+outliers. A failed trial is data for failures only.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -115,8 +115,8 @@ class TrialModels:
             constraints = self._constraints(fitting, kept)
             objective = self._scalarized(fitting, kept, constraints.values(), weights)
         # A node that was lost may have died of its parameters.
-        telling = [t for t in trials if not t.disturbed]
-        failures = fitting.classifier(telling, lambda t: t.state is TrialState.FAILED)
+        informative = [t for t in trials if not t.disturbed]
+        failures = fitting.classifier(informative, lambda t: t.state is TrialState.FAILED)
         outlying = None
         if rejecting:
             outlying = fitting.classifier(complete, lambda t: t.number in outliers)

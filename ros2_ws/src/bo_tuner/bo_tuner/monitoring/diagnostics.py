@@ -21,7 +21,7 @@ TRIAL_RESULT = "tuner: trial_result"
 
 
 class Level(IntEnum):
-    """Levels of a status, as in ``diagnostic_msgs/DiagnosticStatus``."""
+    """Levels of a status, those of ``diagnostic_msgs/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1
@@ -97,10 +97,13 @@ def surrogate(study: Study, now: Snapshot) -> Status:
     columns = [*space.names, *study.context_space().columns, *study.measured]
     names = Coding(space.levels).names(columns)
     for model, phi in last.hyperparameters.items():
-        found = Hyperparameters.from_log(np.array(phi))
-        scales = zip(names, found.length_scales.tolist(), strict=False)
+        hyperparameters = Hyperparameters.from_log(np.array(phi))
+        scales = zip(names, hyperparameters.length_scales.tolist(), strict=False)
         values |= {f"{model}.length_scale.{name}": scale for name, scale in scales}
-        values |= {f"{model}.signal": found.signal, f"{model}.noise": found.noise}
+        values |= {
+            f"{model}.signal": hyperparameters.signal,
+            f"{model}.noise": hyperparameters.noise,
+        }
     message = last.warnings[0] if last.warnings else f"trial {last.number}: {last.origin}"
     return Status(SURROGATE, level, message, _text(values))
 
@@ -142,8 +145,8 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
     if trial.state is TrialState.COMPLETE:
         for name in study.metrics:
             values[f"metrics.{name}"] = trial.mean(name)
-    if (found := tightest(study, trial)) is not None:
-        constraint, worst = found
+    if (tightest_constraint := tightest(study, trial)) is not None:
+        constraint, worst = tightest_constraint
         values |= {"worst_constraint": constraint.name, "worst_case": worst.value}
         values |= {f"worst_context.{name}": value for name, value in worst.context.items()}
     values |= {

@@ -68,7 +68,7 @@ class Display(RunObserver):
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
         """Show the run folder, the backend and the algorithm."""
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Show a line of information, which ``--quiet`` omits."""
 
     def warn(self, text: str) -> None:
@@ -76,9 +76,9 @@ class Display(RunObserver):
         self._console.print(text, soft_wrap=True)
 
     def event(self, event: Event) -> None:
-        """Show that the run was asked to finish, where others were told of it."""
+        """Show that the run was asked to finish, whoever has asked."""
         if event.kind is EventKind.FINISH:
-            self.tell(
+            self.inform(
                 f"asked to finish after {counted(event.tasks, 'trial')}; the best so far is then "
                 "settled and validated"
             )

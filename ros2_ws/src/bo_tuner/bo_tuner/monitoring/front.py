@@ -31,7 +31,7 @@ def print_front(
     study
         The study.
     front
-        The points as a summary has them, see `bo_tuner.tuning.front`.
+        The points of the front, in the form in which a summary has them.
     result
         Number of the trial of the result.
     run

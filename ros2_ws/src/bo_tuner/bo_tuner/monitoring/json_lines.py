@@ -111,7 +111,7 @@ class JsonLines(Display):
         """Write the event ``pause``."""
         self._write("pause", paused=paused)
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Write the event ``message`` with a line of information."""
         self._write("message", level="info", text=text)
 

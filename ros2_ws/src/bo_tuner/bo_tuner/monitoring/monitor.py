@@ -24,7 +24,7 @@ class Advisor(RunObserver):
     method
         The method of the run.
     observers
-        Are passed the advice.
+        Receive the advice.
     """
 
     def __init__(self, study: Study, method: Method, observers: RunObserver) -> None:

@@ -118,8 +118,8 @@ class LiveNode(RunObserver):
         mean = trial.mean(self._study.objective.metric)
         if trial.state is TrialState.COMPLETE and mean is not None:
             numbers["objective"] = mean
-        if (found := tightest(self._study, trial)) is not None:
-            numbers["worst_case"] = found[1].value
+        if (tightest_constraint := tightest(self._study, trial)) is not None:
+            numbers["worst_case"] = tightest_constraint[1].value
         if incumbent is not None:
             numbers["probability_feasible"] = incumbent.feasibility
             if incumbent.believed_feasible:

@@ -18,13 +18,13 @@ class NowAndThen:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._told = clock()
+        self._printed = clock()
 
-    def told(self) -> None:
+    def printed(self) -> None:
         """Note that there was a line, whatever it said."""
-        self._told = self._clock()
+        self._printed = self._clock()
 
     @property
     def due(self) -> bool:
         """Whether there was no line for so long that one is due."""
-        return self._clock() - self._told >= PERIOD
+        return self._clock() - self._printed >= PERIOD

@@ -31,7 +31,7 @@ INDENT = " " * 16
 class RunProgress(Display):
     """A line for each trial and, on a terminal, a bar with a second line for the incumbent.
 
-    Without a terminal a line tells now and then how far the phase is.
+    Without a terminal a line shows now and then how far the phase is.
 
     All of it is on standard error.
 
@@ -77,11 +77,11 @@ class RunProgress(Display):
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
         """Show the run folder, and the units of what the lines of the trials have."""
-        self.tell(f"run folder {folder}")
+        self.inform(f"run folder {folder}")
         if units := units_in_words(self._study):
-            self.tell(units)
+            self.inform(units)
         if warning := self._study.budget.warning:
-            self.tell(warning)
+            self.inform(warning)
 
     def begin(self, phase: str, total: int) -> None:
         """Start counting `total` steps of `phase`."""
@@ -99,7 +99,7 @@ class RunProgress(Display):
         """Update the times, and show what there is to know of a run."""
         self._show()
         if (note := evaluation.outcome.note) and not evaluation.recorded:
-            self.tell(f"warning: {evaluation.place}: {note}")
+            self.inform(f"warning: {evaluation.place}: {note}")
 
     def advance(self) -> None:
         """Count a step that is not a trial."""
@@ -118,20 +118,20 @@ class RunProgress(Display):
 
     def advise(self, advice: StopAdvice) -> None:
         """Show the advice to stop."""
-        self.tell(advice_in_words(advice, self._study))
+        self.inform(advice_in_words(advice, self._study))
 
     def pause(self, paused: bool) -> None:
         """Show the start or the end of a pause."""
         self._show()
-        self.tell(f"paused; {self._going_on}" if paused else "continuing")
+        self.inform(f"paused; {self._going_on}" if paused else "continuing")
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Show a line of information above the bar."""
         self._print(text, "  ")
 
     def _print(self, text: str, indent: str) -> None:
         print_line(self._console, text, indent)
-        self._lines.told()
+        self._lines.printed()
 
     def _show(self, steps: int = 0) -> None:
         parts = []
@@ -149,7 +149,7 @@ class RunProgress(Display):
         self._progress.update(self._task, total=total, advance=steps, note=note)
         if self._lines.due and not self._console.is_terminal:
             task = self._progress.tasks[-1]
-            self.tell("  ".join(filter(None, [f"{task.description}: {_count(task)}", note])))
+            self.inform("  ".join(filter(None, [f"{task.description}: {_count(task)}", note])))
 
 
 def _count(task: Task) -> str:
@@ -258,7 +258,7 @@ def describe(trial: Trial, study: Study) -> str:
         name = f"worst {worst.limited}".replace(" ", JOIN)
         value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if (found := outcome_in_words(study, trial)) != WITHIN:
-        text += f"  {found}"
+    if (outcome := outcome_in_words(study, trial)) != WITHIN:
+        text += f"  {outcome}"
     count = len(trial.evaluations)
     return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"

@@ -20,7 +20,7 @@ LATELY = 10
 
 
 class TimeLeft:
-    """Keeps the times of a run; must be told of each step when it has just ended.
+    """Keeps the times of a run; must be called for each step when it has just ended.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class TimeLeft:
         self._trial_began = self._latest = self._clock()
 
     def recall(self, trials: Sequence[Trial]) -> None:
-        """Take trials on record, which tell the times of their proposals and evaluations only."""
+        """Take trials on record, which have the times of their proposals and evaluations only."""
         for trial in trials:
             self._take(trial.unchecked, 0.0)
         self.begin(self._phase)

@@ -22,8 +22,8 @@ BETS = 0.5 ** np.arange(9.0)
 """The bets, as shares of the largest one that is possible: 1, 1/2, ... 1/256."""
 
 SHARES = 1.0 / np.arange(1.0, 10.0)
-"""What each of them gets of the wealth, not yet divided by their sum: those that pay only after
-many values have the time to make up for a small one."""
+"""What each bet gets of the wealth, not yet divided by their sum. The smaller bets get less: they
+win only over many values, and so have the time to make up for it."""
 
 
 def log_wealth(values: ArrayLike, mean: float, high: float) -> Array:
@@ -44,9 +44,9 @@ def log_wealth(values: ArrayLike, mean: float, high: float) -> Array:
     if mean > high:
         return np.full(len(x), np.inf)
     if mean == high:
-        # Only if every value is `high` can the mean be.
+        # The mean can be `high` only if every value is.
         return np.where(np.logical_or.accumulate(x < high), np.inf, 0.0)
     with np.errstate(divide="ignore"):
         wealth = np.cumsum(np.log1p(BETS[:, None] * ((mean - x) / (high - mean))), axis=1)
-    found: Array = logsumexp(wealth, axis=0, b=(SHARES / SHARES.sum())[:, None])
-    return found
+    mixture: Array = logsumexp(wealth, axis=0, b=(SHARES / SHARES.sum())[:, None])
+    return mixture

@@ -5,8 +5,8 @@ operators, and nothing else: no attributes, no items, no statements. Its own ope
 single numbers; ours work item by item on arrays, ``and``, ``or``, ``not`` and chains such as
 ``0 < x < 1`` included.
 
-What a comparison says of NaN is not known, and stays so through ``not``; ``and`` and ``or`` are
-known where the other side decides (Kleene 1952, §64, the strong three-valued logic).
+A comparison with NaN is neither true nor false but unknown, and so is its ``not``; ``and`` and
+``or`` are known where the other side decides (Kleene 1952, §64, the strong three-valued logic).
 """
 
 import ast
@@ -93,7 +93,7 @@ _OURS = {
 _FOREIGN = re.compile(
     r"=>|=<|<>|(?<![<>=!])=(?!=)|&&|\|\||!(?!=)|\b(?!and\b|or\b|not\b)(?i:and|or|not)\b"
 )
-"""Operators of other languages, where Python's grammar does not go on."""
+"""Operators of other languages, as they stand where Python refuses the text."""
 
 
 class ExpressionError(ValueError):
@@ -151,15 +151,15 @@ class Expression:
         self.text = text
         calls = [node for node in ast.walk(self._tree) if isinstance(node, ast.Call)]
         called = {id(call.func) for call in calls}
-        found = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
-        for node in found:
+        name_nodes = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
+        for node in name_nodes:
             known = tuple(FUNCTIONS) if id(node) in called else names
             if node.id not in known:
                 raise UnknownNameError(node.id, known)
         for call in calls:
             _check_arguments(call)
-        self.names = frozenset(node.id for node in found if id(node) not in called)
-        # Whatever else is wrong, such as a missing argument, shows with any numbers.
+        self.names = frozenset(node.id for node in name_nodes if id(node) not in called)
+        # Any other error, such as a missing argument, is raised by evaluating it with any numbers.
         self({name: np.ones(1) for name in self.names})
 
     def __call__(self, values: Mapping[str, ArrayLike]) -> Array:
@@ -189,8 +189,8 @@ class Expression:
         }
         try:
             with np.errstate(all="ignore"):
-                found = evaluator.eval(self.text, previously_parsed=self._tree)
-                return np.asarray(found, dtype=np.float64)
+                value = evaluator.eval(self.text, previously_parsed=self._tree)
+                return np.asarray(value, dtype=np.float64)
         except simpleeval.InvalidExpression as error:
             raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
@@ -198,7 +198,7 @@ class Expression:
 
 
 class _Joined(ast.NodeTransformer):
-    """Makes one name of the levels and the item that a known name has."""
+    """Joins levels and items, such as ``gains.kp`` or ``gains[2]``, to one name if it is known."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
@@ -223,17 +223,17 @@ def _check_arguments(call: ast.Call) -> None:
     """Refuse another number of arguments: NumPy would write its result to a further one."""
     if not isinstance(call.func, ast.Name):
         return
-    expected, found = FUNCTIONS[call.func.id].nin, len(call.args)
-    if found != expected:
+    expected, given = FUNCTIONS[call.func.id].nin, len(call.args)
+    if given != expected:
         noun = "argument" if expected == 1 else "arguments"
-        raise ExpressionError(f"{call.func.id} takes {expected} {noun}, found {found}")
+        raise ExpressionError(f"{call.func.id} takes {expected} {noun}, found {given}")
 
 
 def _what_is_wrong(text: str, error: SyntaxError) -> str:
-    """Tell where a text is no expression, and what other languages' operators are called here."""
-    if found := _FOREIGN.search(text):
-        place, known = found.start() + 1, _OURS[found[0].lower()]
-        return f"not an expression: expected {known} instead of {found[0]} at character {place}"
+    """Return where a text is no expression, with Python's operator for one of another language."""
+    if foreign := _FOREIGN.search(text):
+        place, known = foreign.start() + 1, _OURS[foreign[0].lower()]
+        return f"not an expression: expected {known} instead of {foreign[0]} at character {place}"
     if (error.lineno or 1) > 1:
         return f"not an expression in its line {error.lineno}"
     if error.offset and error.offset <= len(text):

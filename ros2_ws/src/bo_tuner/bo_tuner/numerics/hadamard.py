@@ -17,8 +17,8 @@ def screening_design(factors: int, rng: np.random.Generator) -> Array:
 
     Each level is in half of the runs of each factor, the columns are orthogonal, and since the
     mirror image of each run is a run, too, no effect of a factor is mixed with one of two together.
-    Which factor has which column, and which level is up, is drawn: what three or more have in
-    common then looks like noise, not like the effect of a certain factor.
+    Which factor has which column, and which of its levels is 1, is drawn: an interaction of three
+    or more then adds noise to the effects, and not to that of a certain factor.
 
     Parameters
     ----------

@@ -40,14 +40,14 @@ class LinearEffect:
     Attributes
     ----------
     p_value
-        Probability of as large an F of a factor that does nothing; 1 if the data cannot tell.
+        Probability of as large an F of a factor that does nothing; 1 if no effect can be estimated.
     change
         The contrast that is largest in size, in the unit of the response; 0 if none is known.
     contrast
         Its number.
     visible
         Smallest effect that would have been seen with the probability `POWER`, in that unit, if the
-        noise is as estimated; 0 without noise, infinite if the data cannot tell.
+        noise is as estimated; 0 without noise, infinite if no effect can be estimated.
     noise
         Standard deviation of the noise, in that unit.
     """
@@ -61,7 +61,7 @@ class LinearEffect:
 
 NOTHING_KNOWN = LinearEffect(1.0, 0.0, 0, float("inf"), float("nan"))
 NO_EFFECT = LinearEffect(1.0, 0.0, 0, 0.0, 0.0)
-"""That on a response without noise which never changes."""
+"""The effect of a factor on a response without noise that never changes."""
 
 
 def linear_effect(
@@ -88,18 +88,18 @@ def linear_effect(
     level
         Probability that a factor that does nothing is taken for one that does.
     spent
-        Degrees of freedom that were spent on what the responses were whitened with.
+        Degrees of freedom that were spent on estimating the whitening of the responses.
     """
     basis, values, _ = np.linalg.svd(others, full_matrices=False)
     basis = basis[:, values > ROUNDING * max(float(values.max(initial=0.0)), 1.0)]
     rest = response - basis @ (basis.T @ response)
     own = factor - basis @ (basis.T @ factor)
     u, sizes, vt = np.linalg.svd(own, full_matrices=False)
-    told = sizes > ROUNDING * max(float(sizes.max(initial=0.0)), 1.0)
-    rank, degrees = int(told.sum()), len(response) - basis.shape[1] - int(told.sum())
+    nonzero = sizes > ROUNDING * max(float(sizes.max(initial=0.0)), 1.0)
+    rank, degrees = int(nonzero.sum()), len(response) - basis.shape[1] - int(nonzero.sum())
     if rank == 0 or degrees < 1:
         return NOTHING_KNOWN
-    u, sizes, vt = u[:, told], sizes[told], vt[told]
+    u, sizes, vt = u[:, nonzero], sizes[nonzero], vt[nonzero]
     explained = u.T @ rest
     known = contrasts @ vt.T
     changes = known @ (explained / sizes)

@@ -1,10 +1,10 @@
 """How a certificate shows that a mean over noise is within a limit: by what is known of the noise.
 
-Of a metric with a declared range, bets on its values show it, exactly, whatever the noise is. Else
-two tests must both show it: the t mixture of `sequential`, which is exact for normal noise, and the
-same with the statistic of a shifted log-normal law (`numerics.skewed_means`), which is more skewed
-than the sample. Rare values far beyond all that was seen are in neither; no test without a range
-is safe from them.
+For a metric with a declared range, bets on its values show it, exactly, whatever the noise is.
+Without a range two tests must both show it: the t mixture of `sequential`, which is exact for
+normal noise, and the same mixture with the statistic of a shifted log-normal law that is more
+skewed than the sample (`numerics.skewed_means`). Neither covers rare values far beyond all that was
+seen; no test without a range can.
 """
 
 from collections.abc import Callable
@@ -21,33 +21,33 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
 
-LOOK = 1.05
+GROWTH = 1.05
 """Factor between the numbers of values at which a skewed law is fitted: each fit takes time."""
 
 FEWEST = 5
-"""Values of the first fit."""
+"""Number of values at the first fit."""
 
 HALVINGS = 60
 """Steps of a bisection for a bound."""
 
 
 Reaches = Callable[[float, float], bool]
-"""Whether the evidence that an expectation is less than a mean reaches a log evidence: its
-arguments. Monotone in the mean."""
+"""Takes a mean and a log evidence; whether the evidence that the expectation is less than the mean
+reaches it. Monotone in the mean."""
 
 
 class MeanTest(Protocol):
     """Shows that the expectation of values is small."""
 
     def of(self, values: Array, least: int) -> Reaches:
-        """Return what values show at any time up to now.
+        """Return the test of what the values have shown after any of them.
 
         Parameters
         ----------
         values
             Shape (n,), n > 0, in their order.
         least
-            Values behind the first evidence that counts.
+            Number of values from which on the evidence counts.
         """
 
     def fewest(self, limit: float, confidence: float) -> int:
@@ -68,11 +68,11 @@ class Betting:
     high: float
 
     def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
-        # It needs no values behind it: the range says how far rare ones are.
+        # `least` plays no part: the range bounds rare values, so all evidence counts.
         return lambda mean, enough: bool((log_wealth(values, mean, self.high) >= enough).any())
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
-        # Those that are all at the lower end.
+        # The quickest are values that are all at the lower end.
         most = 1
         while True:
             evidence = log_wealth(np.full(most, self.low), limit, self.high)
@@ -98,7 +98,7 @@ class NormalOrSkewed:
         def reaches(mean: float, enough: float) -> bool:
             normal = log_mean_evidence(values, mean)[least - 1 :]
             return bool((normal >= enough).any()) and any(
-                skewed(mean, n) >= enough for n in reversed(_looks(least, len(values)))
+                skewed(mean, n) >= enough for n in reversed(_fitted_numbers(least, len(values)))
             )
 
         return reaches
@@ -112,7 +112,7 @@ def is_mean_shown(
 ) -> bool:
     """Return whether values show with `confidence` that their expectation is within `limit`.
 
-    What earlier ones have shown, all of them together must not contradict.
+    Evidence after fewer values counts as well, unless the mean of all of them is beyond the limit.
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def is_mean_shown(
     confidence
         Between 0 and 1.
     test
-        By what is known of the values.
+        The test, by what is known of the values.
     least
-        As in `MeanTest.of`.
+        Number of values from which on the evidence counts.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample) or float(sample.mean()) > limit:
@@ -136,8 +136,8 @@ def is_mean_shown(
 def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int = 1) -> float:
     """Return the upper confidence bound of the expectation, infinite where there is none yet.
 
-    It is not below the mean of the values, whatever earlier ones have shown. The arguments are as
-    in `is_mean_shown`.
+    It is not below the mean of the values, whatever earlier ones have shown. `values` (n,) are in
+    their order, and `least` is the number from which on the evidence of `test` counts.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample):
@@ -159,11 +159,11 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int 
     return high
 
 
-def _looks(least: int, most: int) -> list[int]:
-    """Return numbers of values, each by `LOOK` larger than the one before, of those possible."""
-    found, n = [], FEWEST
+def _fitted_numbers(least: int, most: int) -> list[int]:
+    """Return the numbers of values that a law is fitted to, each `GROWTH` times the one before."""
+    sizes, n = [], FEWEST
     while n <= most:
         if n >= least:
-            found.append(n)
-        n = max(n + 1, round(n * LOOK))
-    return found
+            sizes.append(n)
+        n = max(n + 1, round(n * GROWTH))
+    return sizes

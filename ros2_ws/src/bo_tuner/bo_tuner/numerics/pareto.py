@@ -15,5 +15,5 @@ def nondominated(costs: Array) -> NDArray[np.bool_]:
     at_least_as_good = (costs[:, None, :] <= costs[None, :, :]).all(axis=2)
     equal = (costs[:, None, :] == costs[None, :, :]).all(axis=2)
     earlier = np.tri(len(costs), k=-1, dtype=bool).T
-    found: NDArray[np.bool_] = ~(at_least_as_good & (~equal | earlier)).any(axis=0)
-    return found
+    undominated: NDArray[np.bool_] = ~(at_least_as_good & (~equal | earlier)).any(axis=0)
+    return undominated

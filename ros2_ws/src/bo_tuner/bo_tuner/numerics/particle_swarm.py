@@ -105,8 +105,8 @@ def maximize(
         Draws the start and the moves.
     improved : callable, optional
         Maps values, shape (m,), and positions, shape (m, d), to the objective where it exceeds the
-        value, and to anything that does not exceed it elsewhere, if that costs less. A particle
-        needs to know no more of where it goes than whether that is better than all before.
+        value; where it does not, to any number up to the value, if that costs less. A particle
+        needs to know only whether a position is better than all its positions before.
     repair : callable, optional
         Maps positions, shape (m, d), to the nearest admissible ones (rounded integers, order
         constraints) in the cube.
@@ -154,8 +154,8 @@ def _identity(position: Array) -> Array:
 
 def _numbers(values: Array) -> Array:
     """Return values (m,), with -inf for NaN."""
-    found = np.asarray(values, dtype=np.float64)
-    return np.where(np.isnan(found), -np.inf, found)
+    numbers = np.asarray(values, dtype=np.float64)
+    return np.where(np.isnan(numbers), -np.inf, numbers)
 
 
 def _move(

@@ -5,7 +5,7 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 
 AT_ONCE = 1_000_000
-"""Pairs of a point and a piece that are looked at together, for the sake of memory."""
+"""Pairs of a point and a piece that are computed together, which limits the memory."""
 
 
 def distances(points: Array, vertices: Array) -> Array:
@@ -22,14 +22,14 @@ def distances(points: Array, vertices: Array) -> Array:
     if not len(along):
         begin, along = vertices, np.zeros_like(vertices)
     length = np.square(along).sum(axis=1)
-    # A piece without length is its beginning.
+    # A piece without length is a point: its beginning.
     length[length == 0.0] = 1.0
-    found = np.empty(len(points))
+    nearest = np.empty(len(points))
     step = max(AT_ONCE // len(along), 1)
     for first in range(0, len(points), step):
-        some = points[first : first + step]
-        away = some[:, None, :] - begin  # (k, m - 1, d)
+        batch = points[first : first + step]
+        away = batch[:, None, :] - begin  # (k, m - 1, d)
         share = np.clip((away * along).sum(axis=2) / length, 0.0, 1.0)
         rest = away - share[:, :, None] * along
-        found[first : first + step] = np.sqrt(np.square(rest).sum(axis=2)).min(axis=1)
-    return found
+        nearest[first : first + step] = np.sqrt(np.square(rest).sum(axis=2)).min(axis=1)
+    return nearest

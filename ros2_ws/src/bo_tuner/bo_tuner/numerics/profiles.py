@@ -1,13 +1,13 @@
 """References over time: functions of the time since they began, vectorised.
 
-What has an end stays at the value that it ends with. Phases are in rad, frequencies in Hz, and
+After its end a reference keeps its last value. Phases are in rad, frequencies in Hz, and
 oscillations are sines, so that they begin at their offset.
 
 References
 ----------
 - M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low
   autocorrelation, IEEE Transactions on Information Theory 16 (1970) 85-89: the phases of a
-  multisine whose peak is low for its power.
+  multisine with a peak that is low for its power.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def chirp(
     offset: float,
     logarithmic: bool,
 ) -> Array:
-    """Return a sine whose frequency goes from one [Hz] to another one within `duration` [s] (n,).
+    """Return a sine with a frequency that goes from one [Hz] to another in `duration` [s] (n,).
 
     The phase is the integral of the frequency, which is linear in time, or exponential if it is to
     take as long for each octave.

@@ -15,7 +15,7 @@ from bo_tuner.numerics.arrays import Array
 
 
 class EmptyArrayError(ValueError):
-    """There is no such number of an array without items."""
+    """A number such as the smallest one is not defined for an array without items."""
 
 
 def finite(values: Array) -> Array:
@@ -49,13 +49,13 @@ def norm(values: Array) -> float:
 
 
 def roll(quaternion: Array) -> float:
-    """Angle about the x axis [rad], -π to π, as `yaw`."""
+    """Angle about the x axis [rad], -π to π, of a quaternion (4,) as x, y, z, w (REP 103)."""
     x, y, z, w = _unit(quaternion)
     return atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
 
 
 def pitch(quaternion: Array) -> float:
-    """Angle about the y axis [rad], -π/2 to π/2, as `yaw`."""
+    """Angle about the y axis [rad], -π/2 to π/2, of a quaternion (4,) as x, y, z, w (REP 103)."""
     x, y, z, w = _unit(quaternion)
     # Rounding must not lead out of the domain.
     return float(np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)))
@@ -64,7 +64,7 @@ def pitch(quaternion: Array) -> float:
 def yaw(quaternion: Array) -> float:
     """Angle about the z axis [rad], -π to π, of a rotation about the fixed axes x, y, z (REP 103).
 
-    The quaternion (4,) is (x, y, z, w), of any length but 0, of which the angle is NaN.
+    The quaternion (4,) is (x, y, z, w), of any length; if that is 0, the angle is NaN.
     """
     x, y, z, w = _unit(quaternion)
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -73,15 +73,15 @@ def yaw(quaternion: Array) -> float:
 REDUCTIONS: Mapping[str, Callable[[Array], float]] = MappingProxyType(
     {"min": minimum, "max": maximum, "mean": mean, "sum": total, "norm": norm}
 )
-"""Of arrays (n,), by the name that a field of a study has for them."""
+"""Functions of an array (n,), by their names in a field of a study."""
 FILTERS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     {"abs": np.abs, "finite": finite}
 )
-"""From an array to another one, within a reduction."""
+"""Functions from an array to another one, for the argument of a reduction."""
 ANGLES: Mapping[str, Callable[[Array], float]] = MappingProxyType(
     {"roll": roll, "pitch": pitch, "yaw": yaw}
 )
-"""Of a quaternion (4,)."""
+"""Functions of a quaternion (4,)."""
 
 
 def _some(values: Array) -> Array:

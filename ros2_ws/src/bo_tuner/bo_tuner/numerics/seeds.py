@@ -1,6 +1,6 @@
 """Random generators and noise seeds, derived from the study's seed and the purpose of a draw.
 
-A draw depends on its trial and evaluation, never on the order of work.
+A draw depends on its trial and evaluation, never on the order in which they are run.
 """
 
 from enum import IntEnum

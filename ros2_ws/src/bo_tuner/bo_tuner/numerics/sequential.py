@@ -1,9 +1,9 @@
 """Confidence bounds that hold after every evaluation at once (anytime-valid).
 
-A bound for a fixed number n of draws may be looked at once: whoever looks after each draw and stops
-at the first good bound is wrong far more often than stated. The bounds here come from a test
-martingale, a non-negative process E_n that has expectation 1 at most if the hypothesis is true. By
-Ville's inequality it ever reaches 1/α with probability α at most, whenever one looks and stops. So
+A bound for a fixed number n of draws holds if it is computed once: whoever computes it after each
+draw and stops at the first good one is wrong far more often than stated. The bounds here come from
+a test martingale, a non-negative process E_n that has expectation 1 at most if the hypothesis is
+true. By Ville's inequality it ever reaches 1/α with probability α at most, however one stops. So
 an evaluation may end as soon as the evidence suffices, and be continued as long as it does not.
 
 *Probability.* The hypothesis is q ≥ p, with k events among n draws. The likelihood ratio of q' < p
@@ -94,7 +94,7 @@ def log_mean_evidence(values: ArrayLike, mean: ArrayLike) -> Array:
     s = first - n * (m - shift)
     v = np.maximum(second - 2.0 * (m - shift) * first + n * (m - shift) ** 2, s**2 / n)
     rest = v - s**2 / (n + 1.0)
-    # All values equal to m tell nothing.
+    # Values that all equal m are no evidence.
     known = rest > 0.0
     rest = np.where(known, rest, 1.0)
     ratio = np.where(known, v, 1.0) / rest
@@ -102,7 +102,7 @@ def log_mean_evidence(values: ArrayLike, mean: ArrayLike) -> Array:
 
 
 def log_t_evidence(t: float, n: int) -> float:
-    """Return log E_n of n values whose t statistic, of a hypothetical mean, is `t`."""
+    """Return log E_n of n values with the t statistic `t` of a hypothetical mean."""
     if not np.isfinite(t):
         return np.inf if t < 0.0 else -np.inf
     share = t * t / (n - 1.0 + t * t)
@@ -121,24 +121,26 @@ def _evidence_of_ratio(above: ArrayLike, ratio: Array, n: Array) -> Array:
 
 
 def probability_bounds(events: ArrayLike, confidence: float) -> Array:
-    """Return upper confidence bounds of a probability after each draw, shape (n,).
+    """Return upper confidence bounds of an event's probability after each draw, shape (n,).
 
     All of them hold at once with `confidence`, so each is the lowest so far, but not below the
-    share of the events: draws that are not alike, as on a machine that warms up, can take it
-    beyond an earlier bound.
+    share of the events: if the probability drifts, as on a machine that warms up, the share can
+    exceed an earlier bound.
 
     Parameters
     ----------
     events
-        As in `log_evidence`.
+        Whether each draw had the event, shape (n,), in the order of the draws.
     confidence
         Between 0 and 1.
     """
     happened = np.asarray(events, dtype=bool)
     n = np.arange(1.0, len(happened) + 1.0)
     share = np.cumsum(happened) / n
-    found = _largest(lambda p: log_evidence(happened, p), share, np.ones(len(happened)), confidence)
-    bounds: Array = np.maximum(np.minimum.accumulate(found), share)
+    largest = _largest(
+        lambda p: log_evidence(happened, p), share, np.ones(len(happened)), confidence
+    )
+    bounds: Array = np.maximum(np.minimum.accumulate(largest), share)
     return bounds
 
 
@@ -146,12 +148,13 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     """Return upper confidence bounds of a normal mean after each value, shape (n,).
 
     All of them hold at once with `confidence`, so each is the lowest so far, but not below the
-    mean of the values, as in `probability_bounds`. The first ones can be infinite.
+    mean of the values, which can exceed an earlier bound if it drifts. The first ones can be
+    infinite.
 
     Parameters
     ----------
     values
-        As in `log_mean_evidence`.
+        Shape (n,), in their order.
     confidence
         Between 0 and 1.
     least
@@ -167,14 +170,14 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     far = mean + 1e6 * np.maximum(spread, 1e-9 * np.maximum(np.abs(mean), 1.0))
     never = log_mean_evidence(sample, far) < log(1.0 / (1.0 - confidence))
     never[: least - 1] = True
-    found = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
-    return np.maximum(np.minimum.accumulate(np.where(never, np.inf, found)), mean)
+    largest = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
+    return np.maximum(np.minimum.accumulate(np.where(never, np.inf, largest)), mean)
 
 
 def is_shown(events: Sequence[bool], allowed: float, confidence: float) -> bool:
     """Return whether draws show with `confidence` that an event has at most `allowed`.
 
-    What earlier ones have shown, all of them together must not contradict.
+    Evidence after fewer draws counts as well, unless the share of all of them exceeds `allowed`.
     """
     share = float(np.mean(np.asarray(events, dtype=bool))) if len(events) else 0.0
     return share <= allowed and _reached(log_evidence(events, allowed), confidence)
@@ -194,7 +197,7 @@ def is_mean_refuted(values: ArrayLike, limit: float, confidence: float) -> bool:
 def is_hopeless(events: Sequence[bool], most: int, allowed: float, confidence: float) -> bool:
     """Return whether draws cannot show an `allowed` probability any more, up to `most` of them.
 
-    As if no further draw had the event.
+    For this the event is taken to be absent from all further draws.
     """
     future = [*events, *[False] * (most - len(events))]
     return not is_shown(future, allowed, confidence)
@@ -208,7 +211,7 @@ def draws_needed(allowed: float, confidence: float) -> int:
     allowed
         The probability, between 0 and 1.
     confidence
-        As in `probability_bounds`.
+        Between 0 and 1.
     """
 
     def shown(draws: int) -> bool:
@@ -228,9 +231,9 @@ FIRST = 0.8
 def spent(confidence: float, attempt: int, subjects: int = 1) -> float:
     """Return the confidence for one attempt of many, counted from 1, that have `confidence` in all.
 
-    Most are certified once: the first attempt gets the share `FIRST` of the error probability, and
-    attempt j > 1 the share 1 / (j (j - 1)) of the rest; the shares sum to one. The parameter sets
-    that an attempt judges, `subjects`, divide its share.
+    Most studies are certified once, so the first attempt gets the share `FIRST` of the error
+    probability, and attempt j > 1 the share 1 / (j (j - 1)) of the rest; the shares sum to one.
+    The share of an attempt is divided among its `subjects`, the parameter sets that it judges.
     """
     share = FIRST if attempt == 1 else (1.0 - FIRST) / (attempt * (attempt - 1))
     return 1.0 - (1.0 - confidence) * share / subjects

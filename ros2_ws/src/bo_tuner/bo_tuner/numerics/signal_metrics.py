@@ -24,15 +24,15 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 
 STEADY_SHARE = 0.1
-"""Share of the run, at its end, whose mean is the steady state."""
+"""Share of the run, at its end, over which the mean is the steady state."""
 ROUNDING = 1e-9
 """Relative error that sums of very many times may have."""
 LEAST_STEP = 0.01
-"""Least size of a step, as a share of the range of the signal, of which progress is judged."""
+"""Least size of a step that has a progress, as a share of the range of the signal."""
 LEAST_STEP_IN_NOISE = 3.0
 """Least size of a step, in changes from sample to sample of a signal that is mostly noise."""
 ENOUGH_CHANGES = 10
-"""Changes of a signal from which on the size of a typical one is known."""
+"""Number of changes of a signal from which on the size of a typical one is known."""
 
 
 class UndefinedMetricError(ValueError):
@@ -88,7 +88,7 @@ def percentile(time: Array, value: Array, *, percent: float) -> float:
     widths = np.diff(time)
     order = np.argsort(value[:-1])
     elapsed = np.cumsum(widths[order])
-    # The rounding error of the sums must not make it the next value, nor 100 % unreachable.
+    # The rounding error of the sums must not lead to the next value, nor put 100 % out of reach.
     share = percent / 100.0 * (1.0 - ROUNDING)
     wanted = min(share * _positive_duration(time), float(elapsed[-1]))
     return float(value[order[np.searchsorted(elapsed, wanted)]])
@@ -97,7 +97,7 @@ def percentile(time: Array, value: Array, *, percent: float) -> float:
 def overshoot(time: Array, value: Array, *, target: float) -> float:
     """How far a step goes beyond its target [% of the step]; 0 if it does not [2]_.
 
-    The step is from the first value to `target`; undefined without a step, see `_progress`.
+    The step is from the first value to `target`; undefined if they differ by nothing but noise.
     """
     return max(0.0, 100.0 * (float(_progress(value, target).max()) - 1.0))
 
@@ -133,7 +133,7 @@ def steady_state_error(time: Array, value: Array, *, target: float) -> float:
     Undefined without duration.
     """
     begin = time[-1] - STEADY_SHARE * _positive_duration(time)
-    # From the last sample before, whose value holds at the beginning of the tenth.
+    # The first sample is the last one before the tenth: its value holds at the beginning.
     first = int(np.searchsorted(time, begin, side="right")) - 1
     times = np.concatenate(([begin], time[first + 1 :]))
     return abs(target - mean(times, value[first:]))

@@ -1,12 +1,11 @@
 """Evidence on the mean of a skewed quantity: a log-normal one, shifted by an unknown amount.
 
-The t statistic takes the noise for normal. Of a quantity with rare large values a sample has often
-none, and then both its mean and its deviation are too small. Here x - θ is taken to be log-normal.
-The shift θ is the one at which log(x - θ) has a skewness of one standard error to the left: of the
-laws of this family that agree with the sample, one of the most skewed; but not so near to the
-smallest value that the law is far more skewed than the sample, as that of two values would be. With
-n values, the mean and variance of log(x - θ) give the signed root of the likelihood ratio that the
-mean of x is m,
+The t statistic takes the noise for normal. A sample of a quantity with rare large values often has
+none of them, and then both its mean and its deviation are too small. Here x - θ is taken to be
+log-normal. The shift θ is the one at which log(x - θ) has a skewness of one standard error to the
+left: of the laws of this family that agree with the sample, one of the most skewed. But θ stays so
+far from the smallest value that the law is not far more skewed than the sample. With n values, the
+mean and variance of log(x - θ) give the signed root of the likelihood ratio that x has the mean m,
 
     r² = n min_v (log v + (v̂ + (D + v/2)²) / v) - n (log v̂ + 1),   D = mean(log((x - θ) / (m - θ))),
 
@@ -32,11 +31,11 @@ ERRORS = 1.0
 """Standard errors of the skewness by which the law may be more skewed than the sample."""
 
 TIMES = 3.0
-"""How many times as skewed as the sample, two standard errors added, the law may be. Of a law with
-rare large values the skewness of a sample is too small by such a factor."""
+"""How many times as skewed as the sample, two standard errors added, the law may be: if a law has
+rare large values, the skewness of a sample is too small by such a factor."""
 
 STEPS = 32
-"""Of the bisection for the shift."""
+"""Steps of the bisection for the shift."""
 
 EQUAL = 1e-12
 """Standard deviation, in sizes of the values, up to which they differ by rounding alone."""
@@ -47,7 +46,7 @@ NEAREST, FARTHEST = 1e-9, 1e4
 
 @dataclass(frozen=True)
 class LogNormalFit:
-    """What a sample tells of a shifted log-normal law.
+    """Fit of a shifted log-normal law to a sample.
 
     Attributes
     ----------

@@ -54,6 +54,6 @@ def total_indices(function: Callable[[Array], Array], dimension: int) -> Array:
     if np.var(f_a) <= FLAT * max(float(np.mean(f_a**2)), np.finfo(float).tiny):
         return np.full(dimension, np.nan)
     f_ab = function(mixed.reshape(-1, dimension)).reshape(dimension, 1, POINTS)
-    found = sobol_indices(func={"f_A": f_a[None], "f_B": f_b[None], "f_AB": f_ab}, n=POINTS)
-    totals: Array = np.asarray(found.total_order, dtype=np.float64).ravel()
+    indices = sobol_indices(func={"f_A": f_a[None], "f_B": f_b[None], "f_AB": f_ab}, n=POINTS)
+    totals: Array = np.asarray(indices.total_order, dtype=np.float64).ravel()
     return totals

@@ -70,9 +70,8 @@ def log_h(z: Array) -> Array:
 def log_expected_improvement(mean: Array, variance: Array, best: float) -> Array:
     """Return log E[max(best - f, 0)] (m,) for f ~ N(mean, variance): improvement is a lower value.
 
-    The variance (m,) is in the squared unit of the mean (m,), and the improvement, whose logarithm
-    this is, in that unit. -inf where the variance is zero, since a known value is not worth an
-    evaluation.
+    The variance (m,) is in the squared unit of the mean (m,), and the improvement in that unit. It
+    is -inf where the variance is zero, since a known value is not worth an evaluation.
     """
     known = variance <= 0.0
     sd = np.sqrt(np.where(known, 1.0, variance))

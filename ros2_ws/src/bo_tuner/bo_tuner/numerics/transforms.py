@@ -109,7 +109,7 @@ class _Link:
             self.stamps.clear()
             self.poses[:] = [pose]
             return
-        # What was said of later times holds no more, as of a simulation that was reset.
+        # Later stamps are void: the time went back, as in a simulation that was reset.
         keep = 0 if not self.stamps else bisect_right(self.stamps, stamp - 1)
         del self.stamps[keep:], self.poses[keep:]
         self.stamps.append(stamp)
@@ -133,7 +133,7 @@ class _Link:
 
 
 class TransformTree:
-    """Frames and where they are in their parents, as messages tell of them."""
+    """Frames and their poses in their parents, from the messages that announce them."""
 
     def __init__(self) -> None:
         self._links: dict[str, _Link] = {}
@@ -148,11 +148,11 @@ class TransformTree:
         parent, child
             Names of the frames.
         stamp
-            When it was true [ns]; `STILL` if it always is.
+            The time [ns] at which it was true; `STILL` if it always is.
         pose
             The pose.
         publisher
-            Who says so; empty if that is not known.
+            The node that published it; empty if that is not known.
         """
         link = self._links.get(child)
         if link is None or link.parent != parent:
@@ -163,7 +163,7 @@ class TransformTree:
             link.publishers.add(publisher)
 
     def begin(self) -> None:
-        """Forget who has said anything."""
+        """Forget the publishers."""
         for link in self._links.values():
             link.publishers.clear()
 
@@ -194,15 +194,15 @@ class TransformTree:
         links = [self._links[child] for child in (*up, *down)]
         common = min((link.stamps[-1] for link in links if link.stamps), default=0)
         poses = [link.at(common) for link in links]
-        found = IDENTITY
+        composed = IDENTITY
         for pose, downward in zip(poses, [False] * len(up) + [True] * len(down), strict=True):
             if pose is None:
                 return None
-            found = found @ (pose if downward else pose.inverse)
-        return common, found
+            composed = composed @ (pose if downward else pose.inverse)
+        return common, composed
 
     def publishers(self, target: str, source: str) -> dict[str, set[str]]:
-        """Return who has told of each frame on the way from `target` to `source`."""
+        """Return the publishers of each frame on the way from `target` to `source`."""
         up, down = self._chain(target, source) or ([], [])
         return {child: self._links[child].publishers for child in (*up, *down)}
 

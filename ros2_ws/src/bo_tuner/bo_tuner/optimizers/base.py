@@ -29,7 +29,7 @@ class Proposal:
     warnings
         Numerical problems while it was proposed, one line each.
     hyperparameters
-        As in `Trial`.
+        Logarithms of the hyperparameters behind the proposal, by model name.
     protocol
         Evaluations of the trial: in drawn contexts, and those in the worst one. By default as the
         study and the algorithm have it.
@@ -58,8 +58,8 @@ class Optimizer(Protocol):
         Parameters
         ----------
         pending
-            Trials that were proposed after those told, and whose results are not known yet, in
-            their order. Their evaluations are planned ones, in the contexts that they begin in.
+            Trials that were proposed later and have no results yet, in their order. Their
+            evaluations are planned ones, in the contexts that they begin in.
         """
 
     def tell(self, trial: Trial) -> None:
@@ -118,9 +118,9 @@ class DesignedOptimizer:
         return self.space.key(parameters) in self._keys or self._awaits(parameters)
 
     def has_judged(self, parameters: Mapping[str, Value]) -> bool:
-        """Return as `has_tried`, but for trials that were disturbed.
+        """Return whether an undisturbed or a pending trial has the same parameter set.
 
-        Of one that was disturbed the models know nothing, so it may be what they propose again.
+        The models know nothing of a disturbed trial, so they may propose it again.
         """
         return self.space.key(parameters) in self._judged or self._awaits(parameters)
 

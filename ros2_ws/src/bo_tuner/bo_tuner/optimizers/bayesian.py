@@ -130,14 +130,15 @@ class AcquisitionSearch:
 
         Parameters
         ----------
-        avoid, reinterpolate
-            As in `constrained_improvement`.
-
+        avoid
+            Largest probability of a failure.
+        reinterpolate
+            Whether the improvement is under the reinterpolation model.
         """
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
         )
-        found = maximize(
+        maximum = maximize(
             acquisition,
             self._space.dimension,
             self._rng,
@@ -146,7 +147,7 @@ class AcquisitionSearch:
             initial=self._starts,
         )
         is_gain = acquisition.expected and self.incumbent is not None
-        return Maximum(found.position, found.value, found.value if is_gain else None)
+        return Maximum(maximum.position, maximum.value, maximum.value if is_gain else None)
 
 
 class BayesianOptimization(DesignedOptimizer, Generic[S]):
@@ -180,7 +181,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         return self.initial() or self.propose(self._most_promising)
 
     def propose(self, points: PointRule[S], protocol: tuple[int, int] | None = None) -> Proposal:
-        """Propose the first of `points` that was not tried before; `protocol` as in `Proposal`.
+        """Propose the first of `points` that was not tried before, evaluated by `protocol`.
 
         The proposal is a point far from all tried ones (origin ``space-filling``) if there is none,
         or if the computation fails numerically; a failure is also reported in the warnings.
@@ -226,18 +227,18 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
         avoid = self.avoid
-        found = search.maximize(avoid=avoid)
-        if not np.isfinite(found.value):
+        maximum = search.maximize(avoid=avoid)
+        if not np.isfinite(maximum.value):
             # Every point is near a failure or an outlier: rank them by Eq. 5 without the cutoff.
             avoid = 1.0
-            found = search.maximize(avoid=avoid)
+            maximum = search.maximize(avoid=avoid)
         origin = ACQUISITION
         model = surrogates.objective
-        if model is not None and found.is_negligible(model.scale):
-            found = search.maximize(avoid=avoid, reinterpolate=False)
+        if model is not None and maximum.is_negligible(model.scale):
+            maximum = search.maximize(avoid=avoid, reinterpolate=False)
             origin = REFINEMENT
-        if np.isfinite(found.value):
-            yield found.position, origin
+        if np.isfinite(maximum.value):
+            yield maximum.position, origin
 
     @property
     def avoid(self) -> float:

@@ -149,7 +149,7 @@ class Ranking(Generic[S_co]):
         trials
             All trials so far.
         start
-            Hyperparameters for many trials that have recorded none, as in random search; by default
+            Hyperparameters for many trials that have recorded none (random search); by default
             those of a fit to `FITTED_EACH` trials, evenly chosen.
         """
         rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
@@ -157,8 +157,8 @@ class Ranking(Generic[S_co]):
         weights = equal_weights(count) if count > 1 else None
         known = self.start(trials)
         if len(trials) > FITTED_EACH and not known:
-            some = trials[:: -(-len(trials) // FITTED_EACH)]
-            known = start or self.fit(study, some, rng=rng, weights=weights).warm_starts
+            subset = trials[:: -(-len(trials) // FITTED_EACH)]
+            known = start or self.fit(study, subset, rng=rng, weights=weights).warm_starts
         return self.fit(study, trials, rng=rng, start=known, weights=weights)
 
     def rank(self, study: Study, trials: Sequence[Trial]) -> list[Candidate]:
@@ -187,7 +187,7 @@ class Ranking(Generic[S_co]):
     def ranked_by(
         self, models: Surrogates, study: Study, trials: Sequence[Trial]
     ) -> list[Candidate]:
-        """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
+        """Rank trials, see `rank`, by surrogates that were fitted to them."""
         estimates = _Estimates(models, study, self.required)
         complete = self.comparable(models, trials)
         blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
@@ -209,8 +209,8 @@ class Ranking(Generic[S_co]):
             if first and first[0].believed_feasible and first[0].score < cost[order[k]]:
                 break
             # In the order of the run, as `ranked_by` has a single block.
-            found = estimates.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
-            first = [min(first + found, key=_place)]
+            block = estimates.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
+            first = [min(first + block, key=_place)]
         return first[0]
 
     def lowest_cost(
@@ -296,7 +296,7 @@ class _Estimates:
         feasibility = self.feasibility(trials)
         excess = relative_excess(models, x)
         estimates = self._of_each(x)
-        found = []
+        candidates = []
         for k, trial in enumerate(trials):
             if not self._several:
                 objective = float(study.objective.from_cost(cost[k]))
@@ -305,7 +305,7 @@ class _Estimates:
             else:
                 # The cost is that of the compromise, which has no unit.
                 objective = float(np.mean(trial.observations(study.objective.metric)))
-            found.append(
+            candidates.append(
                 Candidate(
                     trial=trial,
                     objective=objective,
@@ -317,11 +317,11 @@ class _Estimates:
                     estimates=estimates[k],
                 )
             )
-        return found
+        return candidates
 
     def _of_each(self, x: Array) -> list[dict[str, Estimate]]:
         """Return the estimates of several objectives at x (m, d), as far as they are modelled."""
-        found: list[dict[str, Estimate]] = [{} for _ in x]
+        by_point: list[dict[str, Estimate]] = [{} for _ in x]
         for objective in self._study.objectives if self._several else ():
             model = self._models.costs.get(objective.metric)
             if model is None:
@@ -329,9 +329,9 @@ class _Estimates:
             cost, variance = model.predict(x)
             value, deviation = objective.from_cost(cost), np.sqrt(variance)
             error = deviation * np.abs(value) if objective.scale == LOG else deviation
-            for estimates, *of_point in zip(found, value.tolist(), error.tolist(), strict=True):
+            for estimates, *of_point in zip(by_point, value.tolist(), error.tolist(), strict=True):
                 estimates[objective.metric] = Estimate(*of_point)
-        return found
+        return by_point
 
     def _penalties(self, trials: Sequence[Trial], cost: Array) -> Array:
         """Return the penalties (n,) of trials with a `cost` (n,)."""
@@ -340,15 +340,15 @@ class _Estimates:
         if not len(owner):
             return np.zeros(len(trials))
         neighbours = np.vstack(around)
-        there = self._objective.predict_mean(neighbours)
-        loss = relative_loss(self._study, self._objective, there, cost[owner])
+        neighbour_cost = self._objective.predict_mean(neighbours)
+        loss = relative_loss(self._study, self._objective, neighbour_cost, cost[owner])
         lost = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
         lost = np.minimum(lost, LARGEST_PENALTY)
         count = np.bincount(owner, minlength=len(trials))
         return np.bincount(owner, lost, minlength=len(trials)) / np.maximum(count, 1)
 
     def _penalized(self, cost: Array, penalties: Array) -> Array:
-        """Return the cost (n,) that loses as much as the `penalties` (n,) say."""
+        """Return the cost (n,) worsened by the `penalties` (n,)."""
         if self._several:
             penalized: Array = cost + self._objective.scale * penalties
             return penalized

@@ -1,4 +1,4 @@
-"""The bag of one trial: rosbag2 in MCAP storage, metadata version 9 as in ROS 2 Jazzy and Kilted.
+"""The bag of one trial: rosbag2 in MCAP storage, metadata version 9 (ROS 2 Jazzy and Kilted).
 
 A bag is written to ``<name>.partial`` and renamed when it is whole. Each evaluation is a chunk of
 its own that is handed to the operating system as soon as it is written, so that a kill costs at
@@ -26,7 +26,7 @@ NOTES = "notes.json"
 METADATA_VERSION: Final = 9
 NANOSECONDS = 1_000_000_000
 
-# After the four bytes that tell the encoding; little-endian, as all machines that ROS runs on.
+# After the four bytes of the encoding; little-endian, like all machines that ROS runs on.
 _STAMP = Struct("<4xiI")
 
 
@@ -145,7 +145,7 @@ class TrialBag:
         messages
             Times [ns] and messages.
         notes
-            What to tell of the trial if the bag is never finished.
+            Metadata of the trial if the bag is never finished.
         """
         for time, (topic, data) in messages:
             connection = self._connections.get(topic.name)

@@ -110,7 +110,7 @@ class Recorder:
             self._batch.lost += count
 
     def evaluation(self, evaluation: Evaluation, recording: Recording = NOTHING_RECORDED) -> None:
-        """Tell that what came since the last call belongs to `evaluation`, and its signals."""
+        """Assign what came since the last call, and the signals, to `evaluation`."""
         self._submit(self._write, self._take_batch(), evaluation, recording)
 
     def forget(self) -> None:
@@ -120,12 +120,12 @@ class Recorder:
             self._waiting -= batch.size
 
     def trial(self, trial: Trial, best: bool) -> None:
-        """Tell that a trial is complete, and whether no other is better so far."""
+        """Note that a trial is complete, and whether no other is better so far."""
         self.wait_for_quiet()
         self._submit(self._finish, self._take_batch(), trial, best)
 
     def phase_ended(self) -> None:
-        """Tell that no evaluation of a check, or of the validation, is to come for now."""
+        """Note that no evaluation of a check, or of the validation, is to come for now."""
         self.wait_for_quiet()
         self._submit(self._finish_evidence, self._take_batch())
 
@@ -318,7 +318,7 @@ class Recorder:
         }
 
     def _abandon(self) -> None:
-        """Make of a trial that was cut short what a kill would leave."""
+        """Leave the bag of a trial that was cut short as a kill would leave it."""
         if self._bag is None or self._retention is None:
             return
         self._bag.abandon()

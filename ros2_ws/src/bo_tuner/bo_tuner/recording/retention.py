@@ -66,8 +66,8 @@ class RecordOptions:
 
 def badness(study: Study, trial: Trial) -> float:
     """How bad a complete trial is: its worst case, or its mean cost if the study has none."""
-    if (found := tightest(study, trial)) is not None:
-        return excess(*found)
+    if (tightest_constraint := tightest(study, trial)) is not None:
+        return excess(*tightest_constraint)
     mean = trial.mean(study.objective.metric)
     return -math.inf if mean is None else float(study.objective.sign * mean)
 
@@ -116,7 +116,7 @@ class Retention:
         return list(self._sizes)
 
     def reason(self, study: Study, trial: Trial, best: bool) -> Reason | None:
-        """Tell what makes a trial notable, if anything does.
+        """Return what makes a trial notable, if anything does.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ class Listener(Protocol):
     """Hands on what the nodes say, until it is closed."""
 
     def refresh(self) -> bool:
-        """Hear topics that were not there before, too; tells whether there were any."""
+        """Hear topics that were not there before, too; returns whether there were any."""
 
     def take(self) -> None:
         """Hand on what has come by now."""
@@ -48,7 +48,7 @@ class RunRecording(RunObserver):
         What to record.
     listen
         Makes the listener; None if there is nothing to hear.
-    tell
+    report
         Called with a line of text on each thing that goes wrong.
     signals
         Returns the signals of the last run.
@@ -60,14 +60,14 @@ class RunRecording(RunObserver):
         study: Study,
         options: RecordOptions,
         listen: Listen | None,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         signals: Callable[[], Recording] = lambda: NOTHING_RECORDED,
     ) -> None:
         self._folder = folder
         self._study = study
         self._options = options
         self._listen = listen
-        self._tell = tell
+        self._report = report
         self._signals = signals
         self._recorder: Recorder | None = None
         self._listener: Listener | None = None
@@ -113,7 +113,7 @@ class RunRecording(RunObserver):
     def planned(self, phase: str) -> None:
         """Let go of what came while a trial was proposed.
 
-        Elsewhere the last messages of the evaluation before are still on their way.
+        Only then: in other phases the last messages of an evaluation may still be on their way.
         """
         if phase == Phase.TUNING:
             self._forget()
@@ -149,7 +149,7 @@ class RunRecording(RunObserver):
     def _pass_news_on(self) -> None:
         news = self._recorder.news() if self._recorder is not None else []
         for text in news:
-            self._tell(text)
+            self._report(text)
             # On a full disk there is no log either; the run goes on.
             with (
                 contextlib.suppress(OSError),

@@ -139,13 +139,13 @@ def recorded_runs(bag: Path) -> Iterator[RecordedRun]:
 
 def _arrays(reader: Reader, topics: str) -> dict[str, list[Any]]:
     """Return the messages of the topics below a name, one a run, by the rest of their names."""
-    found: dict[str, list[Any]] = {}
+    messages: dict[str, list[Any]] = {}
     connections = [c for c in reader.connections if c.topic.startswith(topics)]
     if connections:
         for connection, _, raw in reader.messages(connections=connections):
             message = typestore().deserialize_cdr(raw, connection.msgtype)
-            found.setdefault(connection.topic.removeprefix(topics), []).append(message)
-    return found
+            messages.setdefault(connection.topic.removeprefix(topics), []).append(message)
+    return messages
 
 
 def _split(array: Any) -> tuple[bytes, ...]:

@@ -1,4 +1,4 @@
-"""Hears all topics of a study's nodes and of its signals: the graph tells names and types."""
+"""Hears all topics of a study's nodes and of its signals: the graph has names and types."""
 
 import threading
 import time
@@ -77,7 +77,7 @@ class TopicListener:
 
     def refresh(self) -> bool:
         """Subscribe to topics that were not there before; returns whether there were any."""
-        found: dict[str, str] = {}
+        types_of: dict[str, str] = {}
         for node in self._nodes:
             path = node if node.startswith("/") else f"{self._node.get_namespace()}/{node}"
             namespace, _, name = path.rpartition("/")
@@ -89,15 +89,15 @@ class TopicListener:
             except RuntimeError:
                 continue
             for topic, types in topics:
-                found.setdefault(topic, types[0])
+                types_of.setdefault(topic, types[0])
         known = dict(self._node.get_topic_names_and_types())
         for topic in map(self._node.resolve_topic_name, self._topics):
             if topic in known:
-                found.setdefault(topic, known[topic][0])
-        new = found.keys() - self._heard - {*NOT_HEARD}
+                types_of.setdefault(topic, known[topic][0])
+        new = types_of.keys() - self._heard - {*NOT_HEARD}
         for topic in sorted(new):
             self._heard.add(topic)
-            self._subscribe(topic, found[topic])
+            self._subscribe(topic, types_of[topic])
         return bool(new)
 
     def take(self) -> None:
@@ -173,13 +173,13 @@ class _Heard:
 
     def take(self) -> list[tuple[int, Topic, bytes]]:
         """Take the messages that wait, with the time of their arrival [ns]."""
-        found = []
+        taken = []
         handle = self.subscription.handle
         with handle:
             # Another may have joined, or left, since the subscription was made.
             publishers = handle.get_publisher_count()
             while (item := handle.take_message(self.subscription.msg_type, True)) is not None:
                 data, info = item
-                found.append((info["received_timestamp"], self.topic, data))
+                taken.append((info["received_timestamp"], self.topic, data))
                 self.lost.note(info["publication_sequence_number"], publishers)
-        return found
+        return taken

@@ -29,7 +29,7 @@ class Recomputed:
     run
         The run.
     outcome
-        As of an evaluation.
+        Of the recomputed metrics.
     """
 
     run: RecordedRun
@@ -37,7 +37,7 @@ class Recomputed:
 
 
 def check_recorded(record: RunRecord, study: Study) -> None:
-    """Refuse a study whose metrics a run's bags do not give.
+    """Refuse a study with metrics that a run's bags do not give.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def recompute(
 ) -> Iterator[Recomputed]:
     """Compute the metrics of a study for every run in the bags of a record, in their order.
 
-    Those that are relative to the default are left out, whose runs beside these are in no bag.
+    Metrics that are relative to the default are left out: the runs of the default are in no bag.
 
     Parameters
     ----------
@@ -78,18 +78,18 @@ def recompute(
     Raises
     ------
     RunRecordError
-        As `check_recorded`, or if there is no bag with signals.
+        If the bags do not give the study's metrics, or there is no bag with signals.
     """
     check_recorded(record, study)
     recording = NOTHING_RECORDED
-    found = False
+    any_run = False
     with signal_sources(study, lambda: recording, interrupted) as sources:
         collector = Collector(study, sources)
         for bag in sorted(filter(is_bag, (record.path / BAGS).glob("*"))):
             for run in recorded_runs(bag):
-                found, recording = True, run.recording
+                any_run, recording = True, run.recording
                 yield Recomputed(run, _outcome(study, run, collector))
-    if not found:
+    if not any_run:
         raise RunRecordError(
             f"{record.path}: has no bag with signals; tune with --record notable or all"
         )
@@ -108,9 +108,9 @@ def measure_again(record: RunRecord, study: Study) -> Measure:
     Raises
     ------
     RunRecordError
-        As `recompute`.
+        If the bags do not give the study's metrics, or there is no bag with signals.
     """
-    # What the default has beside an evaluation is in no bag.
+    # The default's runs beside the evaluations are in no bag.
     anew = [
         study.metrics[name]
         for name in remeasured(record.study, study)
@@ -127,18 +127,18 @@ def measure_again(record: RunRecord, study: Study) -> Measure:
     if reported:
         return partial(_from_reports, study, reported)
     runs = {
-        (found.run.trial, found.run.evaluation["index"]): found
-        for found in recompute(record, study)
-        if found.run.evaluation.get("stage") in TUNING
-        and found.run.evaluation.get("state") == EvaluationState.COMPLETE
+        (recomputed.run.trial, recomputed.run.evaluation["index"]): recomputed
+        for recomputed in recompute(record, study)
+        if recomputed.run.evaluation.get("stage") in TUNING
+        and recomputed.run.evaluation.get("state") == EvaluationState.COMPLETE
     }
 
     def measure(evaluation: Evaluation) -> Outcome | None:
-        found = runs.get((evaluation.trial, evaluation.index))
+        recomputed = runs.get((evaluation.trial, evaluation.index))
         # What the run has taken from another one is not in its bags.
-        if found is None or found.run.evaluation["metrics"] != evaluation.outcome.metrics:
+        if recomputed is None or recomputed.run.evaluation["metrics"] != evaluation.outcome.metrics:
             return None
-        return found.outcome
+        return recomputed.outcome
 
     return measure
 
@@ -168,21 +168,21 @@ def _source(signal: Signal) -> Signal:
     )
 
 
-def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:
-    """Return the metrics whose recomputed value is not the recorded one, of equal definitions.
+def differing(record: RunRecord, study: Study, recomputed: Recomputed) -> list[str]:
+    """Return the metrics of equal definition with another value than the recorded one.
 
-    Where the metrics of the run's own study cannot be computed any more, that is all of them.
+    If no metric of the run's own study can be computed any more, all of them differ.
     """
-    if not found.outcome.complete and study != record.study:
+    if not recomputed.outcome.complete and study != record.study:
         # A metric of the other study may be what failed.
         return []
     return [
         name
-        for name, value in found.run.evaluation.get("metrics", {}).items()
+        for name, value in recomputed.run.evaluation.get("metrics", {}).items()
         if name in study.metrics
         and name not in study.relative_metrics
         and _defined_alike(study.metrics[name], record.study.metrics.get(name))
-        and found.outcome.metrics.get(name) != value
+        and recomputed.outcome.metrics.get(name) != value
     ]
 
 

@@ -93,7 +93,7 @@ class Replay:
 def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """Run a recorded evaluation again: the same parameter set, context and seed.
 
-    A metric that is not reproducible, as one that depends on measured time or on signals over ROS,
+    A metric that is not reproducible, such as one of measured time or of signals over ROS,
     is judged only if both the record and the replay are in process, where nothing is measured.
 
     Parameters

@@ -44,7 +44,7 @@ class TrialOutcome(StrEnum):
 
 
 OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
-"""Outcomes of the trials that tell of their parameters."""
+"""Outcomes of trials that say something about their parameters."""
 
 
 K = TypeVar("K", bound=Hashable)
@@ -52,7 +52,7 @@ K = TypeVar("K", bound=Hashable)
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What trials to come do not change, as far as it has been found out.
+    """Results that trials to come do not change, as far as they have been computed.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ def remembered(known: dict[K, T], key: K, make: Callable[[], T]) -> T:
 
 
 NOT_BLIND = 0.5
-"""Probability of a trial that is in the models, from which on they are taken to tell."""
+"""Least probability of a trial that is in the models, for their predictions to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Analysis:
 
     @cached_property
     def _checked(self) -> tuple[Trial, ...]:
-        """As `trials`, but all worst cases as they were estimated when the trials were run."""
+        """All trials, with the worst cases that were estimated when they were run."""
         record = self.record
         return tuple(record.method.checked(self.study, record.trials, record.evaluations))
 
@@ -154,14 +154,14 @@ class Analysis:
     @property
     def certificate(self) -> Certificate | None:
         """The certificate, if `validate` has written one and it can be read."""
-        found, _ = self._certificate
-        return None if found is None else found[0]
+        with_section, _ = self._certificate
+        return None if with_section is None else with_section[0]
 
     @property
     def certificate_section(self) -> Section | None:
         """The section on the certificate, if there is one and it can be read."""
-        found, _ = self._certificate
-        return None if found is None else found[1]
+        with_section, _ = self._certificate
+        return None if with_section is None else with_section[1]
 
     @property
     def certificate_problem(self) -> str:
@@ -220,8 +220,8 @@ class Analysis:
         trials farther away.
         """
         good = np.sum([c.log_complement(points) for c in self.models.classifiers], axis=0)
-        found: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
-        return found
+        is_blind: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
+        return is_blind
 
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""

@@ -99,10 +99,10 @@ def _parameters(runs: Mapping[str, Analysis]) -> Section:
 
 
 def _parameter_set(analysis: Analysis) -> dict[Row, str]:
-    found = {} if analysis.answer is None else analysis.answer.parameters
+    result_parameters = {} if analysis.answer is None else analysis.answer.parameters
     return {
-        (name, item.unit): f"{number(found[name])} ({number(analysis.defaults[name])})"
-        if name in found
+        (name, item.unit): f"{number(result_parameters[name])} ({number(analysis.defaults[name])})"
+        if name in result_parameters
         else "–"
         for name, item in analysis.study.parameters.items()
     }
@@ -159,20 +159,20 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
     for (name, analysis), (dash, color) in zip(runs.items(), cycle(LINES), strict=False):
         study = analysis.study
         objective = study.objective.metric, study.metrics[study.objective.metric].unit
-        found = incumbents(analysis)
-        if not any(candidate.believed_feasible for _, candidate in found):
+        best_by_trial = incumbents(analysis)
+        if not any(candidate.believed_feasible for _, candidate in best_by_trial):
             without.append(name)
             continue
         scales.setdefault(objective, Scale(study.objective.scale))
         panels.setdefault(objective, []).append(
             Line(
-                x=[float(k) for k, _ in found],
-                y=[c.objective if c.believed_feasible else math.nan for _, c in found],
+                x=[float(k) for k, _ in best_by_trial],
+                y=[c.objective if c.believed_feasible else math.nan for _, c in best_by_trial],
                 name=name,
                 color=color,
                 dash=dash,
                 step=True,
-                hover=[f"{name}: trial {c.trial.number}" for _, c in found],
+                hover=[f"{name}: trial {c.trial.number}" for _, c in best_by_trial],
             )
         )
     return Section(
@@ -227,7 +227,7 @@ def _trajectories(runs: Mapping[str, Analysis]) -> Section:
     columns = {title: sides for title, sides in columns.items() if sides}
     same = all(analysis.study.constraints == first.study.constraints for analysis in runs.values())
     common = first.study.constraints if same else {}
-    looks = {name: (color, dash) for name, (dash, color) in zip(runs, cycle(LINES), strict=False)}
+    styles = {name: (color, dash) for name, (dash, color) in zip(runs, cycle(LINES), strict=False)}
     figures = []
     if columns:
         figures.append(
@@ -237,7 +237,7 @@ def _trajectories(runs: Mapping[str, Analysis]) -> Section:
                 caption="Simulated in process by each study's objects, not recorded. Drag across "
                 "a panel to zoom in; double-click to zoom out.",
                 alternative=f"Signals over time of {', '.join(columns[NOMINAL])}.",
-                panels=panels(columns, looks, common),
+                panels=panels(columns, styles, common),
                 columns=len(columns),
                 panel_height=260,
             )
@@ -259,8 +259,8 @@ def _traces(analysis: Analysis, seed: int) -> dict[str, Trace]:
         raise NoTraceError("no trial is complete")
     space = analysis.study.context_space()
     contexts = {NOMINAL: space.to_dict(space.nominal())}
-    if (found := tightest(analysis.study, answer)) is not None:
-        contexts[WORST] = dict(found[1].context)
+    if (worst := tightest(analysis.study, answer)) is not None:
+        contexts[WORST] = dict(worst[1].context)
     planned = [
         Evaluation(0, 0, Stage.VALIDATION, answer.parameters, context, seed)
         for context in contexts.values()

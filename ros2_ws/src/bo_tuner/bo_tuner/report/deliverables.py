@@ -36,7 +36,7 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell, known: Known | None
         record = with_verdict(record)
         if record.summary is not None:
             # The report lists the folder of the bundle, which is written later: it has a copy of
-            # the report. What is wrong with it is told then.
+            # the report. What is wrong with it is reported then.
             with contextlib.suppress(OSError):
                 (folder / DEPLOY).mkdir(exist_ok=True)
         tell(f"report: {write_report(record, folder / REPORT, known)}")

@@ -80,16 +80,16 @@ OUTLINES = (
 def chapters(analysis: Analysis) -> list[Chapter]:
     """Return the chapters of a run's report in order, without what does not apply."""
     made = (chapter(analysis, outline) for outline in OUTLINES)
-    return [found for found in made if found is not None]
+    return [item for item in made if item is not None]
 
 
 def chapter(analysis: Analysis, outline: Outline) -> Chapter | None:
     """Return a chapter of a run's report; None if none of its sections applies."""
     made = (make(analysis) for make in outline.makers)
-    found = [section for section in made if section is not None]
-    if not found:
+    sections = [section for section in made if section is not None]
+    if not sections:
         return None
-    return Chapter(name=outline.name, title=outline.title, sections=found, closed=outline.closed)
+    return Chapter(name=outline.name, title=outline.title, sections=sections, closed=outline.closed)
 
 
 def figures(parts: Sequence[Section]) -> list[Figure]:
@@ -100,8 +100,8 @@ def figures(parts: Sequence[Section]) -> list[Figure]:
 def report_figures(analysis: Analysis, parts: Sequence[Chapter]) -> list[Figure]:
     """Return the figures of a run's report: those of the result and of chapters."""
     of_result = answer(analysis).figure
-    found = figures([section for part in parts for section in part.sections])
-    return found if of_result is None else [of_result, *found]
+    others = figures([section for part in parts for section in part.sections])
+    return others if of_result is None else [of_result, *others]
 
 
 def write_report(run: RunRecord, path: Path, known: Known | None = None) -> Path:
@@ -180,22 +180,22 @@ def answer_html(analysis: Analysis) -> str:
 
     Without a result there are no steps either: the run is going on.
     """
-    found = replace(answer(analysis), files=())
+    content = replace(answer(analysis), files=())
     if analysis.verdict.state is State.OPEN:
-        found = replace(found, steps=())
-    return str(_macros().show_answer(found, ""))
+        content = replace(content, steps=())
+    return str(_macros().show_answer(content, ""))
 
 
 def render(analysis: Analysis, parts: Sequence[Chapter], run: str | None = os.curdir) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any."""
-    found = answer(analysis)
+    content = answer(analysis)
     return fill(
         "report.html",
         sections=[],
         chapters=parts,
         study=analysis.study,
         record=analysis.record,
-        answer=replace(found, files=()) if run is None else found,
+        answer=replace(content, files=()) if run is None else content,
         base=quote(os.fsencode(f"{run}/")),
     )
 

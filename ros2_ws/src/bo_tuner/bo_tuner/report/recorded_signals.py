@@ -33,15 +33,15 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
         for run in recorded_runs(bag):
             # A run that was extended may have validated another parameter set before, and one that
             # somebody disturbed was made again.
-            found, outcome = run.evaluation, wanted.outcome
+            evaluation, outcome = run.evaluation, wanted.outcome
             expected = {
                 "parameters": dict(wanted.parameters),
                 "state": str(outcome.state),
                 "reason": outcome.reason,
                 "metrics": dict(outcome.metrics),
             }
-            same = all(found.get(key, value) == value for key, value in expected.items())
-            if same and run.trial == wanted.trial and found.get("index") == wanted.index:
+            same = all(evaluation.get(key, value) == value for key, value in expected.items())
+            if same and run.trial == wanted.trial and evaluation.get("index") == wanted.index:
                 return run
     return None
 
@@ -54,7 +54,7 @@ def worst_recorded(
     Raises
     ------
     RunRecordError
-        As in `recorded`.
+        If its bag cannot be read.
     """
     badness = partial(evaluation_badness, analysis.study)
     for evaluation in sorted(analysis.evaluations_of(parameters), key=badness, reverse=True):
@@ -64,7 +64,7 @@ def worst_recorded(
 
 
 def signal_panels(
-    study: Study, runs: Mapping[str, RecordedRun], looks: Mapping[str, tuple[Color, Dash]]
+    study: Study, runs: Mapping[str, RecordedRun], styles: Mapping[str, tuple[Color, Dash]]
 ) -> list[Panel]:
     """Return panels over one time axis, with a line for each of the runs.
 
@@ -76,7 +76,7 @@ def signal_panels(
         The study.
     runs
         By the names of their lines.
-    looks
+    styles
         Colour and dash of the lines by these names.
     """
     names = list(dict.fromkeys(name for run in runs.values() for name in run.recording.signals))
@@ -86,7 +86,7 @@ def signal_panels(
             Panel(
                 x=Axis(label="time", unit="s", limits=(0.0, end)),
                 y=Axis(label=" and ".join(group)),
-                elements=_lines(group, runs, looks),
+                elements=_lines(group, runs, styles),
             ),
             [bound for name in group for bound in bounds_of_signal(study, name, end)],
         )
@@ -120,18 +120,22 @@ def _compared(study: Study) -> Iterator[set[str]]:
 def _lines(
     group: Sequence[str],
     runs: Mapping[str, RecordedRun],
-    looks: Mapping[str, tuple[Color, Dash]],
+    styles: Mapping[str, tuple[Color, Dash]],
 ) -> list[Line]:
     """Return the lines of the signals of a panel; one that is the same in all runs is one line."""
     lines = []
     for name in group:
-        heard = {label: run for label, run in runs.items() if name in run.recording.signals}
-        values = [run.recording.signals[name].value for run in heard.values()]
+        with_signal = {label: run for label, run in runs.items() if name in run.recording.signals}
+        values = [run.recording.signals[name].value for run in with_signal.values()]
         if len(group) > 1 and len(values) > 1 and all(np.array_equal(v, values[0]) for v in values):
-            lines.append(_line(next(iter(heard.values())), name, name, Color.INK, Dash.DOTTED))
+            lines.append(
+                _line(next(iter(with_signal.values())), name, name, Color.INK, Dash.DOTTED)
+            )
             continue
         own = f", {name}" if len(group) > 1 and (len(group) > 2 or len(runs) == 1) else ""
-        lines += [_line(run, name, f"{label}{own}", *looks[label]) for label, run in heard.items()]
+        lines += [
+            _line(run, name, f"{label}{own}", *styles[label]) for label, run in with_signal.items()
+        ]
     return lines
 
 

@@ -34,7 +34,7 @@ class Responses:
     columns
         Number of panels in a row.
     lead
-        Of which runs they are, or why there are none.
+        Which runs are shown, or why none is.
     caption
         How to read them.
     """
@@ -66,7 +66,7 @@ class Bound:
 
 
 def is_zero_of(name: str) -> str:
-    """Return the metric that is 0 at a traced signal, by its name; empty if it is none of these."""
+    """Return the metric that is 0 at a traced signal, by its name; empty if there is none."""
     last = name.rpartition("/")[2]
     return last.removesuffix(ZERO) if last.endswith(ZERO) else ""
 
@@ -84,7 +84,7 @@ def bounds_beside(
 
 def bounds_of_signal(study: Study, name: str, end: float) -> list[Bound]:
     """Return the limits on the largest or smallest value of a signal, up to `end` [s]."""
-    found = []
+    bounds = []
     for constraint in study.constraints.values():
         metric = study.metrics[constraint.metric]
         if (
@@ -93,8 +93,8 @@ def bounds_of_signal(study: Study, name: str, end: float) -> list[Bound]:
             and EXTREMES.get(metric.measure) == constraint.sign
         ):
             y = np.full(2, constraint.limit)
-            found.append(Bound(metric.name, np.array([0.0, end]), y, constraint.sign))
-    return found
+            bounds.append(Bound(metric.name, np.array([0.0, end]), y, constraint.sign))
+    return bounds
 
 
 def shaded(panel: Panel, bounds: Sequence[Bound]) -> Panel:

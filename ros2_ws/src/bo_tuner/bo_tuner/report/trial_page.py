@@ -10,7 +10,13 @@ from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.report.analysis import OF_VALUE, Analysis, TrialOutcome
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
-from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
+from bo_tuner.report.sections.trajectories import (
+    STYLES,
+    NoTraceError,
+    panels,
+    side_styles,
+    simulate,
+)
 from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.text import counted, values, with_unit
@@ -82,8 +88,8 @@ def _in_words(analysis: Analysis, trial: Trial) -> str:
         (TrialOutcome.UNCERTAIN, uncertain(analysis.study, trial)),
     )
     outcome = analysis.outcome(trial)
-    found = [f"{kind} of {', '.join(names)}" for kind, names in kinds if names]
-    return "; ".join(found) if outcome in OF_VALUE and found else str(outcome)
+    limits = [f"{kind} of {', '.join(names)}" for kind, names in kinds if names]
+    return "; ".join(limits) if outcome in OF_VALUE and limits else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:
@@ -124,8 +130,8 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
 
 def _state(item: Evaluation) -> str:
     state = item.outcome.ending
-    said = item.outcome.reason or item.outcome.note
-    return f"{state}: {said}" if said else state
+    remark = item.outcome.reason or item.outcome.note
+    return f"{state}: {remark}" if remark else state
 
 
 def _worst(analysis: Analysis, trial: Trial) -> Evaluation | None:
@@ -143,7 +149,7 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
         run = recorded(analysis, worst)
         if run is not None:
             figure = _figure(
-                signal_panels(analysis.study, {"recorded": run}, {"recorded": LOOKS[TUNED]}),
+                signal_panels(analysis.study, {"recorded": run}, {"recorded": STYLES[TUNED]}),
                 "As received by the tuner; each value holds until the next message.",
             )
             lead = f"Recorded in {BAGS}/{run.bag}: {where}."
@@ -165,7 +171,7 @@ def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:
     default = replace(worst, parameters=analysis.defaults)
     of_default, of_trial = simulate(analysis.study, [default, worst])
     sides = {DEFAULT: of_default, name: of_trial}
-    drawn = panels({"": sides}, side_looks(name), analysis.study.constraints)
+    drawn = panels({"": sides}, side_styles(name), analysis.study.constraints)
     return _figure(drawn, "Drag across a panel to zoom in; double-click to zoom out.")
 
 

@@ -25,8 +25,8 @@ def remove_leftovers(paths: Iterable[Path]) -> None:
     What a process that runs may be writing is left alone, and so is what is no file or link.
     """
     for path in paths:
-        found = _TEMPORARY.fullmatch(path.name)
-        if found and not _runs(int(found[1])):
+        match = _TEMPORARY.fullmatch(path.name)
+        if match and not _runs(int(match[1])):
             with contextlib.suppress(OSError):
                 path.unlink()
 
@@ -37,7 +37,7 @@ def _runs(process: int) -> bool:
     except ProcessLookupError:
         return False
     except OSError:
-        # Somebody else's.
+        # The process of another user.
         return True
     return True
 
@@ -78,7 +78,7 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         if _is_regular(path) and path.read_bytes() == data:
             return path
         try:
-            # What a killed process of the same number has left.
+            # A killed process of the same number may have left one.
             temporary.unlink(missing_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
             with open(os.open(temporary, flags, 0o666), "wb") as file:  # noqa: PTH123

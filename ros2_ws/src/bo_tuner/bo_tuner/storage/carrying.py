@@ -9,14 +9,14 @@ bounds, another budget, limit or objective. What is made of it may not:
 - Where the distribution of the contexts has changed, evaluations in contexts that are still
   possible are data of a process over parameter set and context, as `boundary` has it. They are no
   draws any more, so no mean of theirs stands for an expectation: they count as those of a search.
-  The other algorithms take means over draws, and are refused; but for I, which has the nominal
+  The other algorithms take means over draws, and are refused, except I, which runs in the nominal
   context alone.
 - An estimated worst case is kept where the same metric was searched on the same side, over the same
   contexts. Elsewhere it is estimated anew by the models of all evaluations that are taken; an
   algorithm that only searches trial by trial is refused.
 - Hyperparameters are those of the old unit cube and the old responses, and are dropped if anything
   but the amount has changed.
-- What was lost or disturbed tells nothing, and is left out.
+- Trials and evaluations that were lost or disturbed are not informative, and are left out.
 """
 
 import dataclasses
@@ -61,7 +61,7 @@ ORIGIN = "from"
 """Key of an evaluation's details that names the run it comes from."""
 
 OF_MEASURING = re.compile(r"\b(metric|signal) ")
-"""What the reason of a failure has that lies in how a run was measured."""
+"""In the reason of a failure: it lies in how the run was measured."""
 
 Measure = Callable[[Evaluation], Outcome | None]
 """Computes the metrics of an evaluation again, as another study defines them; None if it cannot."""
@@ -78,7 +78,7 @@ class Carried:
     trials
         What it takes, numbered from 0.
     text
-        What it takes and what not, with counts and reasons, in a line.
+        What it takes and what it leaves out, with counts and reasons, in a line.
     """
 
     run: str
@@ -145,13 +145,13 @@ def carry_over(
         If no trial is left.
     """
     taking = _Taking(record, study, method, measure)
-    found = list(taking.trials())
-    if not found:
+    taken = list(taking.trials())
+    if not taken:
         raise RunRecordError(
             f"{record.path}: none of its {counted(len(record.trials), 'trial')} can be used: "
             f"{taking.left_out}"
         )
-    trials = _with_worst_cases(study, method, found)
+    trials = _with_worst_cases(study, method, taken)
     run = str(record.path.resolve())
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
@@ -189,15 +189,15 @@ class _Taking:
     def left_out(self) -> str:
         """Counts and reasons."""
         kinds = ((self._trials, "trial"), (self._evaluations, "evaluation"))
-        found = [
+        counts = [
             f"{counted(n, kind)} {reason}"
             for reasons, kind in kinds
             for reason, n in reasons.most_common()
         ]
-        return "; ".join(found)
+        return "; ".join(counts)
 
     def summary(self, taken: Sequence[Trial]) -> str:
-        """Return what is taken and what not, in a line."""
+        """Return what is taken and what is left out, in a line."""
         before = self._record.trials
         text = (
             f"{len(taken)} of {counted(len(before), 'trial')} and {count_evaluations(taken)} of "
@@ -206,7 +206,7 @@ class _Taking:
         return f"{text}; left out: {self.left_out}" if self.left_out else text
 
     def _trial(self, trial: Trial, number: int) -> Trial:
-        if trial.spoilt:
+        if trial.unusable:
             raise _LeftOutError(trial.ending)
         self._check_parameters(trial)
         kept, reasons = [], []
@@ -216,7 +216,7 @@ class _Taking:
             except _LeftOutError as reason:
                 reasons.append(str(reason))
         if reasons and (not kept or not self._method.takes_parts()):
-            # Elsewhere a trial is its mean and its worst case, which are those of all evaluations.
+            # Other methods model a trial by mean and worst case, which need all its evaluations.
             raise _LeftOutError(reasons[0])
         self._evaluations.update(reasons)
         evaluations = tuple(
@@ -285,16 +285,16 @@ class _Taking:
         if not anew:
             metrics = {name: known[name] for name in self._study.metrics}
             return dataclasses.replace(outcome, metrics=metrics)
-        found = None if self._measure is None else self._measure(evaluation)
-        if found is None or (found.complete and not anew <= found.metrics.keys()):
+        measured = None if self._measure is None else self._measure(evaluation)
+        if measured is None or (measured.complete and not anew <= measured.metrics.keys()):
             raise _LeftOutError(f"without a record of {', '.join(sorted(anew))}")
-        if not found.complete:
-            return dataclasses.replace(found, details=outcome.details)
-        metrics = {name: known.get(name, found.metrics[name]) for name in self._study.metrics}
+        if not measured.complete:
+            return dataclasses.replace(measured, details=outcome.details)
+        metrics = {name: known.get(name, measured.metrics[name]) for name in self._study.metrics}
         return dataclasses.replace(outcome, metrics=metrics)
 
     def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:
-        """Return metrics relative to the default, as far as it is on record what that has."""
+        """Return metrics relative to the default, as far as the default's values are on record."""
         if not _same_default(self._then, self._study):
             return {}
         return {
@@ -307,11 +307,13 @@ class _Taking:
         """Return the estimates that hold under the study, by the names of its constraints."""
         if not trial.worst_cases:
             return {}
-        found = {
+        counterparts = {
             constraint.name: _searched(constraint, self._then, self._study)
             for constraint in self._study.worst_case_constraints
         }
-        return {name: trial.worst_cases[then] for name, then in found.items() if then is not None}
+        return {
+            name: trial.worst_cases[then] for name, then in counterparts.items() if then is not None
+        }
 
 
 def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> list[Trial]:
@@ -326,7 +328,7 @@ def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> 
         return list(trials)
     rng = generator(study.seed, Stream.SEARCH, len(trials))
     known = dict(method.hyperparameters(study, trials, rng))
-    found = list(trials)
+    updated = list(trials)
     for number in lacking:
         trial = trials[number]
         proposal = Proposal(dict(trial.parameters), trial.origin, hyperparameters=known)
@@ -335,8 +337,8 @@ def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> 
         for evaluation in trial.evaluations:
             searches.tell(evaluation.context, evaluation.outcome.metrics)
         rng = generator(study.seed, Stream.SEARCH, number, len(trial.evaluations))
-        found[number] = dataclasses.replace(trial, worst_cases=searches.worst_cases(rng))
-    return found
+        updated[number] = dataclasses.replace(trial, worst_cases=searches.worst_cases(rng))
+    return updated
 
 
 def _named(trial: Trial, run: str) -> Trial:
@@ -356,7 +358,7 @@ def _named(trial: Trial, run: str) -> Trial:
 
 
 def _moved_contexts(then: Study, now: Study) -> list[str]:
-    """Return the context variables whose distribution is another one."""
+    """Return the context variables that have another distribution now."""
     return [
         name
         for name, variable in now.contexts.items()
@@ -411,7 +413,7 @@ def _same_default(then: Study, now: Study) -> bool:
 
 
 def _measured_otherwise(then: Study, now: Study, anew: set[str]) -> bool:
-    """Whether a run that failed when it was measured may not fail now."""
+    """Whether what is measured has changed, so that a run that failed in it may not fail now."""
     gone_log = set(then.logarithmic_metrics) - set(now.logarithmic_metrics)
     return bool(
         anew or then.metrics.keys() - now.metrics or then.signals != now.signals or gone_log

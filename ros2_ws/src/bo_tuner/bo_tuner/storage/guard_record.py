@@ -51,12 +51,12 @@ def read_acts(log: Path) -> list[Act]:
         lines = read_text(log / GUARD_RECORD).splitlines()
     except (OSError, ValueError):
         return []
-    found = []
+    acts = []
     for line in lines:
         try:
             content = json.loads(line)
             values = {item.name: content[item.name] for item in fields(Act)}
-            found.append(Act(**values | {"problems": [str(p) for p in values["problems"]]}))
+            acts.append(Act(**values | {"problems": [str(p) for p in values["problems"]]}))
         except (ValueError, TypeError, KeyError, RecursionError):
             continue
-    return found
+    return acts

@@ -23,7 +23,7 @@ from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
 SCHEMA_VERSION = 7
-"""Of the tables below, and of what a session tells; a journal of another version is refused."""
+"""Of the tables and of a session's provenance; a journal of another version is refused."""
 
 COLUMNS = {
     "session": ("provenance",),
@@ -144,13 +144,13 @@ class Journal:
         return int(count)
 
     def close(self) -> None:
-        """Close the file, and leave it alone in the folder unless somebody reads it just now."""
+        """Close the file; unless somebody reads it just now, the log beside it is removed."""
         with contextlib.suppress(sqlite3.Error):
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 
     def _record(self, table: str, row: tuple[object, ...]) -> None:
-        # SQLite would write to a file that nobody can open any more.
+        # To a file that was deleted or replaced SQLite would go on writing.
         if not is_same_file(self._path, self._identity):
             raise JournalError(f"{self._path}: was deleted, moved or replaced during the run")
         try:
@@ -257,9 +257,9 @@ def checksum(row: Sequence[object]) -> int:
 
 
 def harden(db: sqlite3.Connection) -> None:
-    """Let a database of anybody's do nothing but hold rows.
+    """Let a database from an unknown source do nothing but hold rows.
 
-    See https://www.sqlite.org/security.html.
+    These are the settings of https://www.sqlite.org/security.html.
     """
     db.execute("PRAGMA trusted_schema = OFF")
     db.execute("PRAGMA cell_size_check = ON")
@@ -276,8 +276,8 @@ def check_rollback(path: Path) -> None:
     Raises
     ------
     JournalError
-        If there is one; a journal of one database never has it. See section "The Super-Journal" of
-        https://www.sqlite.org/atomiccommit.html.
+        If there is one. Only a transaction over several databases writes the name of a
+        super-journal (https://www.sqlite.org/atomiccommit.html).
     """
     rollback = path.with_name(f"{path.name}-journal")
     try:
@@ -298,14 +298,14 @@ def check_schema(path: Path, db: sqlite3.Connection) -> None:
     Raises
     ------
     JournalError
-        With what is too much, or missing.
+        With a table that is missing, or an object that is too much.
     """
     with contextlib.closing(sqlite3.connect(":memory:")) as own:
         own.executescript(SCHEMA)
         expected = set(own.execute(_OBJECTS))
-    found = set(db.execute(_OBJECTS))
-    if found != expected:
-        kind, name, *_ = sorted(found ^ expected, key=repr)[0]
+    actual = set(db.execute(_OBJECTS))
+    if actual != expected:
+        kind, name, *_ = sorted(actual ^ expected, key=repr)[0]
         raise JournalError(f"{path}: {kind} {checks.quoted(str(name))} is not as in a journal")
 
 
@@ -325,5 +325,5 @@ def check_version(path: Path, version: int) -> None:
 
 
 def _storable(text: str) -> str:
-    """Replace what UTF-8 cannot hold, such as half a character that a node said."""
+    """Replace what UTF-8 cannot hold, such as half a character in a message of a node."""
     return text.encode("utf-8", "replace").decode("utf-8")

@@ -1,7 +1,7 @@
 """Reading a journal: all that is whole, and what is not, in a line.
 
-What was damaged, by a disk or a hand, ends the reading: everything before it is used. A run goes on
-from there, see `bo_tuner.storage.journal_repair`.
+What was damaged, by a disk or a hand, ends the reading: everything before it is used, and
+`bo_tuner.storage.journal_repair` makes a whole journal of it, with which the run goes on.
 """
 
 import sqlite3
@@ -27,7 +27,7 @@ from bo_tuner.study import maxima
 from bo_tuner.text import one_line
 from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place
 
-# With page size and number of pages, see https://www.sqlite.org/fileformat.html.
+# The header of the file, with page size and number of pages (sqlite.org/fileformat.html).
 _SQLITE = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH10xI")
 
@@ -39,7 +39,7 @@ class JournalContent:
     Attributes
     ----------
     sessions
-        Provenance of each process that worked on the run, the first first.
+        Provenance of each process that worked on the run, in their order.
     trials
         Trials with their evaluations, numbered from 0 without a gap. Checks of a trial are not
         among its evaluations.
@@ -68,7 +68,7 @@ class JournalContent:
             item
             for item in self.evaluations
             if (item.stage not in TUNING or item.trial >= len(self.trials))
-            and not item.outcome.spoilt
+            and not item.outcome.unusable
         )
 
 
@@ -105,7 +105,7 @@ def read_journal(path: Path) -> JournalContent:
         trials = tuple(_trials(trial_rows, evaluations))
         events = tuple(rows.event_of(row) for row in event_rows)
     except ValueError as error:
-        # The checksums hold, so it was no disk: somebody else wrote this.
+        # The checksums are right, so no disk has damaged it: another program wrote this.
         raise JournalError(
             f"{path}: rows that this program does not write: {one_line(str(error))[:200]}"
         ) from error
@@ -122,7 +122,7 @@ def read_journal(path: Path) -> JournalContent:
 
 
 def in_order_of_plans(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    """Return evaluations in an order that does not tell which of several workers was faster.
+    """Return evaluations in an order that does not depend on which of several workers was faster.
 
     Those of trials come first, then those of each stage after them; in a stage, those of a trial
     in the order of its plan. Of one that was run again, the last stays the last.
@@ -146,7 +146,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
-            # A kill has left a change half made, which only a writer may take back.
+            # A killed process left a change half made; only a connection that writes undoes it.
             with closing(sqlite3.connect(path)) as writer:
                 writer.execute("SELECT 1 FROM sqlite_master").fetchone()
             db.execute("SELECT 1 FROM sqlite_master").fetchone()
@@ -159,7 +159,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         size = (65536 if page == 1 else page) * pages
         if not len(data) < size <= maxima.JOURNAL_BYTES:
             raise
-        # What is missing reads as empty pages; without a log there is no write-ahead mode.
+        # Missing pages are read as empty. These bytes end the write-ahead mode: there is no log.
         data[18:20] = b"\1\1"
         db = sqlite3.connect(":memory:")
         db.deserialize(bytes(data.ljust(size, b"\0")))
@@ -172,24 +172,26 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     """Read a table as far as it is whole; returns the rows and what ended the reading."""
     columns = COLUMNS[table]
     query = f"SELECT {', '.join(columns)}, checksum FROM {table} ORDER BY rowid"
-    found: list[dict[str, object]] = []
+    intact: list[dict[str, object]] = []
     try:
         for *values, expected in db.execute(query):
             if checksum(values) != expected:
-                return found, f"{table} {len(found) + 1} is damaged"
-            found.append(dict(zip(columns, values, strict=True)))
+                return intact, f"{table} {len(intact) + 1} is damaged"
+            intact.append(dict(zip(columns, values, strict=True)))
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        return found, f"damaged after {table} {len(found)} ({error})"
-    return found, ""
+        return intact, f"damaged after {table} {len(intact)} ({error})"
+    return intact, ""
 
 
-def _trials(found: list[dict[str, object]], evaluations: Sequence[Evaluation]) -> Iterator[Trial]:
+def _trials(
+    trial_rows: list[dict[str, object]], evaluations: Sequence[Evaluation]
+) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial = latest_by_place(evaluations, TUNING)
-    for number, row in enumerate(sorted(found, key=rows.number_of)):
+    for number, row in enumerate(sorted(trial_rows, key=rows.number_of)):
         of_trial = by_trial.get(number, {})
         count = rows.evaluations_of(row)
-        # Not more than there are, whatever the row says.
+        # The row may say any number; it is not trusted beyond the evaluations that there are.
         if rows.number_of(row) != number or count > len(of_trial):
             return
         if any(index not in of_trial for index in range(count)):

@@ -36,7 +36,8 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     Raises
     ------
     JournalError
-        As in `read_journal`, or if the new journal cannot be written.
+        If the file cannot be read, is no journal, is of another version, or if the new journal
+        cannot be written.
     """
     _finish_replacement(path)
     content = read_journal(path)
@@ -60,8 +61,9 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
 def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
     """Take back the trials that were lost last, so that they are run again; returns the rest.
 
-    Nothing was made of them yet. Their evaluations stay on record, and those that are complete are
-    not run again. A trial that others follow stays: it was lost twice, and they know of it.
+    No later trial was proposed with knowledge of them. Their evaluations stay on record, and those
+    that are complete are not run again. A lost trial that others follow stays: these were proposed
+    when it had been lost twice.
 
     Parameters
     ----------
@@ -76,7 +78,7 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
         If it cannot be written.
     """
     kept = len(content.trials)
-    while kept and content.trials[kept - 1].spoilt:
+    while kept and content.trials[kept - 1].unusable:
         kept -= 1
     if kept == len(content.trials):
         return content
@@ -87,9 +89,10 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
 
 
 def _lost_commits(path: Path) -> str:
-    """Tell whether the write-ahead log holds commits that SQLite passes over as damaged.
+    """Return in words that SQLite passes over commits of the write-ahead log; empty if it does not.
 
-    See https://www.sqlite.org/walformat.html. What a kill leaves of a commit is no damage.
+    What a kill leaves of a commit is no damage. The format of the log is described at
+    https://www.sqlite.org/walformat.html.
     """
     log = path.with_name(f"{path.name}-wal")
     try:
@@ -104,7 +107,7 @@ def _lost_commits(path: Path) -> str:
     size = _FRAME_HEADER.size + page
     for start in range(_WAL_HEADER.size + valid * size, len(data) - size + 1, size):
         _, is_commit, *salts, _, _ = _FRAME_HEADER.unpack_from(data, start)
-        # What a log held before it was begun anew has other salts.
+        # Frames with other salts are from before SQLite began the log anew.
         if salts != [salt, pepper]:
             break
         if is_commit:
@@ -134,7 +137,7 @@ def _keep_damaged(path: Path) -> Path:
 
 
 def _finish_replacement(path: Path) -> None:
-    """Put a journal that was made whole into its place; also one that a kill has left beside.
+    """Put a journal that was made whole into its place, also one that a killed process left there.
 
     The log goes first: SQLite would add the commits of the damaged journal to the new one.
     """

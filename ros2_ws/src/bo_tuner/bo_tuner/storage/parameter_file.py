@@ -19,10 +19,10 @@ ANY_NAMESPACE = "/**/"
 
 
 def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
-    """Return what the tuned nodes are told for a parameter set.
+    """Return the values that the tuned nodes are given for a parameter set.
 
     What the study sets once on a tuned node is part of it: the parameter set was judged with it.
-    Only the clock is not: a node that was tuned in a simulation would wait for one on the machine.
+    `use_sim_time` is left out: on the machine the node would wait for the clock of a simulation.
     """
     values: dict[str, dict[str, object]] = {}
     for key in dict.fromkeys(study.parameters[name].node for name in parameters):

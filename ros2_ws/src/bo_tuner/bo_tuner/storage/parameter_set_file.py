@@ -23,7 +23,7 @@ def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[st
     study
         The study.
     namespace
-        Of its nodes; empty if none is named, see `full_names`.
+        Of its nodes; empty if none is named: then the namespaces that the file has.
 
     Raises
     ------
@@ -38,10 +38,10 @@ def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[st
             values, lines = _of_nodes(read_sections(text), study, namespace)
         else:
             document = strict_yaml.parse(text)
-            lines, found = document.lines, document.value
-            if not isinstance(found, dict) or not found:
-                raise StudyError(f"expected values by name, found {checks.show(found)}")
-            values = found
+            lines, content = document.lines, document.value
+            if not isinstance(content, dict) or not content:
+                raise StudyError(f"expected values by name, found {checks.show(content)}")
+            values = content
         for name in values:
             checks.reference(name, "parameter", study.parameters, name)
         if not values:
@@ -60,17 +60,17 @@ def _of_nodes(
     values: dict[str, Value] = {}
     lines: dict[KeyPath, int] = {}
     for name, item in study.parameters.items():
-        found: dict[str, Value] = {}
+        by_node: dict[str, Value] = {}
         for node in full_names(sections, study.nodes[item.node].node, namespace):
             source = sources(sections, node).get(item.array or item.parameter)
             if source is None or source.found.is_list != bool(item.array):
                 continue
             at = item.item if item.array else 0
             if at < len(source.found.items):
-                found[node] = source.found.items[at].value
+                by_node[node] = source.found.items[at].value
                 lines[(name,)] = source.found.items[at].line
-        if len({(type(value), value) for value in found.values()}) > 1:
-            raise StudyError(f"has several values: of {' and of '.join(found)}", (name,))
-        if found:
-            values[name] = next(iter(found.values()))
+        if len({(type(value), value) for value in by_node.values()}) > 1:
+            raise StudyError(f"has several values: of {' and of '.join(by_node)}", (name,))
+        if by_node:
+            values[name] = next(iter(by_node.values()))
     return values, lines

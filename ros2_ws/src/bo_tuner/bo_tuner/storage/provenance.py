@@ -19,19 +19,19 @@ PACKAGES = ("bo_tuner", "numpy", "scipy", "rclpy")
 OWN_PACKAGE = "bo_tuner"
 SOURCES = "sources_sha256"
 STOP_EARLY = "stop_early"
-"""Key that tells of the option, so that a run goes on as it began."""
+"""Key of the option: a run that goes on keeps it."""
 WINDOW = "window"
-"""Key that tells how many trials, or other tasks, are planned at once."""
+"""Key of the number of trials, or other tasks, that are planned at once."""
 WORKERS = "workers"
-"""Key that tells how many evaluations a session runs at once."""
+"""Key of the number of evaluations that a session runs at once."""
 ATTACHED = "attached"
-"""Key that tells that a session used running nodes."""
+"""Key that says that a session used running nodes."""
 NAMESPACE = "namespace"
-"""Key that tells in which namespace a session looked for nodes."""
+"""Key of the namespace in which a session looked for nodes."""
 RECORD, RECORD_LIMIT = "record", "record_limit"
-"""Keys that tell of the bags to keep, and of their size together [byte]."""
+"""Keys of which bags to keep, and of their size together [byte]."""
 CARRIED_FROM, CARRIED = "carried_from", "carried"
-"""Keys that name the earlier run whose trials a run begins with, and what it took of them."""
+"""Keys of the earlier run that a run begins with the trials of, and of what it took from them."""
 STUDY_YAML = "study_yaml"
 """Key of the study's text in the provenance of a session."""
 COMMIT = "commit-"
@@ -39,7 +39,7 @@ COMMIT = "commit-"
 
 
 def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
-    """Tell what works on a run: versions, sources, machine, backend, algorithm and seed."""
+    """Return what works on a run: versions, sources, machine, backend, algorithm and seed."""
     packages = [*PACKAGES, *(node.package for node in study.nodes.values() if node.package)]
     return (
         {
@@ -61,7 +61,7 @@ def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
 
 
 def session_provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
-    """Return the provenance for the journal: with the study itself, to be held against its file."""
+    """Return the provenance for the journal: with the study, to be compared with its file."""
     return provenance(study, backend, algorithm) | {STUDY_YAML: study_to_yaml(study)}
 
 
@@ -89,10 +89,10 @@ def study_sha256(study: Study) -> str:
 def sources(study: Study, backend: str) -> dict[str, str]:
     """Return digests of the code that evaluates a study, as it lies on the disk.
 
-    A commit tells nothing of changes since. Beside this package these are the Python packages
-    installed here of the nodes that a study starts or, in process, of its objects, with what they
-    ship in ``config``, such as their defaults. What is not written in Python, or runs on another
-    machine, has no digest.
+    A commit alone does not show later changes. There is a digest of this package, and of each
+    installed Python package that has a node that the study starts or, in process, an object that it
+    names, with what the package ships in ``config``, such as defaults. What is not written in
+    Python, or runs on another machine, has no digest.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def sources(study: Study, backend: str) -> dict[str, str]:
 
 
 def changed_sources(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return the names of the packages whose digest has changed between two provenances."""
+    """Return the names of the packages that have another digest in `now` than in `then`."""
     keys = {key for key in (*then, *now) if key == SOURCES or key.startswith(f"{SOURCES}.")}
     return sorted(
         key.removeprefix(SOURCES).removeprefix(".") or OWN_PACKAGE
@@ -141,7 +141,7 @@ def commit() -> str:
 def _digest(package: str, folder: str = "") -> str:
     """Return the digest of a package's or module's code; empty if there is none.
 
-    As objects of a study, it is looked for in the study's `folder` last, imported or not.
+    It is looked for in the study's `folder` last, as Python looks for the objects of a study.
     """
     try:
         # Of a name without a dot this imports nothing.
@@ -152,27 +152,27 @@ def _digest(package: str, folder: str = "") -> str:
         return ""
     if spec is None:
         return ""
-    digest, found = hashlib.sha256(), False
+    digest, has_code = hashlib.sha256(), False
     for place in map(Path, spec.submodule_search_locations or ()):
         for path in sorted(place.rglob("*.py")):
             digest.update(path.relative_to(place).as_posix().encode() + path.read_bytes())
-            found = True
+            has_code = True
         if package == OWN_PACKAGE:
-            # It ships studies, each of which has a digest of its own.
+            # Its config has studies, and a study has a digest of its own.
             continue
         config = _config(place.resolve(), package)
         for path in sorted(p for p in config.rglob("*") if p.is_file()):
             digest.update(path.relative_to(config).as_posix().encode() + path.read_bytes())
     if spec.submodule_search_locations is None and spec.origin and Path(spec.origin).is_file():
         digest.update(Path(spec.origin).read_bytes())
-        found = True
-    return digest.hexdigest() if found else ""
+        has_code = True
+    return digest.hexdigest() if has_code else ""
 
 
 def _config(package: Path, name: str) -> Path:
     """Return the folder of what a package ships beside its code, whether it is there or not."""
     if (package.parent / "package.xml").is_file():
         return package.parent / "config"
-    # From lib/pythonX.Y/site-packages on.
+    # Of an installed package: the prefix that has lib/pythonX.Y/site-packages.
     prefix = package.parents[3] if len(package.parents) > 3 else package
     return prefix / "share" / name / "config"

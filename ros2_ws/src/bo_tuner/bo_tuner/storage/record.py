@@ -1,4 +1,4 @@
-"""A run as it stands in its folder, for whoever wants to know of it; nothing is written."""
+"""A run as it is recorded in its folder; it is only read."""
 
 import json
 import os
@@ -40,7 +40,7 @@ class RunRecord:
     study
         The study of the last session.
     algorithm, backend
-        What it is run by; keys of `METHODS` and of the command line.
+        The method, a key of `METHODS`, and the backend, as the command line names it.
     stop_early
         Whether its last session follows the advice to stop.
     attached
@@ -88,7 +88,7 @@ class RunRecord:
 
     @property
     def method(self) -> Method:
-        """What it is run by."""
+        """The method, by its key `algorithm`."""
         return METHODS[self.algorithm]
 
     @property
@@ -99,8 +99,8 @@ class RunRecord:
 
     def is_result(self, trial: Trial) -> bool:
         """Whether a trial has the parameter set of the result."""
-        found = self.result
-        return found is not None and found.parameter_set == trial.parameter_set
+        result = self.result
+        return result is not None and result.parameter_set == trial.parameter_set
 
 
 def read_run(path: Path) -> RunRecord:
@@ -120,13 +120,13 @@ def read_run(path: Path) -> RunRecord:
     if not file.is_file():
         raise RunRecordError(f"{path}: no run folder: it has no {STUDY}")
     try:
-        # First: of a journal of another version, the study may not be readable either.
+        # First, as its error is the clearer one: of another version, the study may be unreadable.
         content = read_journal(path / JOURNAL)
-        # Its programs and code lie where the study file did that the run was begun with.
-        found = parse_study(study_file.read_text(file, str(file)), str(file))
+        # The study keeps its folder: programs and code lie beside the file that the run began with.
+        in_file = parse_study(study_file.read_text(file, str(file)), str(file))
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error
-    study = _study(path, found, content.sessions)
+    study = _study(path, in_file, content.sessions)
     try:
         check_study(study, content.evaluations, content.trials)
     except ValueError as error:
@@ -160,7 +160,7 @@ def _size(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() else None
 
 
-def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
+def _study(path: Path, in_file: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
     """Return the study of the last session after comparing its file with it."""
     if not sessions:
         raise RunRecordError(f"{path / JOURNAL}: no session can be read")
@@ -171,10 +171,10 @@ def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> S
         raise RunRecordError(f"{path / JOURNAL}: no study in its provenance: {error}") from error
     # The file may still be that of an earlier session: it is replaced once the session with more
     # trials is on record.
-    if found not in studies:
+    if in_file not in studies:
         raise RunRecordError(
             f"{path / STUDY}: is not the study on record: "
-            f"{summarized(changes(studies[-1], found))}; restore it, or start a new run with it"
+            f"{summarized(changes(studies[-1], in_file))}; restore it, or start a new run with it"
         )
     return studies[-1]
 

@@ -2,9 +2,9 @@
 
 ROS does not read such a file as a tree: rcl_yaml_param_parser goes from one event of the YAML
 parser to the next and keeps two names, of the node and of the parameter, to which keys are added
-and from which they are removed. What looks alike can therefore mean different things, and this
-reader goes the same way, event by event; tests hold it against that parser with generated files.
-That parser itself is not asked, since it does not tell where a value stands.
+and from which they are removed. The same lines can therefore mean different things in two places.
+This reader goes the same way, event by event; tests compare it with that parser on generated files.
+That parser itself is not used, since it does not say where in the file a value stands.
 """
 
 import re
@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.ros_sections import Found, Scalar, Section, Setting
+from bo_tuner.storage.ros_sections import Scalar, Section, Setting, WrittenValue
 from bo_tuner.storage.ros_values import read_value
 from bo_tuner.study.checks import quoted
 from bo_tuner.text import one_line
@@ -22,16 +22,16 @@ from bo_tuner.text import one_line
 SECTION = "ros__parameters"
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""Where it can be, the YAML library that ROS itself uses."""
+"""The YAML library that ROS itself uses, where PyYAML is built with it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WILD = ("*", "**")
 _LONGEST_NAMESPACE, _LONGEST_NAME = 245, 255
-"""Of a level of the namespace with its slash, and of the name of a node, in characters."""
+"""Characters of a level of the namespace with its slash, and of the name of a node."""
 
 
 def is_parameter_file(text: str) -> bool:
-    """Return whether a text is YAML with a section for nodes, however it may be refused."""
+    """Return whether a text is YAML with a section for nodes, even if ROS refuses it otherwise."""
     try:
         return any(
             isinstance(event, yaml.ScalarEvent) and event.value.startswith(SECTION)
@@ -139,7 +139,7 @@ class _Reader:
             raise _refused("ROS takes no aliases (*), such as those of merge keys (<<)", event)
 
     def _check_plain(self, event: Any) -> None:
-        # The YAML library of the ROS wheels is older than Python's.
+        # The YAML library in the ROS wheels, older than PyYAML's, refuses these in brackets.
         if self._is_in_brackets and not event.style and re.search("[:?]", event.value):
             raise _refused(
                 f"text with : or ? in brackets needs quotes: {quoted(event.value)}", event
@@ -181,12 +181,12 @@ class _Reader:
     def _close_list(self, event: Any) -> None:
         section = self._section
         if section is not None and self._at < len(section.settings):
-            found = section.settings[self._at].found
+            written = section.settings[self._at].written
             if self._list_type is None:
-                found.setdefault((True, type(None)), Found(is_list=True))
+                written.setdefault((True, type(None)), WrittenValue(is_list=True))
             key = (True, self._list_type or type(None))
-            if self._list_in_brackets and key in found:
-                found[key].span = (self._list_start, event.end_mark.index)
+            if self._list_in_brackets and key in written:
+                written[key].span = (self._list_start, event.end_mark.index)
         self._in_list = False
         self._key_is_next = True
         if self._list_in_brackets:
@@ -252,18 +252,18 @@ class _Reader:
             raise _refused("a value that belongs to no parameter", event)
         value = read_value(text, style, event.tag)
         kind = type(value)
-        found = section.settings[self._at].found
+        written = section.settings[self._at].written
         if not self._in_list or self._list_type is None:
-            found[self._in_list, kind] = Found(is_list=self._in_list)
+            written[self._in_list, kind] = WrittenValue(is_list=self._in_list)
         elif self._list_type is not kind:
             raise _refused("a list of values of several types", event)
-        elif (True, kind) not in found:
+        elif (True, kind) not in written:
             raise _refused("a list that goes on in another parameter", event)
         self._list_type = kind
         end = event.end_mark.index
         start = self._starts.get(end, event.start_mark.index)
         line = event.start_mark.line + 1
-        found[self._in_list, kind].items.append(Scalar(value, start, end, line, style))
+        written[self._in_list, kind].items.append(Scalar(value, start, end, line, style))
         self._ends(event)
 
     def _ends(self, event: Any) -> None:
@@ -282,7 +282,7 @@ def _spans(text: str) -> Iterator[tuple[int, int]]:
             if isinstance(token, yaml.ScalarToken):
                 yield token.end_mark.index, token.start_mark.index
     except (yaml.YAMLError, UnicodeEncodeError):
-        # Which the parser tells, too.
+        # The parser, which comes next, raises this error with its line.
         return
 
 

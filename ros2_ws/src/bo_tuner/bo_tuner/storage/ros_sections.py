@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from bo_tuner.storage.ros_values import Single
 
 _KINDS = (bool, int, float, str)
-"""Where a parameter has been given values of several types, the first of these counts."""
+"""Types in the order in which they count where a parameter has values of several types."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Scalar:
 
 
 @dataclass
-class Found:
-    """A value that a parameter has been given: of one type, single or a list.
+class WrittenValue:
+    """A value that a file has of a parameter: of one type, single or a list.
 
     Attributes
     ----------
@@ -65,20 +65,20 @@ class Setting:
     ----------
     name
         Of the parameter, dots between its levels.
-    found
-        What it was given, by whether it is a list and by type.
+    written
+        Its values in the file, by whether they are a list and by type.
     """
 
     name: str
-    found: dict[tuple[bool, type], Found] = field(default_factory=dict)
+    written: dict[tuple[bool, type], WrittenValue] = field(default_factory=dict)
 
     @property
-    def counts(self) -> Found | None:
-        """What ROS takes; None if it has no value."""
+    def counts(self) -> WrittenValue | None:
+        """The value that ROS takes of several; None if there is none."""
         for is_list in (False, True):
             for kind in (*_KINDS, type(None)):
-                if (is_list, kind) in self.found:
-                    return self.found[is_list, kind]
+                if (is_list, kind) in self.written:
+                    return self.written[is_list, kind]
         return None
 
 
@@ -125,7 +125,7 @@ class Section:
     def values(self) -> dict[str, Single | list[Single]]:
         """The values by parameter."""
         every = ((setting.name, setting.counts) for setting in self.settings)
-        return {name: found.value for name, found in every if found is not None}
+        return {name: counts.value for name, counts in every if counts is not None}
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Source:
 
     section: Section
     setting: Setting
-    found: Found
+    found: WrittenValue
 
     @property
     def line(self) -> int | None:
@@ -159,8 +159,8 @@ def full_names(sections: list[Section], node: str, namespace: str = "") -> list[
     node
         The name of the node in a study.
     namespace
-        Of the nodes of the study. Where none is named, and the file says nothing of a node in the
-        root, the node counts in the namespaces that the file has it in.
+        Of the nodes of the study. If it is empty, and the file has no such node in the root
+        namespace, these are its names in all namespaces in which the file has it.
     """
     name = full_name(node, namespace)
     if node.startswith("/") or namespace or any(section.is_of(name) for section in sections):
@@ -179,11 +179,11 @@ def sources(sections: list[Section], node: str) -> dict[str, Source]:
     node
         The full name of the node, such as ``/arm/pid``.
     """
-    found: dict[str, Source] = {}
+    by_name: dict[str, Source] = {}
     for section in sections:
         if section.is_of(node):
             for setting in section.settings:
-                found.pop(setting.name, None)
+                by_name.pop(setting.name, None)
                 if (counts := setting.counts) is not None:
-                    found[setting.name] = Source(section, setting, counts)
-    return found
+                    by_name[setting.name] = Source(section, setting, counts)
+    return by_name

@@ -1,4 +1,4 @@
-"""What ROS takes a single value of a parameter file for."""
+"""Type and value that ROS reads from a single value of a parameter file."""
 
 import ctypes
 import re
@@ -12,7 +12,7 @@ Single = bool | int | float | str
 
 
 def read_value(text: str, style: str = "", tag: str | None = None) -> Single:
-    """Return what ROS takes a single value for.
+    """Return a single value with the type that ROS reads it as.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """From rows of a journal to evaluations and trials, or a refusal of what this program never writes.
 
-A checksum tells of damage by a disk, and not of rows that somebody else has written.
+A checksum shows damage by a disk, but not that another program has written the row.
 """
 
 import json
@@ -34,7 +34,7 @@ def provenance_of(row: Row) -> dict[str, str]:
     Raises
     ------
     ValueError
-        If the row is not one of a journal; as in the functions below.
+        If the row is not one that this program writes to a journal.
     """
     return _texts(row, "provenance")
 
@@ -45,7 +45,7 @@ def evaluation_of(row: Row) -> Evaluation:
     metrics = {name: float(value) for name, value in _numbers(row, "metrics").items()}
     problems = {name: problem for name in metrics if (problem := metric_problem(metrics[name]))}
     if problems:
-        # An earlier version recorded what is refused today.
+        # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
     return Evaluation(
@@ -75,7 +75,7 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
         state, reason = TrialState.FAILED, failed[0].outcome.reason
     else:
         worst_cases = {
-            name: _worst_case(found) for name, found in _object(row, "worst_cases").items()
+            name: _worst_case(content) for name, content in _object(row, "worst_cases").items()
         }
     return Trial(
         number=number_of(row),
@@ -158,27 +158,27 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             if not states or complete != all(s is EvaluationState.COMPLETE for s in states):
                 raise ValueError(f"is {trial.state}, unlike its evaluations")
             _same_names(trial.worst_cases, searched if complete else (), "worst_cases")
-            for found in trial.worst_cases.values():
-                check_context(found.context)
-                _check_size((found.observed,), "worst_cases")
+            for worst_case in trial.worst_cases.values():
+                check_context(worst_case.context)
+                _check_size((worst_case.observed,), "worst_cases")
                 # Estimates may lie above all metrics.
-                _check_size((found.value, found.noise), "worst_cases", LARGEST_RESPONSE)
+                _check_size((worst_case.value, worst_case.noise), "worst_cases", LARGEST_RESPONSE)
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
                 raise ValueError("has evaluations of other parameters")
         except ValueError as error:
             raise ValueError(f"trial {trial.number}: {error}") from error
 
 
-def _worst_case(found: object) -> WorstCase:
-    if not isinstance(found, dict):
-        raise ValueError(f"worst_cases: expected an object, found {checks.show(found)}")
-    _same_names(found, ("value", "context", "observed", "noise"), "worst_cases")
+def _worst_case(content: object) -> WorstCase:
+    if not isinstance(content, dict):
+        raise ValueError(f"worst_cases: expected an object, found {checks.show(content)}")
+    _same_names(content, ("value", "context", "observed", "noise"), "worst_cases")
     value, observed, noise = (
-        float(_number(found[key], "worst_cases")) for key in ("value", "observed", "noise")
+        float(_number(content[key], "worst_cases")) for key in ("value", "observed", "noise")
     )
     if noise < 0.0:
         raise ValueError(f"worst_cases: noise {noise}")
-    return WorstCase(value, _as_values(found["context"], "worst_cases"), observed, noise)
+    return WorstCase(value, _as_values(content["context"], "worst_cases"), observed, noise)
 
 
 def _text(row: Row, column: str) -> str:
@@ -258,7 +258,7 @@ def _check_size(values: Iterable[float], what: str, largest: float = LARGEST_MET
             raise ValueError(f"{what}: {value:g} is beyond {largest:g}")
 
 
-def _same_names(found: Iterable[str], expected: Iterable[str], what: str) -> None:
-    odd = sorted(set(found) ^ set(expected))
+def _same_names(names: Iterable[str], expected: Iterable[str], what: str) -> None:
+    odd = sorted(set(names) ^ set(expected))
     if odd:
         raise ValueError(f"{what}: {checks.quoted(odd[0])} is missing or unknown")

@@ -1,4 +1,4 @@
-"""Files of a run folder, which may be anybody's: opened and listed without following links."""
+"""Files of a run folder, opened and listed without following links, as it may be from anybody."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ BAGS = "bags"
 HELD_PARAMETERS = "held_parameters.json"
 """File beside the logs: parameters of attached nodes that a run holds."""
 GUARD_RECORD = "guard.jsonl"
-"""File beside the logs: what guards have done, see `guard_record`."""
+"""File beside the logs: the acts of guards, a line of JSON each."""
 PREVIOUS_PARAMETERS = "previous_parameters.json"
 """File beside the logs: what attached nodes had, of what a run sets, before it set anything."""
 
@@ -55,10 +55,10 @@ def check_files(folder: Path) -> None:
     """
     pending = [folder]
     while pending:
-        here = pending.pop()
-        is_log = here.name == LOGS
+        current = pending.pop()
+        is_log = current.name == LOGS
         try:
-            with os.scandir(here) as entries:
+            with os.scandir(current) as entries:
                 for entry in entries:
                     if entry.is_dir(follow_symlinks=False):
                         if not is_log:
@@ -77,16 +77,16 @@ def check_files(folder: Path) -> None:
         except OSError as error:
             if isinstance(error, RunRecordError):
                 raise
-            raise RunRecordError(f"{here}: cannot be read: {error.strerror}") from error
+            raise RunRecordError(f"{current}: cannot be read: {error.strerror}") from error
 
 
 def is_same_file(path: Path, known: os.stat_result) -> bool:
     """Whether a path still leads to the file or folder that it led to."""
     try:
-        found = path.stat(follow_symlinks=False)
+        status = path.stat(follow_symlinks=False)
     except OSError:
         return False
-    return (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino)
+    return (status.st_dev, status.st_ino) == (known.st_dev, known.st_ino)
 
 
 def open_file(path: Path, flags: int) -> int:
@@ -98,10 +98,10 @@ def open_file(path: Path, flags: int) -> int:
         If it cannot be opened, or is something else.
     """
     descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    found = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(found):
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
         os.close(descriptor)
-        raise OSError(0, f"is {_kind(found)}, no file", str(path))
+        raise OSError(0, f"is {_kind(mode)}, no file", str(path))
     return descriptor
 
 

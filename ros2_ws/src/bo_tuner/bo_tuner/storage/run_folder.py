@@ -42,7 +42,7 @@ REPORT = "report.html"
 
 
 def how_to_resume(path: Path) -> str:
-    """Tell in a few words how the run in a folder goes on."""
+    """Return in a few words how the run in a folder is continued."""
     return f"resume it with: {shlex.join(['tune', '--resume', str(path)])}"
 
 
@@ -189,12 +189,13 @@ class RunFolder:
     ) -> Path:
         """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
 
-        The notes are as in `to_yaml`. Raises as `write_atomically`.
+        The notes, a line each, become comments ahead of the values. Raises `OutputError` if the
+        file cannot be written.
         """
         return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters), notes))
 
     def write_study(self, study: Study) -> Path:
-        """Write ``study.yaml``, and return its path; raises as `write_atomically`."""
+        """Write ``study.yaml``, and return its path; raises `OutputError` if that fails."""
         return write_atomically(self.path / STUDY, study_to_yaml(study))
 
     def write_json(self, name: str, content: Mapping[str, object]) -> Path:
@@ -210,7 +211,7 @@ class RunFolder:
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> Path:
-    """Write a file as `RunFolder.write_json` does, of a folder that nobody holds open."""
+    """Write a file of JSON, with null for what is not a number, also to a folder not held open."""
     text = json.dumps(without_nan(content), indent=2, allow_nan=False)
     return write_atomically(path, text + "\n")
 
@@ -232,7 +233,7 @@ def _new_folder(path: Path) -> Path:
     folder = path
     number = 1
     while True:
-        # Making it is the test: two runs of the same second must not meet in one folder.
+        # No test ahead of it: of two runs that begin in the same second only one makes the folder.
         try:
             folder.mkdir()
         except FileExistsError:

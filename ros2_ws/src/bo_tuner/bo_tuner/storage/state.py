@@ -1,4 +1,4 @@
-"""Where this user's commands keep on this machine what belongs to no run."""
+"""The folder in which commands keep, for this user on this machine, what belongs to no run."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ def state_folder() -> Path:
         If that is not set, and the user has no home folder.
     """
     given = os.environ.get("XDG_STATE_HOME", "")
-    # As the specification has it, a relative path counts as none.
+    # By the XDG specification a relative path is ignored.
     if given.startswith("/"):
         return Path(given) / "bo_tuner"
     try:

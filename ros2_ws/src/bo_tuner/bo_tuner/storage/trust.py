@@ -1,4 +1,4 @@
-"""Which studies' programs may be started and code be imported without being asked for.
+"""Which studies are trusted: their programs are started and their code is imported.
 
 A run folder may come from anybody, and its study names executables and Python objects. Those of the
 shipped studies are known. Others are trusted once this user has run a study with them here, by
@@ -64,10 +64,10 @@ def foreign_programs(study: Study) -> list[str]:
     """List the programs, objects and functions that a study names and no shipped study does."""
     named = [program for node in study.nodes.values() for program in _programs(node)]
     named += python_functions(study)
-    found = [program for program in dict.fromkeys(named) if program not in _shipped()]
-    # What lies there may stand in for a module of a shipped study that is not installed.
+    foreign = [program for program in dict.fromkeys(named) if program not in _shipped()]
+    # Code there could take the place of a module of a shipped study that is not installed.
     is_code = study.folder and study.names_programs
-    return [*found, f"code in {study.folder}"] if is_code else found
+    return [*foreign, f"code in {study.folder}"] if is_code else foreign
 
 
 def python_functions(study: Study) -> list[str]:
@@ -77,7 +77,7 @@ def python_functions(study: Study) -> list[str]:
 
 @cache
 def _shipped() -> frozenset[str]:
-    # Whole studies would cost each command a second, for distributions that it may not need.
+    # Only the nodes: reading whole studies imports distributions, and takes a second.
     return frozenset(program for node in shipped_nodes() for program in _programs(node))
 
 
@@ -85,7 +85,7 @@ def _programs(node: NodeSpec) -> list[str]:
     started = f"{node.package}/{node.executable}" if node.executable else node.command or ""
     if node.launch:
         started = f"ros2 launch {node.launch}"
-    # A variable can make another program of any.
+    # Environment variables, such as LD_PRELOAD, can make another program of any.
     variables = [f"{name}={value}" for name, value in node.env.items()]
     return [program for program in (" ".join([*variables, started]), node.object) if program]
 

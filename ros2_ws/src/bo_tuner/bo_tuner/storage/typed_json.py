@@ -1,8 +1,8 @@
 """Frozen dataclasses as JSON, and back, by the types of their fields.
 
-JSON has no word for numbers that are not finite: null stands for them. Read back it is NaN, or what
-`stands_for` says of the field. Values that follow from others can be written beside the fields for
-readers in other languages; this one leaves them aside.
+JSON has no word for numbers that are not finite: null stands for them. It is read as NaN, or as the
+number that `stands_for` gives the field. Values that follow from the fields can be written beside
+them for readers in other languages; `from_json` ignores them.
 """
 
 import dataclasses
@@ -20,19 +20,19 @@ _NULL = "null"
 
 
 def stands_for(null: float) -> float:
-    """Return the default of a field of numbers for which null stands for this one, not for NaN."""
-    found: float = dataclasses.field(metadata={_NULL: null})
-    return found
+    """Return the default of a field of numbers in which JSON's null is read as `null`, not NaN."""
+    default: float = dataclasses.field(metadata={_NULL: null})
+    return default
 
 
 def to_json(value: Any) -> dict[str, object]:
     """Return a dataclass as JSON has it."""
-    found = without_nan(dataclasses.asdict(value))
-    return cast(dict[str, object], found)
+    content = without_nan(dataclasses.asdict(value))
+    return cast(dict[str, object], content)
 
 
 def from_json(cls: type[T], content: object) -> T:
-    """Return the dataclass that `to_json` has written.
+    """Return the dataclass that `to_json` has made this content of.
 
     Its fields may be dataclasses, text, numbers, truth values, enumerations of text, tuples of
     these or mappings from text to them, each or None.
@@ -40,10 +40,10 @@ def from_json(cls: type[T], content: object) -> T:
     Raises
     ------
     ValueError
-        If it is none: with the place of the first wrong value, and what was expected there.
+        If it is no such content, with the place of the first wrong value and what was expected.
     """
-    found: T = _object(cls, content, "")
-    return found
+    value: T = _object(cls, content, "")
+    return value
 
 
 def _object(cls: Any, content: object, place: str) -> Any:
@@ -114,12 +114,12 @@ def _number(content: object, place: str) -> float:
     if not isinstance(content, int | float) or isinstance(content, bool):
         raise _wrong(place, "a number", content)
     try:
-        found = float(content)
+        number = float(content)
     except OverflowError:
-        found = math.inf
-    if not math.isfinite(found):
+        number = math.inf
+    if not math.isfinite(number):
         raise _wrong(place, "a finite number", content)
-    return found
+    return number
 
 
 def _text(content: object, place: str) -> str:

@@ -20,15 +20,15 @@ def start_names(
 ) -> dict[str, frozenset[str]]:
     """Return what the nodes with ``at_start`` take at their start, by their keys.
 
-    Of an array all items are, as a node takes it as a whole.
+    An array is taken with all of its items, as the node takes it as a whole.
 
     Raises
     ------
     StudyError
-        If a name is of nothing that the study sets on the node, it sets nothing there, or a node
-        passes a file on in which nothing would be.
+        If a name is of no parameter that the study sets on the node, the study sets none there, or
+        a node passes on a parameter file that would be empty.
     """
-    found: dict[str, frozenset[str]] = {}
+    by_node: dict[str, frozenset[str]] = {}
     for key, spec in nodes.items():
         if not spec.at_start:
             continue
@@ -46,21 +46,21 @@ def start_names(
             for index, name in enumerate(spec.at_start):
                 checks.reference(name, "parameter of the node", own, *path, index)
             own = {name: own[name] for name in spec.at_start}
-        found[key] = frozenset(own.values())
+        by_node[key] = frozenset(own.values())
     for key, spec in nodes.items():
-        if spec.passes_file and all(starter_of(nodes, other) != key for other in found):
+        if spec.passes_file and all(starter_of(nodes, other) != key for other in by_node):
             raise StudyError(
                 f"nothing would be in {PARAMETER_FILE}: add at_start: true to the node",
                 ("nodes", key, "launch" if spec.launch else "command"),
             )
-    return found
+    return by_node
 
 
 def starter_of(nodes: Mapping[str, NodeSpec], key: str) -> str | None:
-    """Return the key of the node whose start brings the values of a node; None if there is none.
+    """Return the key of the node that brings a node its values when it starts; None without any.
 
-    A node that says how to start it is its own; others start along with the one that passes the
-    file on.
+    It is the node itself if the study says how to start it, and otherwise the node that passes the
+    parameter file on.
     """
     if nodes[key].is_started:
         return key

@@ -29,8 +29,8 @@ def filled(content: Any, context: Context) -> Any:
     if whole is not None and whole["name"]:
         return context[whole["name"]]
 
-    def in_text(found: re.Match[str]) -> str:
-        return _text(context[found["name"]]) if found["name"] else f"{{{found['literal']}}}"
+    def in_text(match: re.Match[str]) -> str:
+        return _text(context[match["name"]]) if match["name"] else f"{{{match['literal']}}}"
 
     return _NAMED.sub(in_text, content)
 
@@ -38,16 +38,16 @@ def filled(content: Any, context: Context) -> Any:
 def filled_condition(condition: str, context: Context) -> str:
     """Return a condition on signals with numbers for names in braces; a truth value is 1 or 0."""
 
-    def number(found: re.Match[str]) -> str:
-        name = found["name"]
-        return f"({float(context[name])!r})" if name else found[0]
+    def number(match: re.Match[str]) -> str:
+        name = match["name"]
+        return f"({float(context[name])!r})" if name else match[0]
 
     return _NAMED.sub(number, condition)
 
 
 def without_contexts(condition: str) -> str:
     """Return a condition on signals with any numbers for names in braces."""
-    return _NAMED.sub(lambda found: "(1.0)" if found["name"] else found[0], condition)
+    return _NAMED.sub(lambda match: "(1.0)" if match["name"] else match[0], condition)
 
 
 def names_in(content: Any) -> Iterator[str]:
@@ -58,9 +58,9 @@ def names_in(content: Any) -> Iterator[str]:
         for item in content:
             yield from names_in(item)
     elif isinstance(content, str):
-        yield from (found["name"] for found in _NAMED.finditer(content) if found["name"])
+        yield from (match["name"] for match in _NAMED.finditer(content) if match["name"])
 
 
 def _text(value: Value) -> str:
-    """Return a value as it stands in a text: a truth value as in YAML, a number in full."""
+    """Return a value as text: a truth value as ``true`` or ``false``, a number in full."""
     return str(value).lower() if isinstance(value, bool) else str(value)

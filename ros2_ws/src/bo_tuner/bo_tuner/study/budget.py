@@ -79,7 +79,7 @@ class Budget:
     workers: int | None = None
 
     def remaining(self, trials: int, evaluations: int) -> int:
-        """Return how many more trials the budget suffices for, after so many with so many.
+        """Return how many trials are left of the budget, after so many trials and evaluations.
 
         Where evaluations limit it, further trials are expected to take as many each as the others.
         """
@@ -91,7 +91,7 @@ class Budget:
 
     @property
     def warning(self) -> str:
-        """Tell in a line that no trial is left after the initial design; empty if some are."""
+        """Return in a line that no trial is left after the initial design; empty if some are."""
         if self.initial_trials < self.trials:
             return ""
         return f"the initial design takes all of the {self.trials} trials; none is proposed"

@@ -21,10 +21,10 @@ def under(*keys: str | int) -> Iterator[None]:
 
 
 class Findings:
-    """Collects errors of parts that are checked one after the other, to tell them together."""
+    """Collects errors of parts that are checked one after the other, to report them together."""
 
     def __init__(self) -> None:
-        self._found: list[StudyError] = []
+        self._problems: list[StudyError] = []
 
     @contextmanager
     def under(self, *keys: str | int) -> Iterator[None]:
@@ -32,17 +32,17 @@ class Findings:
         try:
             yield
         except StudyError as error:
-            found = error.under(*keys)
-            self._found += [found.located(found.source, found.line), *found.others]
+            problem = error.under(*keys)
+            self._problems += [problem.located(problem.source, problem.line), *problem.others]
 
     def __len__(self) -> int:
         """How many were found."""
-        return len(self._found)
+        return len(self._problems)
 
     def check(self) -> None:
         """Raise the first error that was found, if any, with the others."""
-        if self._found:
-            first, *others = self._found
+        if self._problems:
+            first, *others = self._problems
             raise first.with_others(others)
 
 
@@ -72,7 +72,7 @@ def arguments(
                 raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
     for field in fields:
         if is_required(field) and field.name not in value:
-            # Of a key that is misspelt it is told already which one is meant.
+            # The error on a misspelt key names this field already.
             unknown = [key for key in value.keys() - names if isinstance(key, str)]
             if any(checks.meant(key, [field.name]) for key in unknown):
                 continue

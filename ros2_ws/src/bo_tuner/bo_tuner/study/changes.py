@@ -8,8 +8,8 @@ from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
 OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder", "guard")
-"""Sections that say how much is run, and from where: all data of a run are those of a study that
-differs there."""
+"""Sections that say how much is run, and from where. If studies differ only in these, all data of a
+run are data of both."""
 JUDGED = (
     *("objective", "further_objectives", "constraints", "metrics", "measured", "signals"),
     *("order", "where"),
@@ -28,22 +28,22 @@ def changes(then: Study, now: Study) -> list[str]:
 
 
 def changes_of_data(then: Study, now: Study) -> list[str]:
-    """Return the `changes` but for those `OF_A_RUN`."""
+    """Return the `changes` without those of the sections `OF_A_RUN`."""
     return [text for path, text in _changes(then, now) if path[0] not in OF_A_RUN]
 
 
 def incomparable_changes(then: Study, now: Study) -> list[str]:
     """Return the `changes` after which no evaluation can be compared with the earlier ones.
 
-    They were run in another way, or another parameter or context variable was set, or not set.
+    The earlier ones were run in another way, or with other parameters or context variables set.
     """
     return [text for path, text in _changes(then, now) if _is_incomparable(path)]
 
 
-def summarized(found: list[str]) -> str:
+def summarized(lines: list[str]) -> str:
     """Return changes as one line, the first few of them if there are many."""
-    more = len(found) - MOST_SHOWN
-    return "; ".join(found[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+    more = len(lines) - MOST_SHOWN
+    return "; ".join(lines[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _is_incomparable(path: Path) -> bool:

@@ -45,24 +45,24 @@ def same_value(one: object, other: object) -> bool:
     return one == other or repr(one) == repr(other)
 
 
-def holds(found: object, told: object) -> bool:
-    """Return whether a node has a value that it was told: the same, or that rounded to 32 bits.
+def holds(actual: object, sent: object) -> bool:
+    """Return whether a node has a value that it was sent: the same, or that rounded to 32 bits.
 
-    Devices behind a parameter keep many a double as a float.
+    Some devices behind a parameter keep a double as a float.
     """
-    if same_value(found, told):
+    if same_value(actual, sent):
         return True
-    if isinstance(found, (list, tuple)) and isinstance(told, (list, tuple)):
-        return len(found) == len(told) and all(map(holds, found, told))
-    if not isinstance(found, float) or not isinstance(told, float):
+    if isinstance(actual, (list, tuple)) and isinstance(sent, (list, tuple)):
+        return len(actual) == len(sent) and all(map(holds, actual, sent))
+    if not isinstance(actual, float) or not isinstance(sent, float):
         return False
     try:
         rounded: float
-        (rounded,) = struct.unpack("f", struct.pack("f", told))
+        (rounded,) = struct.unpack("f", struct.pack("f", sent))
     except OverflowError:
         return False
-    # What becomes 0 is lost, and not rounded.
-    return found == rounded != 0.0
+    # A number that becomes 0 is lost, not rounded.
+    return actual == rounded != 0.0
 
 
 def show(value: object) -> str:
@@ -100,8 +100,8 @@ def meant(value: str, allowed: Iterable[str]) -> str:
 def suggestion(value: str, allowed: Iterable[str]) -> str:
     """Return "did you mean ..." for a likely typo, otherwise the allowed names."""
     names = list(allowed)
-    if found := meant(value, names):
-        return found
+    if hint := meant(value, names):
+        return hint
     return f"expected one of {', '.join(names)}" if names else "there are none"
 
 
@@ -141,9 +141,9 @@ def number(value: object, *path: str | int) -> float:
 
 
 def magnitude(value: object, *path: str | int) -> float:
-    """Return `value` as a float if it is a number that can be computed with, and so can its square.
+    """Return `value` as a float if it and its square are numbers that can be computed with.
 
-    It is 0, or `maxima.MAGNITUDE` in size at most, and not below the inverse of that.
+    Its size is 0, or from the inverse of `maxima.MAGNITUDE` to `maxima.MAGNITUDE`.
     """
     checked = number(value, *path)
     if checked != 0.0 and not 1.0 / maxima.MAGNITUDE <= abs(checked) <= maxima.MAGNITUDE:
@@ -220,7 +220,7 @@ def parameter_or_item(value: object, *path: str | int) -> str:
 
 
 def is_in_node(name: object) -> bool:
-    """Whether a parameter can be addressed by its name in a node, which ROS leaves much to."""
+    """Whether a parameter can be addressed by its name in a node; ROS permits many characters."""
     return isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable()
 
 
@@ -277,7 +277,7 @@ def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]
 def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
     """Refuse bounds that are equal or reversed.
 
-    `instead` tells the user what to write for a value that does not vary.
+    `instead` says to the user what to write for a value that does not vary.
     """
     if lower > upper:
         raise StudyError(f"lower bound {lower} is not below upper bound {upper}", path)
@@ -293,14 +293,14 @@ def parameter_values(values: object, *path: str | int) -> dict[str, ParameterVal
     checked: dict[str, ParameterValue] = {}
     for name, value in values.items():
         name_in_node(name, *path)
-        here = (*path, name)
+        key_path = (*path, name)
         if not isinstance(value, (list, tuple)):
-            checked[name] = _scalar(value, *here)
+            checked[name] = _scalar(value, *key_path)
             continue
-        at_most(value, maxima.CONSTANTS, *here)
-        items = tuple(_scalar(item, *here, index) for index, item in enumerate(value))
+        at_most(value, maxima.CONSTANTS, *key_path)
+        items = tuple(_scalar(item, *key_path, index) for index, item in enumerate(value))
         if len({type(item) for item in items}) != 1:
-            raise StudyError("expected a list of values of one type, at least one", here)
+            raise StudyError("expected a list of values of one type, at least one", key_path)
         checked[name] = items
     return checked
 

@@ -1,7 +1,7 @@
 """Conditions on the parameters of a set, such as ``ki <= kp / 2``.
 
-A parameter set is permitted where all hold. One that is not defined, as by a division by zero, does
-not hold.
+A parameter set is permitted if all conditions hold. A condition that is not defined, for example by
+a division by zero, does not hold.
 """
 
 import ast
@@ -23,7 +23,7 @@ from bo_tuner.trials import Value
 KEY = "where"
 
 FEWEST = 1e-4
-"""Share of the parameter sets within the bounds that must be left: of less, hardly any is found."""
+"""Least share of the parameter sets within the bounds that satisfies the conditions together."""
 
 
 class Condition:
@@ -67,7 +67,7 @@ class Condition:
         """
         return self._expression({name: columns[name] for name in self.names})
 
-    def found(self, parameters: Mapping[str, Value]) -> str:
+    def values_in_words(self, parameters: Mapping[str, Value]) -> str:
         """Return the values that a parameter set has in it, as ``ki 3 and kp 2``."""
         *others, last = (f"{name} {_shown(parameters[name])}" for name in self.names)
         return f"{', '.join(others)} and {last}" if others else last
@@ -81,13 +81,13 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
     conditions
         The conditions.
     held
-        What each says of n parameter sets that are drawn within the bounds, see `Condition.values`,
-        of shape (number of conditions, n).
+        Of each condition, for n parameter sets that are drawn within the bounds, 1 where it holds,
+        0 where not, NaN where it is not defined; shape (number of conditions, n).
 
     Raises
     ------
     StudyError
-        With the condition, or those that leave nothing together, and the share that they leave.
+        With the conditions, one or several together, that leave too little, and the share left.
     """
     holds: NDArray[np.bool_] = held == 1.0
     for index, condition in enumerate(conditions):
@@ -99,7 +99,7 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             )
     indices = range(len(conditions))
     sizes = (1, 2, len(conditions))
-    for chosen in (found for size in sizes for found in combinations(indices, size)):
+    for chosen in (group for size in sizes for group in combinations(indices, size)):
         share = float(holds[list(chosen)].all(axis=0).mean())
         if share >= FEWEST:
             continue
@@ -151,11 +151,11 @@ class _Positions(ast.NodeTransformer):
 
 
 def _expression(text: str, parameters: Mapping[str, Parameter]) -> Expression:
-    """Return the expression of a condition between parameters, of which texts are positions."""
+    """Return the expression of a condition between parameters, with positions in place of texts."""
     levels = {name: _levels(item, parameters) for name, item in parameters.items()}
-    texts = {name: found for name, found in levels.items() if found}
+    texts = {name: choices for name, choices in levels.items() if choices}
     tree: ast.Expression | None = None
-    # What is no expression at all is told by the expression.
+    # A text that is no expression is refused below, by `named_expression`.
     with contextlib.suppress(SyntaxError, ValueError, RecursionError, MemoryError):
         tree = ast.parse(text, mode="eval")
     with contextlib.suppress(RecursionError):
@@ -168,7 +168,7 @@ def _expression(text: str, parameters: Mapping[str, Parameter]) -> Expression:
 
 
 def _is_condition(node: ast.expr, parameters: Mapping[str, Parameter]) -> bool:
-    """Whether an expression holds or not, instead of being a number."""
+    """Whether an expression is a condition, which holds or not, and no number."""
     if isinstance(node, ast.BoolOp):
         return all(_is_condition(part, parameters) for part in node.values)
     if isinstance(node, ast.UnaryOp):
@@ -178,7 +178,7 @@ def _is_condition(node: ast.expr, parameters: Mapping[str, Parameter]) -> bool:
 
 
 def _levels(item: Parameter, parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
-    """Return what a text may be; empty for what is none."""
+    """Return the values that a text parameter may have; empty if it is no text."""
     if item.type != "string":
         return ()
     leader = item if item.tied_to is None else parameters[item.tied_to]

@@ -13,7 +13,7 @@ from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.limit_kinds.registry import KINDS
 
 MODEL_NAMES = OBJECTIVE, OUTLIERS, FAILURES = "objective", "outliers", "failures"
-"""What the models call those that are not of a constraint, whose name they have."""
+"""Names of the models that are of no constraint; that of a constraint has the constraint's name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Constraint(Limited):
         Largest permitted value, in the metric's unit, or relative to what the default has in the
         same context with the same seed, as `1.1 * default`. At least one of `upper` and `lower`.
     lower : float, optional
-        Smallest permitted value, likewise. With both limits, either side may be
+        Smallest permitted value, in the same two forms. With both limits, either side may be
         violated half as often as the `probability` permits, so that both hold as often as asked.
     probability : float, optional
         Between 0 and 1. Required for a `chance` constraint. With it, in every context a run keeps
@@ -80,20 +80,20 @@ class Constraint(Limited):
 
     @cached_property
     def rule(self) -> LimitKind:
-        """What its kind makes of it."""
+        """The limit by its kind, which says how it is modelled, judged and shown."""
         return KINDS[self.kind](self)
 
     @property
     def level(self) -> float:
-        """Probability with which a run must keep the limit, as `LimitKind.level`."""
+        """Probability with which a run must keep the limit; one half for a limit on the mean."""
         return self.rule.level
 
     @property
     def allowed(self) -> float:
-        """Largest permitted probability that a run violates the limit, as `LimitKind.allowed`."""
+        """Largest permitted probability of a violation by a run; 1 for a limit on the mean."""
         return self.rule.allowed
 
     @property
     def deviations(self) -> float:
-        """Standard deviations between the mean of a normal metric and a limit kept so often."""
+        """Standard deviations from the mean of a normal metric to a limit kept with the `level`."""
         return float(ndtri(self.level))

@@ -1,7 +1,7 @@
 """The context space: a box for the worst-case search, a distribution for random draws.
 
 A text has no order. For the models a variable of m > 2 texts becomes m columns of the unit cube, as
-choices among the parameters do (`bo_tuner.models.categories`): that of its value is 1 / √2 and the
+choices among the parameters do (`bo_tuner.models.categories`): the one of its value is 1 / √2, the
 others are 0.
 """
 
@@ -19,13 +19,13 @@ from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.trials import Context, Value
 
 MOST_CORNER_DIMENSIONS = 5
-"""Corners are those of so many leading dimensions: their number doubles with each."""
+"""Leading dimensions that corners are taken in: the number of corners doubles with each."""
 
 CHOSEN = 1.0 / sqrt(2.0)
-"""In the column of the text that a variable has."""
+"""Coordinate in the column of the text that a variable has."""
 
 CANDIDATES = 24
-"""Contexts within the box among the candidates for the worst one."""
+"""Number of contexts within the box among the candidates for the worst one."""
 
 DISTINCT = 0.05
 """Distance in the unit cube, in some coordinate, from which on candidates differ."""
@@ -34,10 +34,10 @@ DISTINCT = 0.05
 class ContextSpace:
     """Independent context variables in a fixed order.
 
-    In the shapes below, v is the number of variables (0 is allowed: no context varies), d the
-    number of columns of the unit cube, which is larger only where there are texts without an order,
-    and n any number of contexts, whose values are in own units; of a truth value or a text, the
-    position among its values.
+    In the shapes, v is the number of variables (0 is allowed: no context varies), d the number of
+    columns of the unit cube, which is larger only where there are texts without an order, and n any
+    number of contexts. Values are in own units; a truth value or a text is its position among the
+    values of the variable.
 
     Methods raise `ParameterError` if an array has a wrong shape or a value that is not finite.
 
@@ -46,7 +46,7 @@ class ContextSpace:
     distributions : mapping from str to Distribution
         The variables by name; its order is the order of the columns.
     integers : collection of str
-        Those whose values are integers.
+        Names of the variables that have integer values.
     """
 
     def __init__(
@@ -57,10 +57,10 @@ class ContextSpace:
         self.lower = np.array([item.lower for item in self.distributions])
         self.upper = np.array([item.upper for item in self.distributions])
         self._integer = [name in integers for name in self.names]
-        # Two values have the same distance in either way.
+        # With two values one column suffices: there is only one distance.
         counts = [len(item.labels) for item in self.distributions]
         self._levels = [count if count > 2 else 0 for count in counts]
-        # A metric may be the largest at any of these, not at the first or the last.
+        # A metric may be the largest at any of these values, not only at the first or the last.
         self._each = [
             bool(levels) or (is_integer and isinstance(item, Discrete))
             for levels, is_integer, item in zip(
@@ -76,10 +76,10 @@ class ContextSpace:
     @property
     def columns(self) -> list[str]:
         """Names of the columns of the unit cube."""
-        found = []
+        columns = []
         for name, levels in zip(self.names, self._levels, strict=True):
-            found += [f"{name}.{level}" for level in range(levels)] if levels else [name]
-        return found
+            columns += [f"{name}.{level}" for level in range(levels)] if levels else [name]
+        return columns
 
     @property
     def ordered(self) -> tuple[str, ...]:
@@ -101,7 +101,7 @@ class ContextSpace:
         return self.at_quantiles(rng.random((count, len(self.names))))
 
     def draw_stratified(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw a Latin hypercube sample of n = `count` contexts (n, v), see `latin_hypercube`.
+        """Draw a Latin hypercube sample of n = `count` contexts (n, v).
 
         Each context follows the distribution, and of the n values of a variable exactly one lies in
         each of its n equally probable ranges. A mean over them has a smaller variance than one over
@@ -113,7 +113,7 @@ class ContextSpace:
         """Map points (n, d) of the unit cube to contexts (n, v), linearly between the bounds.
 
         Coordinates outside [0, 1] are clipped; a discrete variable takes its nearest possible
-        value, and a text that of the largest of its coordinates.
+        value, and a text is the one with the largest coordinate.
         """
         points = np.clip(self._rows(cube, "cube", self.dimension), 0.0, 1.0)
         if any(self._levels):
@@ -172,9 +172,10 @@ class ContextSpace:
     def corners(self) -> Array:
         """Return corners of the unit cube, shape (m, d).
 
-        Beyond `MOST_CORNER_DIMENSIONS`, of the leading ones, with the others halfway. With texts or
-        listed integers, each corner of the others is in each of their values, or, where that are
-        too many, in one or several, so that all are met.
+        With more than `MOST_CORNER_DIMENSIONS` columns they are corners of the leading ones, with
+        the others halfway. Texts and listed integers have no corners: each corner of the other
+        variables is taken with each of their values, or, if these are too many, with one or
+        several, so that each value is met.
         """
         if any(self._each):
             return self._corners_in_each()
@@ -201,7 +202,7 @@ class ContextSpace:
         else:
             count = max(len(ends), *map(len, levels))
             pairs = [
-                (*ends[k % len(ends)], *(found[k % len(found)] for found in levels))
+                (*ends[k % len(ends)], *(support[k % len(support)] for support in levels))
                 for k in range(count)
             ]
         rows = np.tile(0.5 * (self.lower + self.upper), (len(pairs), 1))
@@ -211,22 +212,22 @@ class ContextSpace:
     def candidates(self, known: Sequence[Context] = ()) -> Array:
         """Return possible contexts of the unit cube over which a worst case is taken, (m, d).
 
-        The corners, a Latin hypercube that is the same in every call, then those that are `known`
-        as far as they differ from all before.
+        These are the corners, a Latin hypercube that is the same in every call, and the `known`
+        contexts that differ from all before them.
         """
         inside = latin_hypercube(CANDIDATES, self.dimension, np.random.default_rng(0))
-        found = self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
+        candidates = self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
         for row in self.cube_of(known):
-            if (np.abs(found - row) > DISTINCT).any(axis=1).all():
-                found = np.vstack([found, row])
-        return found
+            if (np.abs(candidates - row) > DISTINCT).any(axis=1).all():
+                candidates = np.vstack([candidates, row])
+        return candidates
 
     def at_quantiles(self, probability: Array) -> Array:
         """Return the contexts at the quantiles of each variable, both of shape (n, v)."""
         contexts = np.empty_like(probability)
         for column, item in enumerate(self.distributions):
-            found = item.integers if self._integer[column] else item.ppf
-            contexts[:, column] = found(probability[:, column])
+            quantile = item.integers if self._integer[column] else item.ppf
+            contexts[:, column] = quantile(probability[:, column])
         return contexts
 
     def _decoded(self, points: Array) -> Iterator[Array]:

@@ -1,4 +1,4 @@
-"""What nodes say of their parameters, held against a study, and filled in where it says nothing."""
+"""What nodes say of their parameters: compared with a study, or filled in where it says nothing."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -53,7 +53,7 @@ class Described:
 
 
 Descriptions = Mapping[str, Mapping[str, Described]]
-"""By the node's key in the study, then by the name of the parameter in the node."""
+"""Descriptions by the node's key in the study, then by the parameter's name in the node."""
 
 
 def incomplete(mapping: object) -> dict[str, list[str]]:
@@ -69,7 +69,7 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
     dict from str to list
         By the node's key the names of its parameters in the study.
     """
-    found: dict[str, list[str]] = {}
+    lacking: dict[str, list[str]] = {}
     for name, item in _parameters(mapping).items():
         if not isinstance(item, dict) or not isinstance(item.get("node"), str):
             continue
@@ -80,8 +80,8 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
         array, _ = array_and_item(str(item.get("parameter", name)))
         has_array = not array or array in _constants(mapping, item["node"])
         if needed - item.keys() or not has_array:
-            found.setdefault(str(item["node"]), []).append(name)
-    return found
+            lacking.setdefault(str(item["node"]), []).append(name)
+    return lacking
 
 
 def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
@@ -99,7 +99,7 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
     Raises
     ------
     StudyError
-        If the name of a parameter is none, its node does not have it, or gives no range.
+        If a parameter has no valid name, its node does not have it, or gives no range.
     """
     for key, names in incomplete(mapping).items():
         for name in names:
@@ -151,22 +151,22 @@ def node_problems(
     known
         All parameters of the node.
     declared
-        Whether to tell of these only: a node may take others that it has not declared.
+        Whether to judge these only: a node may take others that it has not declared.
     """
-    found = []
+    problems = []
     for name, item in study.parameters.items():
         if item.node != key or (declared and (item.array or item.parameter) not in known):
             continue
         leader = study.parameters[item.tied_to] if item.tied_to is not None else None
         if text := problem(item, known, leader):
-            found.append(StudyError(text, ("parameters", name)))
+            problems.append(StudyError(text, ("parameters", name)))
     for path, node, name in _further_parameters(study):
         if node == key and name not in known and not declared:
-            found.append(StudyError(_undeclared(name, known), path))
+            problems.append(StudyError(_undeclared(name, known), path))
     for name, value in study.nodes[key].parameters.items():
         described = known.get(name)
         if described is not None and (text := _integer_for_double(name, value, described)):
-            found.append(StudyError(text, ("nodes", key, "parameters")))
+            problems.append(StudyError(text, ("nodes", key, "parameters")))
     for name, variable in study.contexts.items():
         described = known.get(variable.parameter)
         if variable.node != key or described is None:
@@ -176,22 +176,22 @@ def node_problems(
         if not variable.distribution.labels:
             text = text or _outside(ends, variable.parameter, described)
         if text:
-            found.append(StudyError(text, ("contexts", name)))
+            problems.append(StudyError(text, ("contexts", name)))
     for path, setting in () if study.run is None else study.run.settings:
         if setting.node == key and (text := _setting_problem(setting, known)):
-            found.append(StudyError(text, path))
+            problems.append(StudyError(text, path))
     seed = study.seed_parameter
     described = known.get(seed.parameter) if seed is not None and seed.node == key else None
     if seed is not None and described is not None:
         text = _unsettable(seed.parameter, described, "integer")
-        found += [StudyError(text, ("seed_parameter",))] if text else []
-    return found
+        problems += [StudyError(text, ("seed_parameter",))] if text else []
+    return problems
 
 
 def _setting_problem(setting: SetParameter, known: Mapping[str, Described]) -> str:
-    """Tell in a line why a node will not take what a step sets; empty if it will.
+    """Return in a line why a node will not take what a step sets; empty if it will.
 
-    It is given back what it had, and so must have declared it.
+    After the run the node gets its former value back, so it must have declared the parameter.
     """
     name, value = setting.parameter, setting.value
     described = known.get(name)
@@ -208,7 +208,7 @@ def _setting_problem(setting: SetParameter, known: Mapping[str, Described]) -> s
 
 
 def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:
-    """Yield what else a study sets: where it says so, the key of the node, and the parameter."""
+    """Yield other parameters that a study sets: place in the study, key of the node, and name."""
     for key, spec in study.nodes.items():
         arrays = {item.array for item in study.parameters.values() if item.node == key}
         for name in spec.parameters.keys() - arrays:
@@ -224,7 +224,7 @@ def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:
 def problem(
     item: Parameter, known: Mapping[str, Described], leader: Parameter | None = None
 ) -> str:
-    """Tell in a line why a node will not take a parameter of a study; empty if it will.
+    """Return in a line why a node will not take a parameter of a study; empty if it will.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def problem(
     known
         All parameters of the node.
     leader
-        The one that it is tied to, whose values it has.
+        The parameter that it is tied to, from which it takes its values.
     """
     name = item.array or item.parameter
     described = known.get(name)
@@ -250,7 +250,7 @@ def problem(
 
 
 def _unsettable(name: str, described: Described, expected: str) -> str:
-    """Tell in a line why a parameter takes no value of a type; empty if it does."""
+    """Return in a line why a parameter takes no value of a type; empty if it does."""
     if described.read_only:
         return f"'{name}' is read-only in the node"
     if described.type not in ("", expected):
@@ -259,7 +259,7 @@ def _unsettable(name: str, described: Described, expected: str) -> str:
 
 
 def _off_steps(item: Parameter, name: str, described: Described) -> str:
-    """Tell in a line that a study has values between the steps of a node; empty if it has none."""
+    """Return in a line that a study has values between a node's steps; empty if it has none."""
     if not described.step or not math.isfinite(described.lower):
         return ""
 
@@ -267,12 +267,12 @@ def _off_steps(item: Parameter, name: str, described: Described) -> str:
         steps = value / described.step
         return math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
 
-    # The ends of a range are taken whatever its steps.
+    # A node takes the ends of a range even if they are between steps.
     fixed = [] if item.fixed is None else [float(item.fixed)]
     offsets = [value - described.lower for value in fixed if value < described.upper]
     if item.bounds is not None:
         step = 1.0 if item.is_integer and item.step is None else item.step
-        # Without steps of its own a double has all values.
+        # A double of the study without a step can have any value.
         offsets += [item.bounds[0] - described.lower, math.nan if step is None else step]
     if all(math.isfinite(offset) and is_multiple(offset) for offset in offsets):
         return ""
@@ -283,7 +283,7 @@ def _off_steps(item: Parameter, name: str, described: Described) -> str:
 
 
 def _outside(values: Iterable[float], name: str, described: Described) -> str:
-    """Tell in a line which value a parameter's range does not have; empty if it has all."""
+    """Return in a line which value a parameter's range does not have; empty if it has all."""
     for value in values:
         if not described.lower <= value <= described.upper:
             return (
@@ -294,9 +294,9 @@ def _outside(values: Iterable[float], name: str, described: Described) -> str:
 
 
 def _integer_for_double(name: str, value: checks.ParameterValue, described: Described) -> str:
-    """Tell in a line that a constant is an integer where the node has a double; else empty.
+    """Return in a line that a constant is an integer where the node has a double; else empty.
 
-    It would pass where it equals what the node has, and be refused by a node that has another.
+    The node would refuse it, but only if its present value is another one.
     """
     items = value if isinstance(value, tuple) else (value,)
     if described.type not in ("double", "double_array") or type(items[0]) is not int:
@@ -307,13 +307,13 @@ def _integer_for_double(name: str, value: checks.ParameterValue, described: Desc
 
 
 def _undeclared(name: str, known: Mapping[str, Described]) -> str:
-    """Tell in a line that a node lacks a parameter, among those that it has."""
+    """Return in a line that a node lacks a parameter, with names that it has."""
     return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
 
 
 def _parameters(mapping: object) -> dict[str, dict[str, object]]:
-    found = mapping.get("parameters") if isinstance(mapping, dict) else None
-    return found if isinstance(found, dict) else {}
+    section = mapping.get("parameters") if isinstance(mapping, dict) else None
+    return section if isinstance(section, dict) else {}
 
 
 def _node(mapping: object, node: object) -> dict[str, object]:

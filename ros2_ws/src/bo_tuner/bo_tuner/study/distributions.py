@@ -1,7 +1,7 @@
 """Distributions of a context variable, all with bounded support.
 
 Bounded, because over an unbounded context there may be no worst case. Each distribution is a frozen
-class whose fields are the keys of the study file.
+class; its fields are the keys of the study file.
 """
 
 from abc import ABC, abstractmethod
@@ -36,7 +36,7 @@ class Distribution(ABC):
 
     @property
     def labels(self) -> tuple[bool | str, ...]:
-        """The values, if they are none of numbers: a label's number is its position."""
+        """The values, if they are no numbers; a label is numbered by its position."""
         return ()
 
     def number(self, value: Value) -> float:
@@ -48,7 +48,7 @@ class Distribution(ABC):
             If it is no label, or no number.
         """
         if self.labels:
-            # Not by `in`, for which 1 is true.
+            # Not `value in self.labels`, which would take 1 for true.
             for position, label in enumerate(self.labels):
                 if checks.same_value(label, value):
                     return float(position)
@@ -92,7 +92,7 @@ class Distribution(ABC):
         return np.clip(quantiles, self.lower, self.upper)
 
     def integers(self, probability: ArrayLike) -> Array:
-        """Return the nearest integers of the quantiles, as `ppf`, shape (...)."""
+        """Return the nearest integers of the quantiles at `probability`, shape (...)."""
         return np.rint(self.ppf(probability))
 
     def clip(self, values: ArrayLike) -> Array:
@@ -186,7 +186,7 @@ class TruncatedNormal(_Continuous):
         self._finish(self.mean)
 
     def _quantile(self, probability: Array) -> Array:
-        # Here, as no other distribution needs this module, which is slow to import.
+        # This module is slow to import, and no other distribution needs it.
         from scipy import stats
 
         low, high = (
@@ -241,7 +241,7 @@ class Beta(_Continuous):
         self._check_bounds()
         object.__setattr__(self, "a", _positive(self.a, "a"))
         object.__setattr__(self, "b", _positive(self.b, "b"))
-        # Written so that neither a + b nor b / a of extreme shapes raises.
+        # Written so that no overflow of a + b or b / a of extreme shapes raises an error.
         with np.errstate(all="ignore"):
             mean = 1.0 / (1.0 + np.float64(self.b) / np.float64(self.a))
         self._finish(self.lower + float(mean) * self.width)

@@ -1,4 +1,4 @@
-"""What a signal is of a message: a field, or a number that is computed of fields.
+"""What a signal takes from a message: a field, or a number that is computed from fields.
 
 A field is a path such as ``pose.pose.position.x``. A call such as ``min(finite(ranges), 10)`` makes
 one number of arrays; its grammar is
@@ -38,9 +38,9 @@ EXAMPLES = (
 class FieldPart:
     """A step into a message: the field `name`, and of an array the item `item`, if any.
 
-    An item is a number, or a name that stands in the array `name` beside the field, as that of a
-    joint in a `sensor_msgs/msg/JointState`; within a call also a slice. Without one it is the
-    field itself; within a call that is all items of an array.
+    An item is a number, or a name that is looked up in the array `name` beside the field, such as
+    that of a joint in a `sensor_msgs/msg/JointState`; within a call also a slice. Without an item
+    the part is the field itself, which within a call may be a whole array.
     """
 
     name: str
@@ -61,28 +61,28 @@ Field = FieldPath | FieldCall
 
 
 def parsed_field(text: str) -> Field:
-    """Read what a signal is of a message.
+    """Parse the field, or the call, that a signal takes from a message.
 
     Raises
     ------
     StudyError
-        If the text says nothing of that kind.
+        If the text is neither.
     """
     if len(text) > LONGEST:
         raise StudyError(f"expected at most {LONGEST} characters", ("field",))
-    found = _parsed(text.strip(), text)
-    if isinstance(found, float):
+    parsed = _parsed(text.strip(), text)
+    if isinstance(parsed, float):
         raise StudyError(f"expected a field, found {checks.show(text)}", ("field",))
-    if isinstance(found, FieldCall) and found.function in FILTERS:
+    if isinstance(parsed, FieldCall) and parsed.function in FILTERS:
         raise StudyError(
-            f"{found.function} leaves an array; expected one number of it, such as min({text})",
+            f"{parsed.function} leaves an array; expected one number of it, such as min({text})",
             ("field",),
         )
-    if isinstance(found, tuple) and any(isinstance(part.item, slice) for part in found):
+    if isinstance(parsed, tuple) and any(isinstance(part.item, slice) for part in parsed):
         raise StudyError(
             f"several items are no number; expected one of them, such as min({text})", ("field",)
         )
-    return found
+    return parsed
 
 
 def field_path(text: str) -> FieldPath:
@@ -106,7 +106,7 @@ def paths(field: Argument) -> Iterator[FieldPath]:
 
 
 def has_names(field: Field) -> bool:
-    """Whether it has an item that is found by its name."""
+    """Whether it has an item that is given by a name."""
     return any(isinstance(part.item, str) for path in paths(field) for part in path)
 
 
@@ -136,10 +136,10 @@ def _parsed(text: str, whole: str) -> Argument:
 
 
 def _split(text: str, whole: str) -> list[str]:
-    """Split arguments at the commas that stand in no brackets of their own."""
-    found, depth, in_item, begin = [], 0, False, 0
+    """Split arguments at the commas outside of inner brackets."""
+    arguments, depth, in_item, begin = [], 0, False, 0
     for place, letter in enumerate(text):
-        # The name of an item may have any other character.
+        # Within [ ], the name of an item may have any character but the closing bracket.
         if in_item or letter == "[":
             in_item = letter != "]"
         elif letter in "()":
@@ -147,11 +147,11 @@ def _split(text: str, whole: str) -> list[str]:
             if depth < 0:
                 raise _no_field(whole)
         elif letter == "," and depth == 0:
-            found.append(text[begin:place])
+            arguments.append(text[begin:place])
             begin = place + 1
     if depth != 0 or in_item:
         raise _no_field(whole)
-    return [*found, text[begin:]]
+    return [*arguments, text[begin:]]
 
 
 def _path(text: str, whole: str) -> FieldPath:

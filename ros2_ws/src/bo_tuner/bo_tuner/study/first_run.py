@@ -11,13 +11,13 @@ from bo_tuner.study.signal_offers import REFERENCE, SignalOffer, is_sure, signal
 from bo_tuner.study.strict_yaml import dump_line
 
 SECONDS = 2.0
-"""Of a run, until somebody says better."""
+"""Time [s] of a run, until the user gives a better one."""
 STEP = 1.0
-"""Of a reference, in its unit, until somebody says better."""
+"""Step of a reference, in its unit, until the user gives a better one."""
 JOINT_STEP, SPEED_STEP = 0.1, 0.2
-"""The same of a trajectory [rad], and of a `Twist` [m/s or rad/s]: little for most machines."""
+"""Step of a trajectory [rad], and of a `Twist` [m/s or rad/s]: small for most machines."""
 SETTLED, LEAST_SETTLED = 0.02, 0.01
-"""Share of the step within which the system has settled, as that of `settling_time`; at least."""
+"""Share of the step within which the system has settled; least value, in the unit of the signal."""
 TRAJECTORY_SECONDS = 1
 """Time [s] that a trajectory takes."""
 POSE = re.compile(r"(position|orientation)\.[xyzw]$")
@@ -77,7 +77,7 @@ def step_of(wanted: SignalOffer | None, measured: SignalOffer | None) -> Step | 
         return Step(wanted, round(wanted.value, 2) + 0.0, size)
     if measured is None or measured.topic.is_silent or not is_sure(wanted, measured):
         return Step(wanted, 0.0, size, is_known=False)
-    # To rest is a speed of 0, and an effort.
+    # A speed or an effort of 0 is rest; a position is kept where it is.
     is_place = measured.quantity not in ("velocity", "effort")
     rest = measured.value if is_place else 0.0
     return Step(wanted, round(rest, 2) + 0.0, size, _beside(wanted, measured))
@@ -151,7 +151,7 @@ def _before_lines(
         name = step.wanted.topic.name
         messages = [step.back if m["topic"] == name else m for m in messages]
     yield f"  # {CHECK}: what brings the system to where every run starts."
-    # Without a message of its own, all of it is an offer.
+    # If no message brings the system to rest, all lines are offers, in comments.
     mark, margin = ("  ", "    ") if messages else ("  # ", "  #   ")
     offered = "    # " if messages else margin
     yield f"{mark}before:"
@@ -199,7 +199,7 @@ def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
 
 
 def known(topic: SeenTopic) -> str:
-    """Tell in a sentence what is known of a topic that could carry the reference."""
+    """Return in a sentence what is known of a topic that could carry the reference."""
     who = " and ".join(topic.publishers) or "Nobody"
     heard = " and ".join(dict.fromkeys(topic.listeners)) or "nobody"
     listens = "listen" if len(set(topic.listeners)) > 1 else "listens"
@@ -224,11 +224,11 @@ def published(
     message: dict[str, Any] = {}
     for name in fields:
         if name.endswith("orientation.w"):
-            # All zeros are no rotation at all.
+            # A quaternion of zeros is no rotation.
             _put(message, name, 1.0)
     for name, number in (beside or {}).items():
         _put(message, name, number)
-    # As the message has it: an integer takes no 1.0, and a truth value no number.
+    # With the type of the field: an integer takes no 1.0, and a truth value no number.
     kind = type(fields[offer.field])
     path, is_item, _ = offer.field.partition("[")
     if is_item:

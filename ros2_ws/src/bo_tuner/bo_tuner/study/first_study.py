@@ -1,7 +1,7 @@
 """A first study for running nodes that know nothing of the tuner, as a text with comments.
 
-What is chosen of their offers is written out, and the rest as comments. Nothing is invented
-silently: each guess is marked `CHECK`.
+The parameters and signals that are chosen are written out, and the others as comments. Each guess
+is marked `CHECK`.
 """
 
 import re
@@ -100,7 +100,7 @@ def _command(*words: str) -> str:
 def _measured(
     signals: Sequence[SignalOffer], wanted: SignalOffer | None, tuned: Collection[str]
 ) -> SignalOffer | None:
-    """Return the signal that is to be good: what follows the reference, or else no command."""
+    """Return the signal to judge: the one that follows the reference, or one that is no command."""
     if wanted is not None:
         return partner(wanted, signals, tuned)
     possible = [offer for offer in signals if offer.topic.publishers] or list(signals)
@@ -114,7 +114,7 @@ def _node_line(key: str, node: SeenNode, parameters: Iterable[ParameterOffer]) -
 
 
 def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[str, Any]:
-    """Return a node's entry; it has the arrays of whose items some are tuned."""
+    """Return a node's entry, with the arrays that have a tuned item."""
     arrays = {array_and_item(offer.name)[0] for offer in parameters if offer.node == node.name}
     values = {
         name: list(seen.value)
@@ -146,7 +146,7 @@ def _parameter_lines(
     for node in nodes:
         offers, others = parameter_offers(node)
         possible = [offer for offer in offers if offer in taken or offer.kind is not Kind.PLANT]
-        # Those that are taken first, and those last that are hardly meant.
+        # First the parameters that are taken, last those that are hardly for tuning.
         for offer in sorted(possible, key=lambda o: 0 if o in taken else 2 - o.suggested):
             key = keys[node.name]
             fields: dict[str, Any] = {"node": key, **offer.fields}
@@ -206,7 +206,7 @@ def _signal_names(signals: Iterable[SignalOffer]) -> dict[SignalOffer, str]:
         topic = _words(offer.topic.name)
         last = _words(offer.topic.name.rpartition("/")[2])
         candidates = [short, f"{last}_{short}", f"{topic}_{_words(offer.field)}"]
-        # Of two that are alike both have their topic.
+        # If two names are the same, both get their topic.
         candidates = candidates[shorts.count(short) > 1 and offer.field != "data" :]
         candidates += [f"signal_{i}" for i in range(len(names) + 1)]
         names[offer] = next(
@@ -223,7 +223,7 @@ def _short_name(offer: SignalOffer) -> str:
         return _words(last)
     if offer.field.endswith(")"):
         return _words(offer.field)
-    # As linear.x of twist.twist.linear.x: one letter alone says too little.
+    # Such as linear.x for twist.twist.linear.x: one letter alone says too little.
     return _words(".".join(offer.field.split(".")[-2:]))
 
 

@@ -24,14 +24,14 @@ def with_function(mapping: object) -> object:
     """
     if not isinstance(mapping, dict) or any(key in mapping for key in _ON_NODES):
         return mapping
-    found: dict[Any, object] = dict(mapping)
-    found["nodes"] = {FUNCTION: {"node": FUNCTION, "result": "~/result"}}
-    found["trigger"] = {"node": FUNCTION, "service": "~/run"}
+    completed: dict[Any, object] = dict(mapping)
+    completed["nodes"] = {FUNCTION: {"node": FUNCTION, "result": "~/result"}}
+    completed["trigger"] = {"node": FUNCTION, "service": "~/run"}
     for section in ("parameters", "contexts", "metrics"):
-        items = found.get(section)
+        items = completed.get(section)
         if isinstance(items, dict):
-            found[section] = {name: _of_function(section, item) for name, item in items.items()}
-    return found
+            completed[section] = {name: _of_function(section, item) for name, item in items.items()}
+    return completed
 
 
 def _of_function(section: str, item: object) -> object:
@@ -50,10 +50,10 @@ def returned_metrics(study: Study) -> dict[str, ReportedMetric]:
     StudyError
         If one is computed from the signals of a run, which a function does not have.
     """
-    found = {}
+    returned = {}
     for name, metric in study.metrics.items():
         if isinstance(metric, ReportedMetric):
-            found[name] = metric
+            returned[name] = metric
         elif not isinstance(metric, COMPUTED):
             raise StudyError(
                 "is computed from signals; a function needs metrics that it returns",
@@ -61,11 +61,11 @@ def returned_metrics(study: Study) -> dict[str, ReportedMetric]:
             )
     if study.trigger is None:
         raise StudyError("expected trigger: a function has no steps", ("run",))
-    return found
+    return returned
 
 
 def problem_of_returned(metrics: Mapping[str, object], returned: object) -> str:
-    """Tell in a line why this is not what a function is to return; empty if it is.
+    """Return in a line why this is not what a function is to return; empty if it is.
 
     Whether the values can be those of metrics is judged elsewhere: a run may have diverged.
 
@@ -80,8 +80,8 @@ def problem_of_returned(metrics: Mapping[str, object], returned: object) -> str:
     if not isinstance(returned, Mapping):
         return f"{expected}, found {checks.show(returned)}"
     if missing := [name for name in metrics if name not in returned]:
-        found = ", ".join(str(name)[:60] for name in returned) or "nothing"
-        return f"metric {missing[0]} is missing; {expected}, found {found}"
+        names = ", ".join(str(name)[:60] for name in returned) or "nothing"
+        return f"metric {missing[0]} is missing; {expected}, found {names}"
     for name, value in returned.items():
         if name not in metrics:
             return f"{checks.quoted(str(name))} is no metric that it returns; {expected}"

@@ -48,5 +48,5 @@ def build_guarding(value: object) -> Guarding:
     """
     if isinstance(value, bool):
         return Guarding(always=value)
-    found: Guarding = build(Guarding, value)
-    return found
+    guarding: Guarding = build(Guarding, value)
+    return guarding

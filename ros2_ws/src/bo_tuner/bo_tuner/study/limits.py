@@ -1,14 +1,13 @@
 """Whether the limits of a study hold in evaluations and trials.
 
 The check of candidates, the validation, the record, the report and the displays take the answer
-from here; what each kind of limit asks for is in `bo_tuner.study.limit_kinds`.
+from here; the rules of each kind of limit are in `bo_tuner.study.limit_kinds`.
 
-The certificate and the judge of the benchmark ask for the same; they differ in the evidence. What
-is observed in the worst context estimates whether a limit in every context holds there. Draws from
-the distribution of the contexts cannot show such a limit, only refute it: what holds in every
-context holds in those that were drawn. They do where so many violations, or so large a mean, would
-be a coincidence of less than 5 %. In a study without contexts the draws are of the only one there
-is.
+The certificate and the judge of the benchmark check the same limits with other evidence. Runs in
+the worst context estimate whether a limit in every context holds there. Draws from the
+distribution of the contexts cannot show such a limit, only refute it, as it must hold in those that
+were drawn as well. They refute it if so many violations, or so large a mean, would be a coincidence
+of less than 5 %. In a study without contexts all draws are in the only context.
 """
 
 import math
@@ -29,7 +28,7 @@ WITHIN = "within limits"
 class Standing(StrEnum):
     """What evaluations say of a limit: they show that it is kept, or leave it open, or violate it.
 
-    One that a certificate does not show to be kept counts as violated.
+    A limit that a certificate does not show to be kept counts as violated.
     """
 
     SHOWN = "shown"
@@ -51,7 +50,7 @@ class Sample:
     count, violations
         Number of values, and of those beyond the limit.
     permitted
-        How many of them may be, see `LimitKind.permitted`; None if the limit is on the mean.
+        How many values may be beyond the limit; None if the limit is on the mean.
     standing
         What the values say of the constraint; `VIOLATED` if there are none.
     """
@@ -65,24 +64,24 @@ class Sample:
 
     @property
     def agrees(self) -> bool:
-        """Whether the values agree with the constraint, which need not show it."""
+        """Whether the values agree with the constraint; they need not show it."""
         return self.standing is not Standing.VIOLATED
 
 
 def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = False) -> Sample:
     """Judge a constraint on values (n,) of its metric in draws of context and noise.
 
-    With `alone` there is no context but that of the draws: they are of the worst one, and estimate
-    whether a worst-case limit holds there.
+    With `alone` all draws are in the only context, which then is the worst one, so that they
+    estimate whether a worst-case limit holds.
     """
-    found = np.asarray(values, dtype=np.float64)
-    agrees = len(found) > 0 and constraint.rule.agrees(found, alone=alone)
+    sample = np.asarray(values, dtype=np.float64)
+    agrees = len(sample) > 0 and constraint.rule.agrees(sample, alone=alone)
     return Sample(
         name=constraint.name,
-        worst=constraint.farthest(found),
-        count=len(found),
-        violations=int(np.sum(constraint.violations(found))),
-        permitted=constraint.rule.permitted(len(found)),
+        worst=constraint.farthest(sample),
+        count=len(sample),
+        violations=int(np.sum(constraint.violations(sample))),
+        permitted=constraint.rule.permitted(len(sample)),
         standing=Standing.OPEN if agrees else Standing.VIOLATED,
     )
 
@@ -93,7 +92,7 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
     Draws that are all complete, and enough, show a limit on single runs over the contexts.
     """
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
-    found = {
+    samples = {
         name: judge_sample(
             constraint,
             [metrics[constraint.metric] for metrics in complete],
@@ -102,18 +101,18 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
         for name, constraint in study.constraints.items()
     }
     if len(complete) < len(evaluations):
-        return found
+        return samples
     return {
         name: replace(sample, standing=Standing.SHOWN) if is_shown(study, sample) else sample
-        for name, sample in found.items()
+        for name, sample in samples.items()
     }
 
 
 def is_shown(study: Study, sample: Sample) -> bool:
     """Return whether independent draws show that runs keep a limit as often as they must.
 
-    The confidence is the one that the study asks of a certificate. Draws never show what is to hold
-    in every context, unless there is but one.
+    The confidence is the one that the study asks of a certificate. Draws never show a limit that is
+    to hold in every context, unless there is only one.
     """
     rule = study.constraints[sample.name].rule
     if not rule.is_estimated(alone=not study.contexts) or not sample.agrees:
@@ -122,15 +121,16 @@ def is_shown(study: Study, sample: Sample) -> bool:
 
 
 def decisive(constraint: Constraint, worst_case: WorstCase) -> float:
-    """Return what an estimated worst case has that is held against the limit, in its unit.
+    """Return the value of an estimated worst case that is compared with the limit, in its unit.
 
-    On single runs it is the quantile of a normal metric with the estimated mean and noise.
+    For a limit on single runs it is the quantile of a normal metric with the estimated mean and
+    noise.
     """
     return worst_case.value + constraint.sign * constraint.deviations * worst_case.noise
 
 
 def excess(constraint: Constraint, worst_case: WorstCase) -> float:
-    """Return how far an estimated worst case is beyond the limit, as `Constraint.excess`."""
+    """Return how far an estimated worst case is beyond the limit, relative to the limit's size."""
     return constraint.excess(decisive(constraint, worst_case))
 
 
@@ -154,11 +154,11 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     values
         Values (n,) of its metric in that context, n ≥ 2.
     """
-    # From the limit, as the mean of equal values may differ from them by rounding.
-    found = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
-    mean, noise = float(found.mean()), float(found.std(ddof=1))
+    # Subtracted before the mean: the mean of equal values may differ from them by rounding.
+    beyond = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
+    mean, noise = float(beyond.mean()), float(beyond.std(ddof=1))
     z = constraint.deviations
-    error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(found))
+    error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(beyond))
     return mean + z * noise - error > 0.0
 
 
@@ -167,12 +167,12 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
     broken = []
     for drawn in study.drawn_constraints:
         values = trial.observations(drawn.metric)
-        # A repetition in the worst context alone has none, and says nothing of this limit.
+        # A trial that ran only in the worst context has no draws, and says nothing of this limit.
         if values and not judge_sample(drawn, values).agrees:
             broken.append(drawn.name)
     for worst in study.worst_case_constraints:
-        found = trial.worst_cases.get(worst.name)
-        if found is not None and worst.violations(found.value):
+        worst_case = trial.worst_cases.get(worst.name)
+        if worst_case is not None and worst.violations(worst_case.value):
             broken.append(worst.name)
     return tuple(broken)
 
@@ -186,9 +186,9 @@ def uncertain(study: Study, trial: Trial) -> tuple[str, ...]:
     return tuple(
         worst.name
         for worst in study.worst_case_constraints
-        if (found := trial.worst_cases.get(worst.name)) is not None
-        and not worst.violations(found.value)
-        and not worst_case_holds(worst, found)
+        if (worst_case := trial.worst_cases.get(worst.name)) is not None
+        and not worst.violations(worst_case.value)
+        and not worst_case_holds(worst, worst_case)
     )
 
 
@@ -197,21 +197,21 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
 
     None without any, or if the trial is not complete.
     """
-    found = [
+    pairs = [
         (constraint, trial.worst_cases[constraint.name])
         for constraint in study.worst_case_constraints
         if constraint.name in trial.worst_cases
     ]
-    return max(found, key=lambda pair: excess(*pair), default=None)
+    return max(pairs, key=lambda pair: excess(*pair), default=None)
 
 
 def outcome_in_words(study: Study, trial: Trial) -> str:
-    """Return what a trial is called: `WITHIN`, or the limits that it violates, or may violate.
+    """Return the outcome of a trial: `WITHIN`, or the limits that it violates, or may violate.
 
-    One without values is called by its `Trial.ending`, such as ``failed`` or ``lost``.
+    For a trial without values it is the `Trial.ending`, such as ``failed`` or ``lost``.
     """
     if trial.state is TrialState.FAILED:
         return trial.ending
     kinds = {"violates": violated(study, trial), "may violate": uncertain(study, trial)}
-    found = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
-    return "; ".join(found) or WITHIN
+    parts = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
+    return "; ".join(parts) or WITHIN

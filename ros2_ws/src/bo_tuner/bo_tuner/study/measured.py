@@ -1,4 +1,4 @@
-"""Measured contexts: metrics that tell in what surroundings a run was, and that nobody sets."""
+"""Measured contexts: metrics of the surroundings of a run, such as wind, that nobody sets."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -65,14 +65,14 @@ def check_measured(
 
 
 def _of(metrics: Mapping[str, StudyMetric], name: str) -> str:
-    """Return the metric that one relative to the default is of, or else itself."""
+    """Return the metric that a relative one is computed from; any other metric itself."""
     metric = metrics.get(name)
     return metric.relative if isinstance(metric, RelativeMetric) else name
 
 
 @dataclass(frozen=True)
 class SeenRange:
-    """What runs have seen of a measured context.
+    """Range of a measured context in some runs.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class SeenRange:
 
 
 def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[str, SeenRange]:
-    """Return by name what the complete evaluations have seen; empty if there are none."""
+    """Return by name the ranges in the complete evaluations; empty if there are none."""
     rows = values_in(measured, evaluations)
     if not len(rows):
         return {}
@@ -100,10 +100,10 @@ def seen_in_words(
     metrics: Mapping[str, StudyMetric], seen: Mapping[str, SeenRange]
 ) -> Iterator[str]:
     """Yield a sentence on each measured context: its range, and that nothing is claimed beyond."""
-    for name, found in seen.items():
-        ends = f"{shown(found.low)} and {shown(found.high)} {metrics[name].unit}".rstrip()
+    for name, seen_range in seen.items():
+        ends = f"{shown(seen_range.low)} and {shown(seen_range.high)} {metrics[name].unit}".rstrip()
         yield (
-            f"{name} was between {ends} in these runs (mean {shown(found.mean)}); nothing is "
+            f"{name} was between {ends} in these runs (mean {shown(seen_range.mean)}); nothing is "
             "claimed beyond."
         )
 

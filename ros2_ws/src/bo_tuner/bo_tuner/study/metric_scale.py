@@ -19,12 +19,12 @@ class HasScale(Protocol):
 
 
 def check_scale(metric: HasScale) -> None:
-    """Refuse another scale than those that there are."""
+    """Refuse a scale that is none of `SCALES`."""
     checks.choice(metric.scale, SCALES, "scale")
 
 
 def check_limits(metric: HasScale, constraint: Constraint) -> None:
-    """Refuse a limit that has no logarithm, on a metric that asks for one."""
+    """Refuse a limit that has no logarithm, on a metric with the scale ``log``."""
     for key, limit in (("upper", constraint.upper), ("lower", constraint.lower)):
         if metric.scale == LOG and limit is not None and limit <= 0.0:
             raise StudyError(

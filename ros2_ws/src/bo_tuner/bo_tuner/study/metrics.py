@@ -39,7 +39,7 @@ class Metric(Protocol):
 
     @property
     def scale(self) -> str:
-        """On which it is modelled if it is limited."""
+        """The scale on which it is modelled if it is limited."""
 
     @property
     def reproducible(self) -> bool:
@@ -154,10 +154,10 @@ class SignalMetric:
 
     def check_signals(self, signals: Iterable[str]) -> None:
         """Refuse expressions with signals that the study does not have."""
-        found = expression(self.of, signals, "of").names
-        if not found - {TIME}:
+        names = expression(self.of, signals, "of").names
+        if not names - {TIME}:
             raise StudyError("expected an expression with a signal", ("of",))
-        if self.measure == "largest_rate" and len(found) > 1:
+        if self.measure == "largest_rate" and len(names) > 1:
             raise StudyError(
                 "the largest_rate of several signals depends on when their messages come; "
                 "expected one signal",
@@ -266,7 +266,7 @@ class CombinedMetric:
         check_scale(self)
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
-        """Return it with its parts among the metrics of a study.
+        """Return it with references to the metrics of a study that it is computed from.
 
         Raises
         ------
@@ -276,19 +276,19 @@ class CombinedMetric:
         measured = {k: m for k, m in metrics.items() if not isinstance(m, COMPUTED)}
         of = metric_expression(self.expression, measured, "expression")
         parts = {name: measured[name] for name in sorted(of.names)}
-        found = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
-        # These are no keys of a study file.
-        object.__setattr__(found, "_of", of)
-        object.__setattr__(found, "parts", tuple(parts.values()))
-        return found
+        joined = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
+        # Not fields of the class, which would be keys of a study file.
+        object.__setattr__(joined, "_of", of)
+        object.__setattr__(joined, "parts", tuple(parts.values()))
+        return joined
 
     def value(self, metrics: Mapping[str, float]) -> float:
-        """Return its value where its parts have these; NaN or infinite where it is undefined."""
+        """Return its value for the values of its parts; NaN or infinite where it is undefined."""
         return float(self._of({name: metrics[name] for name in self._of.names}))
 
     @property
     def reproducible(self) -> bool:
-        """Whether the same evaluation gives the same number again, as of all its parts."""
+        """Whether the same evaluation gives the same number again: if it does for all parts."""
         return all(part.reproducible for part in self.parts)
 
     @property
@@ -299,7 +299,7 @@ class CombinedMetric:
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeMetric:
-    """A metric minus a multiple of what the default has of it in the same draw.
+    """A metric minus a multiple of its value for the default in the same draw.
 
     The default is run ahead of each evaluation, in the same context and with the same seed. A limit
     such as `upper: 1.1 * default` is one on such a metric.
@@ -340,7 +340,7 @@ class RelativeMetric:
         checks.positive(self.factor, "factor")
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "RelativeMetric":
-        """Return it with the other metric among those of a study.
+        """Return it with a reference to the other metric, among those of a study.
 
         Raises
         ------
@@ -355,17 +355,17 @@ class RelativeMetric:
         if declared is None and part.range is not None:
             low, high = part.range
             declared = low - self.factor * high, high - self.factor * low
-        found = dataclasses.replace(self, unit=self.unit or part.unit, range=declared)
-        object.__setattr__(found, "parts", (part,))
-        return found
+        joined = dataclasses.replace(self, unit=self.unit or part.unit, range=declared)
+        object.__setattr__(joined, "parts", (part,))
+        return joined
 
     def value(self, metrics: Mapping[str, float], default: Mapping[str, float]) -> float:
-        """Return its value by the metrics of an evaluation and those of the default beside it."""
+        """Return its value from the metrics of an evaluation and of the default's beside it."""
         return metrics[self.relative] - self.factor * default[self.relative]
 
     @property
     def reproducible(self) -> bool:
-        """Whether the same evaluation gives the same number again, as the other metric does."""
+        """Whether the same evaluation gives the same number again: if the other metric does."""
         return all(part.reproducible for part in self.parts)
 
     @property
@@ -386,16 +386,16 @@ def metric_expression(text: object, metrics: Iterable[str], *path: str | int) ->
     StudyError
         If it is none, has other names than those of `metrics`, or no name.
     """
-    found = named_expression(text, tuple(metrics), "metric", *path)
-    if not found.names:
+    parsed = named_expression(text, tuple(metrics), "metric", *path)
+    if not parsed.names:
         raise StudyError("expected an expression with a metric", path)
-    return found
+    return parsed
 
 
 def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:
-    """Return the unit of an expression of metrics if that is theirs; empty if not.
+    """Return the unit of an expression if it is the common unit of its metrics; empty if not.
 
-    It is if the value scales as the metrics do, f(s x) = s f(x), whatever their values.
+    This is so if the value scales with the metrics, f(s x) = s f(x), whatever their values.
     """
     units = {part.unit for part in parts.values()}
     values = {name: np.array([3.0, -2.0, 0.7]) * (k + 1.1) for k, name in enumerate(parts)}

@@ -27,7 +27,7 @@ def load(path: str, folder: str = "") -> Any:
         Where modules are looked for last, beside those that Python finds anyway; empty for nowhere.
     """
     if folder and folder not in sys.path:
-        # Last: what lies there must not take the place of an installed module.
+        # Last, so that a module there does not take the place of an installed one.
         sys.path.append(folder)
         importlib.invalidate_caches()
     module, _, name = path.partition(":")
@@ -38,9 +38,9 @@ def load(path: str, folder: str = "") -> Any:
 
 
 def faults() -> tuple[type[BaseException], ...]:
-    """Return what foreign code may raise for itself, for the ``except`` around it.
+    """Return the exceptions that foreign code may raise, for the ``except`` around it.
 
-    `KeyboardInterrupt` is not among these where a Ctrl-C of the user's raises it.
+    `KeyboardInterrupt` is not among them where the user's Ctrl-C raises it.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         return (Exception, SystemExit)
@@ -48,12 +48,12 @@ def faults() -> tuple[type[BaseException], ...]:
 
 
 def told(error: BaseException) -> str:
-    """Tell in a line what foreign code has raised: its type, and what it says of itself."""
+    """Return in a line what foreign code has raised: its type and its message."""
     try:
-        said = str(error)
+        message = str(error)
     except faults():
-        said = ""
-    return one_line(f"{type(error).__name__}: {said}" if said else type(error).__name__)
+        message = ""
+    return one_line(f"{type(error).__name__}: {message}" if message else type(error).__name__)
 
 
 @contextlib.contextmanager
@@ -66,7 +66,7 @@ def kept_in_place() -> Iterator[None]:
         now = _working_directory()
         if now != before:
             os.chdir(before)
-    # What foreign code has raised says more.
+    # Not reached if foreign code has raised an error, which says more.
     if now != before:
         raise MovedError(f"changed the working directory to {now}")
 

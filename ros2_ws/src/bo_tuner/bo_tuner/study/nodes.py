@@ -36,7 +36,7 @@ class NodeSpec:
     executable : str, optional
         Executable to start. A node that does not run already needs this, `command` or `launch`.
     command : str, optional
-        Program to start, with its arguments as in a shell, but without one.
+        Program to start, with its arguments, quoted like those of a shell; no shell runs it.
     launch : str, optional
         Arguments of ``ros2 launch`` to start.
     env : mapping from str to str
@@ -130,11 +130,11 @@ class NodeSpec:
 
     @property
     def passes_file(self) -> bool:
-        """Whether what is started says itself where the file with values at the start goes."""
+        """Whether its command or launch passes on the file with the values at the start."""
         return PARAMETER_FILE in (self.command or self.launch or "")
 
     def _check_start(self) -> None:
-        """Refuse two ways to start the node, and lines that no shell would take."""
+        """Refuse two ways to start the node, and lines that cannot be split into words."""
         for key in ("command", "launch"):
             if getattr(self, key) is None:
                 continue
@@ -157,7 +157,7 @@ class NodeSpec:
             raise StudyError("belongs to a node that is started; add command", ("env",))
 
     def _check_at_start(self) -> None:
-        """Refuse what no node can take at its start, and what needs `at_start` without it."""
+        """Refuse what no node can take at its start, and keys that need `at_start` without it."""
         if not isinstance(self.at_start, bool):
             expected = "true, or the names of parameters of the study"
             names = checks.sequence(self.at_start, expected, "at_start")

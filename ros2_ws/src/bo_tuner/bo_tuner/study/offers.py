@@ -23,13 +23,13 @@ OF_EVERY_NODE = (USE_SIM_TIME, "start_type_description_service")
 MOST_SUGGESTED = 8
 """Parameters that are suggested; each one more asks for some twenty trials."""
 MOST_ITEMS = 12
-"""Of an array whose items are offered; longer ones are images, scans, covariances."""
+"""Largest array that has its items offered; longer ones are images, scans, covariances."""
 SEED = re.compile(r"(^|[_.])seed$", re.IGNORECASE)
 """Name of a parameter that seeds noise."""
 DECADES = 100.0
-"""Ratio of positive bounds from which the logarithm is searched."""
+"""Ratio of positive bounds from which on the scale is logarithmic."""
 FAR_BELOW = 20.0
-"""Upper bound over the value from which on nearly all of a range from 0 on is far off the value."""
+"""Ratio of upper bound to value from which on a range from 0 is nearly all far from the value."""
 VARIATION = 0.2
 """Share by which a property of a plant is guessed to vary in operation."""
 CHECK = "CHECK"
@@ -53,7 +53,7 @@ class ParameterOffer:
     kind
         What it is by its name.
     suggested
-        Whether it may be taken unless somebody says otherwise, see `suggested_parameters`.
+        Whether it may be taken unless the user says otherwise.
     """
 
     node: str
@@ -79,13 +79,13 @@ class ContextOffer:
 def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, str]]:
     """Return the parameters of a node that could be tuned, and why the others could not, by name.
 
-    Suggested are real numbers, and integers whose range the node gives, unless their name is that
-    of a seed, of a property of the plant, or of a set-point, limit, period or the like; any other
-    integer may be a port or a count, and a truth value or a text a choice of the user's.
+    Suggested are real numbers, and integers if the node gives their range, unless their name is
+    that of a seed, of a property of the plant, or of a set-point, limit, period or the like. Any
+    other integer may be a port or a count, and a truth value or a text a choice of the user's.
     """
     offers: list[ParameterOffer] = []
     others: dict[str, str] = {}
-    found = _kinds(node)
+    kind_of = _kinds(node)
     for name, described in node.parameters.items():
         if name in OF_EVERY_NODE or name.startswith("qos_overrides."):
             continue
@@ -95,13 +95,13 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
             others[name] = "read-only"
         elif described.type in ("double", "integer", "boolean"):
             try:
-                offers.append(_offer(node.name, name, described, found[name]))
+                offers.append(_offer(node.name, name, described, kind_of[name]))
             except StudyError as error:
                 others[name] = error.problem
         elif described.type == "double_array" and isinstance(described.value, (list, tuple)):
             if len(described.value) > MOST_ITEMS:
                 others[name] = f"an array of {len(described.value)}; write its items as {name}[0]"
-            offers += _items(node.name, name, described, found[name])
+            offers += _items(node.name, name, described, kind_of[name])
         elif described.type == "string":
             others[name] = "a text; write choices: [...] to tune it"
         else:
@@ -114,43 +114,41 @@ def context_offers(node: SeenNode) -> list[ContextOffer]:
 
     Their bounds are a guess around the present value, within the range of the node.
     """
-    found = _kinds(node)
+    kind_of = _kinds(node)
     offers = []
     for name, described in node.parameters.items():
         is_free = not described.read_only and name not in node.changing
-        if found[name] is Kind.PLANT and described.type == "double" and is_free:
+        if kind_of[name] is Kind.PLANT and described.type == "double" and is_free:
             with contextlib.suppress(StudyError):
                 offers.append(_context(name, described))
     return offers
 
 
 def suggested_parameters(offers: Iterable[ParameterOffer]) -> list[ParameterOffer]:
-    """Return the parameters that are taken unless somebody says otherwise.
+    """Return the parameters that are taken unless the user says otherwise.
 
-    These are the ones whose names tell of tuning; where no name does, those whose names tell
-    nothing.
+    These are the ones with names of tuning parameters; if there is none, those with names that are
+    of no known kind.
     """
     possible = [offer for offer in offers if offer.suggested]
-    telling = [offer for offer in possible if offer.kind is Kind.TUNING]
-    return (telling or possible)[:MOST_SUGGESTED]
+    of_tuning = [offer for offer in possible if offer.kind is Kind.TUNING]
+    return (of_tuning or possible)[:MOST_SUGGESTED]
 
 
 def suggested_nodes(offers: Mapping[str, Sequence[ParameterOffer]]) -> list[str]:
-    """Return the nodes that are tuned unless somebody says otherwise, of `offers` by node.
+    """Return the nodes that are tuned unless the user says otherwise, from the `offers` by node.
 
-    These have a parameter whose name tells of tuning, as a controller or an estimator does; without
-    any such node, all that have one whose name tells nothing.
+    These have a parameter with the name of a tuning parameter, such as controllers and estimators;
+    if there is none, all nodes that have a suggested parameter.
     """
-    possible = {node: [o for o in found if o.suggested] for node, found in offers.items()}
-    telling = [
-        node for node, found in possible.items() if any(o.kind is Kind.TUNING for o in found)
-    ]
-    return telling or [node for node, found in possible.items() if found]
+    possible = {node: [o for o in own if o.suggested] for node, own in offers.items()}
+    of_tuning = [node for node, own in possible.items() if any(o.kind is Kind.TUNING for o in own)]
+    return of_tuning or [node for node, own in possible.items() if own]
 
 
 def _kinds(node: SeenNode) -> dict[str, Kind]:
-    said = {name: described.description for name, described in node.parameters.items()}
-    return kinds(node.name, said)
+    descriptions = {name: item.description for name, item in node.parameters.items()}
+    return kinds(node.name, descriptions)
 
 
 def _context(name: str, described: Described) -> ContextOffer:
@@ -179,8 +177,8 @@ def _unit(described: Described) -> dict[str, str]:
 
 def _described(remark: str, described: Described) -> str:
     """Add what the node says of a parameter."""
-    said = one_line(described.description)
-    return "; ".join(text for text in (remark, said) if text)
+    description = one_line(described.description)
+    return "; ".join(text for text in (remark, description) if text)
 
 
 def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterOffer:
@@ -217,7 +215,7 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
         known = f"no range but {limits[0]}" if limits else "no range"
         remark = f"{CHECK}: a guess; the node gives {known}"
     fields |= _unit(described)
-    # Whatever a study would refuse is no offer.
+    # Raises if a study would refuse the parameter: then it is not offered.
     Parameter(name=study_name(name), parameter=name, node=node, **fields)
     suggested = described.type == "double" or has_range
     suggested &= kind in (Kind.TUNING, Kind.UNKNOWN)
@@ -228,12 +226,12 @@ def _offer(node: str, name: str, described: Described, kind: Kind) -> ParameterO
 
 
 def _is_far_below(upper: float, value: object) -> bool:
-    """Whether a value above 0 is so small that nearly all of a range from 0 on is far off it."""
+    """Whether a value above 0 is so small that nearly all of a range from 0 on is far from it."""
     return isinstance(value, (int, float)) and 0.0 < value <= upper / FAR_BELOW
 
 
 def _by_name(kind: Kind, remark: str) -> str:
-    """Put ahead of a remark what a parameter is that is hardly one to tune."""
+    """Put the kind of a parameter that is hardly one to tune ahead of a remark."""
     if kind in (Kind.TUNING, Kind.UNKNOWN):
         return remark
     by_name = f"by its name {kind.value}"

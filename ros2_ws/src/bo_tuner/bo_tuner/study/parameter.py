@@ -35,21 +35,20 @@ class Parameter:
     bounds : tuple of two numbers, optional
         Smallest and largest value of a tuned number.
     step : int or float, optional
-        A tuned number is the lower bound or a multiple of this above it; 1 for an integer unless
-        given.
+        A tuned number is the lower bound plus a multiple of this; 1 for an integer unless given.
     choices : tuple of str, optional
         The values of a tuned text, which have no order.
     tied_to : str, optional
-        Tuned or fixed parameter whose value this one takes.
+        Tuned or fixed parameter that this one takes its value from.
     fixed : bool, int, float or str, optional
         Value in every trial.
     default : bool, int, float or str, optional
         Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; a fixed
         one has its value, and a tied one that of the parameter it follows.
     scale : str
-        `linear`, or `log` for a positive parameter whose ratios matter rather than its differences:
+        `linear`, or `log` for a positive parameter of which ratios matter rather than differences:
         the surrogates then see its logarithm, and the initial design of a double is even in it.
-        `symlog` is the same for bounds that begin at 0, or near it: the logarithm down to a
+        `symlog` is for bounds that begin at 0, or near it: the logarithm down to a
         thousandth of the upper bound, and linear from there to 0.
     unit : str
         Unit, for display only.
@@ -246,7 +245,7 @@ class Parameter:
         if self.bounds is None or self.step is None:
             return value
         lower, upper = self.bounds
-        # The largest one may lie below the upper bound.
+        # The largest multiple may lie below the upper bound.
         most = math.floor((upper - lower) / self.step + 1e-9)
         steps = min(max(math.floor((value - lower) / self.step + 0.5), 0), most)
         return min(lower + steps * self.step, upper)
@@ -279,16 +278,16 @@ def study_name(name: str) -> str:
         return name
     array, item = array_and_item(name)
     groups = [re.sub(r"\W+", "_", part, flags=re.ASCII) for part in (array or name).split(".")]
-    found = ".".join(group for group in groups if group) or "_"
-    found = found if re.match(r"[A-Za-z_]", found) else f"_{found}"
-    return f"{found}[{item}]" if array else found
+    joined = ".".join(group for group in groups if group) or "_"
+    joined = joined if re.match(r"[A-Za-z_]", joined) else f"_{joined}"
+    return f"{joined}[{item}]" if array else joined
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:
     """Say what to write for bounds that have no logarithm."""
     if lower < 0 or upper <= 0:
         return "leave it out"
-    # Three decades below the default, which is where the search is worth while.
+    # A lower bound three decades below the default covers what is worth searching.
     near = default if isinstance(default, (int, float)) and default > 0 else upper
     proposed = 1 if isinstance(lower, int) else float(f"{min(near, upper) / 1000.0:.1g}")
     return f"write bounds: [{proposed}, {upper}], or scale: symlog if 0 itself counts"

@@ -1,8 +1,8 @@
 """What the numbers among a node's parameters are by their names.
 
-A name tells little and people name freely, so this only orders offers: whatever it says, the user
-can take any parameter. Where it is in doubt it takes nothing for a gain, since to tune a limit, a
-set-point or the noise of a simulation finds "parameters" that merely make the task easier.
+Names are an uncertain sign, so this only orders offers: the user can take any parameter. In doubt a
+parameter is not taken for a gain: tuning a limit, a set-point or the noise of a simulation finds
+"parameters" that merely make the task easier.
 """
 
 import re
@@ -68,7 +68,7 @@ _STRONG = _whole(
     r"(?:integral|integration|derivative|reset|filter|rise)_time|feed_?forward|compensation",
     r"inflation|scaling_factor|damping_ratio",
 )
-"""Of tuning, whatever else is in the name: `cutoff_frequency` is no rate."""
+"""Names of tuning parameters, whatever else is in the name: `cutoff_frequency` is no rate."""
 _PLANT = _whole(
     r"mass(?:es)?|inertias?|moment|friction|stiction|payload|luggage|ballast|wind|gust|gravity|drag",
     r"backlash|viscosity|density|inductance|resistance|disturbance|slope|slip|gear(?:box)?",
@@ -79,7 +79,7 @@ _PLANT = _whole(
 _LOAD = _last(r"loads?")
 _NOISE = _whole(r"noise")
 _EITHER = _whole(r"damping|damper|stiffness|spring|time_?constants?|tau|lag")
-"""Of a plant, or of a controller with a filter or an impedance."""
+"""Names of a plant's parameters, or of a controller's with a filter or an impedance."""
 _WEAK = _whole(
     *_GAIN,
     r"alpha|beta|gamma|lambda|eta|rho|sigma|std|stddev|standard_deviation|variances?|penalize",
@@ -110,33 +110,33 @@ def kinds(node: str, parameters: Mapping[str, str]) -> dict[str, Kind]:
     texts = [of_node, *(_words(name) for name in parameters)]
     is_estimator = any(_ESTIMATOR.search(text) for text in texts)
     noise = Kind.TUNING if is_estimator else Kind.PLANT
-    found = {
-        name: _kind(name, said, noise, is_compliant=bool(_COMPLIANT.search(of_node)))
-        for name, said in parameters.items()
+    by_name = {
+        name: _kind(name, description, noise, is_compliant=bool(_COMPLIANT.search(of_node)))
+        for name, description in parameters.items()
     }
-    known = set(found.values())
-    # A time constant beside a mass is the plant's, beside a gain that of a filter.
+    known = set(by_name.values())
+    # A time constant is the plant's if the node has a mass, and a filter's if it has a gain.
     meant = Kind.PLANT if Kind.PLANT in known else Kind.TUNING
     if {Kind.PLANT, Kind.TUNING} <= known:
         meant = Kind.UNKNOWN
-    return {name: meant if kind is None else kind for name, kind in found.items()}
+    return {name: meant if kind is None else kind for name, kind in by_name.items()}
 
 
-def _kind(name: str, said: str, noise: Kind, *, is_compliant: bool) -> Kind | None:
-    """Return what a parameter is, None where only its neighbours can tell."""
+def _kind(name: str, description: str, noise: Kind, *, is_compliant: bool) -> Kind | None:
+    """Return the kind of a parameter; None where the other parameters of the node decide it."""
     *groups, leaf = (_words(part) for part in name.split("."))
     kind = _of_words(leaf, noise)
     is_compliant = is_compliant or any(_COMPLIANT.search(group) for group in groups)
     if is_compliant and kind in (Kind.PLANT, None):
         return Kind.TUNING
-    if kind in (Kind.TUNING, Kind.UNKNOWN) and _MASS.match(unit_in(said)):
+    if kind in (Kind.TUNING, Kind.UNKNOWN) and _MASS.match(unit_in(description)):
         return Kind.PLANT
     for group in reversed(groups):
         if kind is Kind.UNKNOWN:
             kind = _of_words(group, noise, is_name=False)
     if kind is Kind.UNKNOWN:
-        # Of a sentence only its subject, and not the settings that it speaks of.
-        by_text = _of_words(_words(_CLAUSE_END.split(said)[0]), noise, is_name=False)
+        # Only the first clause of a description: the rest may name other parameters.
+        by_text = _of_words(_words(_CLAUSE_END.split(description)[0]), noise, is_name=False)
         kind = by_text if by_text in (Kind.TUNING, Kind.PLANT) else kind
     return kind
 

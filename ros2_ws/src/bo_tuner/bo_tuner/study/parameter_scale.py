@@ -3,10 +3,10 @@
 linear
     v itself.
 log
-    log v, for a positive parameter whose ratios matter.
+    log v, for a positive parameter of which ratios matter.
 symlog
-    log(1 + v / v₀), for a parameter from 0 on: as the logarithm well above v₀, which is a
-    thousandth of the upper bound, and linear below, with 0 itself among the values.
+    log(1 + v / v₀), for a parameter from 0 on: like the logarithm well above v₀, which is a
+    thousandth of the upper bound, and linear below it, down to 0.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 SCALES = (LINEAR, LOG, SYMLOG)
 
 DECADES = 1000.0
-"""Upper bound over v₀: the symlog scale spans so many decades, and the rest of the way to 0."""
+"""Upper bound over v₀: the symlog scale is logarithmic over three decades, and linear down to 0."""
 
 
 def scaled(scale: str, values: ArrayLike, upper: Array) -> Array:

@@ -72,7 +72,7 @@ class ParameterSpace:
         self._check_ties()
         self.names = tuple(item.name for item in self.tuned)
         self._column = {name: column for column, name in enumerate(self.names)}
-        # Of what is no number, a column holds the position among its levels.
+        # Of a parameter that is no number, a column holds the position among its levels.
         bounds = np.array(
             [item.bounds or (0, len(item.levels) - 1) for item in self.tuned], dtype=np.float64
         )
@@ -86,11 +86,11 @@ class ParameterSpace:
         self.partial_order = PartialOrder(len(self.tuned), ())
         for index, names in enumerate(self.order):
             self._add_order(index, names)
-        found = []
+        conditions = []
         for index, text in enumerate(where):
             with under(KEY, index):
-                found.append(Condition(text, self._by_name))
-        self.conditions = tuple(found)
+                conditions.append(Condition(text, self._by_name))
+        self.conditions = tuple(conditions)
 
     def row(self, parameters: Mapping[str, Value]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
@@ -142,22 +142,22 @@ class ParameterSpace:
                 )
 
     def held(self, values: Array) -> Array:
-        """Return what each condition says of rows of tuned values (n, d), see `Condition.values`.
+        """Return whether each condition holds in rows of tuned values (n, d): 1, 0, or NaN.
 
-        The shape is (number of conditions, n).
+        NaN is for a condition that is not defined there. The shape is (number of conditions, n).
         """
         columns = {item.name: self._column_of(item, values) for item in self.parameters}
-        found = np.empty((len(self.conditions), len(values)))
+        held = np.empty((len(self.conditions), len(values)))
         for index, condition in enumerate(self.conditions):
-            found[index] = condition.values(columns)
-        return found
+            held[index] = condition.values(columns)
+        return held
 
     def holds(self, values: Array) -> NDArray[np.bool_]:
         """Return which rows of tuned values (n, d) satisfy all conditions, shape (n,)."""
         if not self.conditions:
             return np.ones(len(values), dtype=np.bool_)
-        found: NDArray[np.bool_] = (self.held(values) == 1.0).all(axis=0)
-        return found
+        satisfied: NDArray[np.bool_] = (self.held(values) == 1.0).all(axis=0)
+        return satisfied
 
     def check_conditions(self, row: Array) -> None:
         """Refuse a row of tuned values, shape (d,), that breaks a condition.
@@ -169,10 +169,10 @@ class ParameterSpace:
         """
         for condition, value in zip(self.conditions, self.held(row[None])[:, 0], strict=True):
             if value != 1.0:
-                found = condition.found(self.complete(row))
+                shown = condition.values_in_words(self.complete(row))
                 if np.isnan(value):
-                    found = f"it is not defined for {found}"
-                raise ConditionError(condition.text, found)
+                    shown = f"it is not defined for {shown}"
+                raise ConditionError(condition.text, shown)
 
     def complete(self, row: Array) -> dict[str, Value]:
         """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
@@ -192,10 +192,10 @@ class ParameterSpace:
         """Return the values (n,) of a parameter in rows (n, d), or the one (1,) that all have."""
         column = self._column.get(self._leader(item.name).name)
         if column is not None:
-            found: Array = values[:, column]
-            return found
+            tuned: Array = values[:, column]
+            return tuned
         fixed = self.defaults[item.name]
-        # A text that is fixed has the only position.
+        # A fixed text has one level only, at position 0.
         return np.array([0.0 if isinstance(fixed, str) else float(fixed)])
 
     def _leader(self, name: str) -> Parameter:

@@ -73,13 +73,13 @@ class ContextVariable:
     def _check_type(self) -> None:
         """Find the type, or refuse one that the distribution's values do not have."""
         labels = self.distribution.labels
-        found = DOUBLE
+        type_of_values = DOUBLE
         if labels:
-            found = "boolean" if isinstance(labels[0], bool) else "string"
+            type_of_values = "boolean" if isinstance(labels[0], bool) else "string"
         if self.type == "":
-            object.__setattr__(self, "type", found)
+            object.__setattr__(self, "type", type_of_values)
         checks.choice(self.type, TYPES, "type")
-        if self.type == INTEGER and found == DOUBLE:
+        if self.type == INTEGER and type_of_values == DOUBLE:
             item = self.distribution
             numbers = item.support if isinstance(item, Discrete) else [item.lower, item.upper]
             for number in numbers:
@@ -89,9 +89,9 @@ class ContextVariable:
                         f"{number:g}",
                         ("type",),
                     )
-        elif self.type != found:
+        elif self.type != type_of_values:
             raise StudyError(
-                f"expected {found}, as its values are, found {self.type}; numbers are of "
+                f"expected {type_of_values}, as its values are, found {self.type}; numbers are of "
                 f"{DOUBLE} or {INTEGER}, truth values and texts of discrete",
                 ("type",),
             )
@@ -189,14 +189,14 @@ class Objective:
     def relative_loss(
         self, cost: ArrayLike, reference: ArrayLike, size_of_zero: float = TINY
     ) -> Array:
-        """Return how much worse the metric is than another, relative to that other.
+        """Return how much worse a value of the metric is than another one, relative to the other.
 
         Parameters
         ----------
         cost, reference : array-like, shape (...)
-            Costs of the metric and of the other, see `to_cost`.
+            Costs of the two values, as `to_cost` returns them.
         size_of_zero : float
-            What the loss is relative to where the other is 0.
+            Size that the loss is relative to where the other is 0.
 
         Returns
         -------
@@ -210,9 +210,9 @@ class Objective:
         return np.asarray((cost - reference) / _size(reference, size_of_zero))
 
     def worsened(self, cost: ArrayLike, loss: ArrayLike, size_of_zero: float = TINY) -> Array:
-        """Return the cost (...) of a metric that is worse than that of `cost` by a `relative_loss`.
+        """Return the cost (...) of a metric that is worse than `cost` by the relative `loss`.
 
-        A maximized one on the log scale can lose less than all of it.
+        A maximized metric on the log scale loses less than all of its value.
         """
         cost, loss = np.asarray(cost, np.float64), np.asarray(loss, np.float64)
         if self.scale == LOG:
@@ -221,5 +221,5 @@ class Objective:
 
 
 def _size(cost: Array, of_zero: float) -> Array:
-    """Return what is relative to a cost (...) relative to."""
+    """Return the size of a cost (...) that a loss is relative to."""
     return np.where(cost == 0.0, of_zero, np.abs(cost))

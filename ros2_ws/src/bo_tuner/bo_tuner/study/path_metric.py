@@ -18,10 +18,10 @@ PLAN_TYPE = "nav_msgs/msg/Path"
 
 @dataclass(frozen=True, kw_only=True)
 class PathMetric:
-    """A number that is computed from the distance of a path from the plan that holds just then.
+    """A number that is computed from the distance of a path from the plan that holds at the time.
 
-    The distance is that from the nearest point of the line through the plan's poses. Both have
-    their own stamps: at each message of the path, or of a new plan, the last one of each counts.
+    The distance is that from the nearest point of the line through the plan's poses. At each
+    message of the path or of a plan, the latest message of each by its stamp counts.
 
     Attributes
     ----------

@@ -135,7 +135,7 @@ class SineProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class ChirpProfile:
-    """A sine whose frequency goes from one to another; then it stays at the value it ends with.
+    """A sine with a frequency that goes from one to another; then it keeps the value it ends with.
 
     Attributes
     ----------
@@ -163,8 +163,8 @@ class ChirpProfile:
         _duration(self)
         checks.choice(self.sweep, (LINEAR, LOGARITHMIC), "sweep")
         pair = checks.pair(self.frequencies, "[first, last] frequency", "frequencies")
-        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
-        object.__setattr__(self, "frequencies", found)
+        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
+        object.__setattr__(self, "frequencies", frequencies)
 
     @property
     def highest_frequency(self) -> float:
@@ -214,8 +214,8 @@ class MultisineProfile:
         checks.at_most(items, maxima.SINES, "frequencies")
         if not items:
             raise StudyError("expected at least one", ("frequencies",))
-        found = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
-        object.__setattr__(self, "frequencies", found)
+        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
+        object.__setattr__(self, "frequencies", frequencies)
         if (self.amplitude is None) == (not self.amplitudes):
             raise StudyError("expected one of amplitude and amplitudes")
         if self.amplitude is not None:
@@ -231,8 +231,8 @@ class MultisineProfile:
                 f"{len(values)}",
                 (key,),
             )
-        found = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
-        object.__setattr__(self, key, found)
+        magnitudes = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
+        object.__setattr__(self, key, magnitudes)
 
     @property
     def highest_frequency(self) -> float:
@@ -346,14 +346,14 @@ class Profile:
         return max((wave.highest_frequency for wave in waves if wave is not None), default=0.0)
 
     def read_files(self, folder: str) -> "Profile":
-        """Return it with the digest of its file, if it has one; raises as `function`."""
+        """Return it with the digest of its file, if any; raises `StudyError` on a bad file."""
         if self.csv is None:
             return self
         with under("csv"):
             return replace(self, csv=replace(self.csv, digest=self.csv.read(folder).digest))
 
     def function(self, folder: str) -> Callable[[Array], Array]:
-        """Return what gives its values (n,) at times (n,) [s] since the stream began.
+        """Return a function from times (n,) [s] since the stream began to its values (n,).
 
         Parameters
         ----------
@@ -363,11 +363,11 @@ class Profile:
         Raises
         ------
         StudyError
-            If its file is not as it should be.
+            If its file cannot be read, has no such columns, or has changed.
         """
         if self.expression:
-            found = Expression(self.expression, (TIME, PI))
-            return lambda time: np.broadcast_to(found({TIME: time, PI: np.pi}), time.shape)
+            expression = Expression(self.expression, (TIME, PI))
+            return lambda time: np.broadcast_to(expression({TIME: time, PI: np.pi}), time.shape)
         if self.csv is not None:
             with under("csv"):
                 return partial(self.csv.read(folder).at, hold=self.csv.between == HOLD)

@@ -16,8 +16,8 @@ from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
 
 WATCHDOG = 0.1
 """Time [s] without a message after which many drivers stop a machine."""
-LOOKED_AT = 60.0
-"""Time [s] of an expression that is looked at before the first run; what follows, as it comes."""
+CHECKED = 60.0
+"""Time [s] over which values of a profile are checked before the first run; later ones are not."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +57,9 @@ class Topic:
             )
         for key in ("profile", "follow"):
             if not isinstance(getattr(self, key), Mapping):
-                found = checks.show(getattr(self, key))
+                given = checks.show(getattr(self, key))
                 example = "{data: angle}" if key == "follow" else '{data: "sin(t)"}'
-                raise StudyError(f"expected fields such as {example}, found {found}", (key,))
+                raise StudyError(f"expected fields such as {example}, found {given}", (key,))
         for name in self.profile:
             with under("profile", str(name)):
                 try:
@@ -142,7 +142,7 @@ class Publish(Topic):
                 ("largest_gap",),
             )
         for path, profile in self.profiles:
-            # Nyquist: what is faster looks slower.
+            # Nyquist: a faster sine would appear as a slower one.
             if profile.highest_frequency >= rate / 2.0:
                 raise StudyError(
                     f"{profile.highest_frequency:g} Hz cannot be seen in {rate:g} messages a "
@@ -180,7 +180,7 @@ class Publish(Topic):
         return self.largest_gap or max(WATCHDOG, 3.0 / (self.rate or 1.0))
 
     def ending(self, folder: str) -> tuple[Topic, ...]:
-        """Return its last messages: of a stream, with what its profiles come to at its end.
+        """Return its last messages: of a stream, those with the values of its profiles at its end.
 
         Raises
         ------
@@ -200,14 +200,14 @@ class Publish(Topic):
         )
 
     def read_files(self, folder: str, longest: float) -> "Publish":
-        """Return it with the digests of its files, once they and values are checked.
+        """Return it with the digests of its files, after a check of these and of its values.
 
         Parameters
         ----------
         folder
             The study's.
         longest
-            Time [s] up to which values are looked at.
+            Time [s] up to which values are checked.
 
         Raises
         ------
@@ -228,7 +228,7 @@ class Publish(Topic):
 
     def _check_finite(self, profile: Profile, folder: str, longest: float) -> None:
         rate = self.rate or 1.0
-        count = int(min(self.duration or longest, longest, LOOKED_AT) * rate) + 1
+        count = int(min(self.duration or longest, longest, CHECKED) * rate) + 1
         times = np.arange(count) / rate
         values = profile.function(folder)(times)
         if len(wrong := np.flatnonzero(~np.isfinite(values))):
@@ -263,12 +263,12 @@ def _with_profiles(fields: dict[str, Any]) -> dict[str, Any]:
     given = fields.get("profile")
     if isinstance(given, dict):
         findings = Findings()
-        found = {}
+        profiles = {}
         for name, item in given.items():
             with findings.under("profile", str(name)):
-                found[name] = build_profile(item)
+                profiles[name] = build_profile(item)
         findings.check()
-        fields["profile"] = found
+        fields["profile"] = profiles
     return fields
 
 

@@ -1,7 +1,6 @@
 """The declared range of a metric: no run has a value beyond it, whatever happens.
 
-A certificate rests on it, and no sample can show it: the rare runs that it bounds are those that
-nobody has seen.
+A certificate relies on it, and no sample can show it: it bounds rare runs, which nobody has seen.
 """
 
 from collections.abc import Iterable, Mapping
@@ -25,15 +24,15 @@ def check_range(metric: Any) -> None:
     """
     if metric.range is None:
         return
-    found = checks.pair(metric.range, "two numbers, as [low, high]", "range")
-    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(found))
+    pair = checks.pair(metric.range, "two numbers, as [low, high]", "range")
+    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(pair))
     if not low < high:
         raise StudyError(f"expected low < high, found [{low:g}, {high:g}]", ("range",))
     object.__setattr__(metric, "range", (low, high))
 
 
 def check_limit(constraint: Constraint, declared: Range | None) -> None:
-    """Refuse a limit that the range of its metric keeps or breaks by itself.
+    """Refuse a limit outside the range of its metric, which every run or no run keeps.
 
     Raises
     ------
@@ -68,7 +67,7 @@ def check_free(constraints: Iterable[Constraint], declared: Mapping[str, Range |
 
 
 def outside(metrics: Mapping[str, Any], evaluations: Iterable[Evaluation]) -> str:
-    """Say which value of the evaluations is first outside the range of its metric; else empty."""
+    """Return in words the first value outside the range of its metric; empty if there is none."""
     declared = {name: m.range for name, m in metrics.items() if m.range is not None}
     for evaluation in evaluations if declared else ():
         for name, (low, high) in declared.items():

@@ -37,12 +37,12 @@ class Table:
     digest: str
 
     def at(self, time: Array, *, hold: bool) -> Array:
-        """Return the values (n,) at times (n,) [s]; beyond its ends it stays as it is there."""
+        """Return the values (n,) at times (n,) [s]; beyond the table they are constant."""
         return profiles.interpolated(time, self.times, self.values, hold)
 
 
 def read_table(path: Path, time: str, column: str) -> Table:
-    """Read two columns of a file whose first line names them.
+    """Read two columns of a file, by their names in its first line.
 
     Raises
     ------

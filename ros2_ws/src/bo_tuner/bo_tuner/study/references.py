@@ -1,6 +1,6 @@
 """The references between the parts of a study; a study checks them when it is made.
 
-Each function raises `StudyError` with the key path in the study file, or below what it was given.
+Each function raises `StudyError` with the key path in the study file, or within its argument.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -71,14 +71,14 @@ def check_objectives(
 def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric | None]) -> None:
     """Refuse a limit on a metric that is not there, and one that no run can keep.
 
-    Of a metric that is wrong itself, and None, nothing else is known.
+    A metric that is None was refused itself; the limit is not compared with it.
     """
     checks.reference(constraint.metric, "metric", metrics, "metric")
     metric = metrics[constraint.metric]
     if metric is not None:
         check_limit(constraint, metric.range)
         check_limits(metric, constraint)
-    # A distance is never negative, whatever is measured of it.
+    # A distance is never negative, and neither is any measure of it.
     never_negative = isinstance(metric, PathMetric) or (
         isinstance(metric, SignalMetric) and metric.measure in NEVER_NEGATIVE
     )
@@ -99,7 +99,7 @@ def node_references(
     trigger: Trigger | None,
     seed: SeedParameter | None,
 ) -> Iterator[tuple[KeyPath, str]]:
-    """Yield where a study refers to nodes, and by which key, in sections of parts by name."""
+    """Yield the references to nodes in sections of parts by name: key path, and key of the node."""
     for section, items in parts:
         for name, item in items.items():
             if isinstance(item, Parameter | ContextVariable | ReportedMetric) and item.node:
@@ -131,7 +131,7 @@ def check_signals(
 def check_kinds(
     run: Run | None, metrics: Mapping[str, object], signals: Mapping[str, Signal]
 ) -> None:
-    """Refuse whole messages where numbers are computed with, and the other way round."""
+    """Refuse whole messages where numbers are needed, and numbers where whole messages are."""
     findings = Findings()
     for name, metric in metrics.items():
         if isinstance(metric, SignalMetric | PathMetric):
@@ -157,16 +157,16 @@ def check_run(
         raise StudyError("a study has either trigger or run; leave one out", ("run",))
     reporting = {}
     for name, metric in metrics.items():
-        here = ("metrics", name)
+        key_path = ("metrics", name)
         if isinstance(metric, COMPUTED):
             continue
         if not isinstance(metric, ReportedMetric):
             if run is None:
-                raise StudyError("signals are recorded in a run; add run", here)
+                raise StudyError("signals are recorded in a run; add run", key_path)
         elif run is not None:
             raise StudyError(
                 "is reported by a node that is triggered; with run, write of and measure",
-                (*here, "node"),
+                (*key_path, "node"),
             )
         else:
             reporting[metric.node] = f"metric '{name}'"
@@ -182,22 +182,24 @@ def check_run(
 def check_names(
     parts: Mapping[str, Any], names: Mapping[str, Collection[str]], findings: Findings
 ) -> None:
-    """Look for references to nothing in a study of which some parts are wrong themselves.
+    """Refuse references to nothing in a study in which some parts were refused themselves.
 
     Parameters
     ----------
     parts
-        What could be made of the study's sections.
+        The sections of the study, without the parts that were refused.
     names
         By section the names of all parts in the file, also of those that could not be made; a
         section that is none at all is left out, and so is what refers to it.
     findings
-        Takes what is wrong.
+        Collects the errors.
     """
     named = {key: parts.get(key, {}) for key in ("parameters", "contexts", "metrics")}
     if "nodes" in names:
-        found = node_references(named.items(), parts.get("trigger"), parts.get("seed_parameter"))
-        for path, node in found:
+        references = node_references(
+            named.items(), parts.get("trigger"), parts.get("seed_parameter")
+        )
+        for path, node in references:
             with findings.under():
                 checks.reference(node, "node", names["nodes"], *path, "node")
     if {"signals", "nodes"} <= names.keys():
@@ -249,9 +251,9 @@ def check_targets(
         targets.append((("seed_parameter",), seed.node, seed.parameter))
     for path, node_key, parameter in targets:
         _refuse_unwatched(nodes[node_key], array_and_item(parameter)[0] or parameter)
-        here = ".".join(map(str, path))
-        other = sources.setdefault((node_key, parameter), here)
-        if other != here:
+        place = ".".join(map(str, path))
+        other = sources.setdefault((node_key, parameter), place)
+        if other != place:
             raise StudyError(
                 f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
             )
@@ -287,7 +289,7 @@ def check_settings(
 
 
 def _refuse_unwatched(spec: NodeSpec, parameter: str) -> None:
-    """Refuse to set what is not watched: nobody would see that a node has another value."""
+    """Refuse to set an unwatched parameter: nobody would notice that the node has another value."""
     if pattern := spec.unwatched_by(parameter):
         raise StudyError(
             f"'{pattern}' is also '{parameter}', which the study sets; what is set is watched",

@@ -1,8 +1,8 @@
 """Limits relative to the default, such as ``upper: 1.1 * default``, as limits on metrics.
 
-A limit ``a * default + b`` on a metric y, where ``default`` is what the default has of y in the
-same context with the same seed, is a limit b on the metric ``y - a * default``. It is a difference
-and not a ratio, so that it is defined where the default has 0.
+A limit ``a * default + b`` on a metric y, where ``default`` is the value of y for the default in
+the same context with the same seed, is a limit b on the metric ``y - a * default``. It is a
+difference and not a ratio, so that it is defined where that value is 0.
 """
 
 import dataclasses
@@ -20,22 +20,22 @@ from bo_tuner.study.metrics import RelativeMetric, metric_kind
 from bo_tuner.study.signals import named_expression
 
 DEFAULT = "default"
-"""Name, in a limit, of what the default has of the metric."""
+"""Name, in a limit, of the value of the metric for the default."""
 _STANDS_FOR = {LOWER: -1.0, UPPER: 1.0}
-"""Any two limits, which do not contradict each other."""
+"""Numbers in place of the limits in checks of the other keys; they do not contradict each other."""
 _HUGE = 2.0**100
-"""A power of two, by which products are exact, and beside which every offset vanishes."""
+"""A power of two, so that products with it are exact; every offset vanishes beside it."""
 
 
 def written_out(values: Mapping[str, Any], findings: Findings) -> dict[str, Any]:
-    """Return the sections of a study file that limits relative to the default stand for.
+    """Return the sections of a study file with limits relative to the default written out.
 
     Parameters
     ----------
     values
         The sections as they are in the file.
     findings
-        Takes what is wrong with such limits; the constraint is left out then.
+        Collects errors in such limits; the constraint is left out then.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def _is_relative(name: object, item: object) -> bool:
 
 
 def _is_expression(limit: object) -> bool:
-    """Return whether a limit is text that is no number; one in quotes is refused as any is."""
+    """Return whether a limit is text but no number: a number in quotes is refused elsewhere."""
     if not isinstance(limit, str):
         return False
     try:
@@ -78,9 +78,9 @@ def _is_expression(limit: object) -> bool:
 def _plain(
     name: str, item: Mapping[str, Any], others: Mapping[Any, Any], metrics: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the constraints that one stands for, and add the metrics that these are on."""
+    """Return the constraints that one is written out to, and add their metrics to `metrics`."""
     given = {side: item[side] for side in (LOWER, UPPER) if item.get(side) is not None}
-    # Its other keys are checked, and its sides made, as those of any constraint.
+    # `Constraint` checks the other keys and splits the sides.
     whole = build(Constraint, {**item, **{side: _STANDS_FOR[side] for side in given}}, name=name)
     checks.reference(whole.metric, "metric", metrics, "metric")
     limits = {}
@@ -93,7 +93,7 @@ def _plain(
     if len(on) == 1:
         plain = {side: limit for side, (_, limit) in limits.items()}
         return {name: {**item, **plain, "metric": on.pop()}}
-    found = {}
+    split = {}
     for one in whole.sides():
         if one.name in others:
             raise StudyError(
@@ -101,12 +101,12 @@ def _plain(
             )
         metric, limit = limits[one.side]
         fields = dataclasses.asdict(one) | {"metric": metric, one.side: limit}
-        found[one.name] = {k: v for k, v in fields.items() if k != "name" and v is not None}
-    return found
+        split[one.name] = {k: v for k, v in fields.items() if k != "name" and v is not None}
+    return split
 
 
 def _relative(metric: str, factor: float, metrics: dict[str, Any], path: KeyPath) -> str:
-    """Return the name of the metric minus a multiple of the default's, which is added if new."""
+    """Return the name of the metric minus a multiple of the default's; a new one is added."""
     if metric_kind(metrics[metric]) is RelativeMetric:
         raise StudyError(f"metric '{metric}' is relative to the default itself", path)
     multiple = "" if factor == 1.0 else f"{np.format_float_positional(factor, trim='-')}_"
@@ -126,7 +126,7 @@ def _factor_and_offset(text: str, side: str) -> tuple[float, float]:
     Raises
     ------
     StudyError
-        If it is none, or a is not above 0.
+        If it is no such expression, or a is not above 0.
     """
     expected = "expected a number, or a multiple of the default such as 1.1 * default"
     try:

@@ -101,7 +101,7 @@ class Run:
         self._check_streams()
 
     def _check_streams(self) -> None:
-        """Refuse a stream that delays the way to rest without end, and ends of what is none."""
+        """Refuse an endless stream on the way to rest, and a `stop` of what does not stream."""
         for index, step in enumerate(self.after):
             if step.publish is not None and step.publish.streams and step.publish.duration is None:
                 raise StudyError(
@@ -135,7 +135,7 @@ class Run:
         Raises
         ------
         StudyError
-            If one is not as it should be.
+            If a file cannot be read, or has no reference over time in it.
         """
         findings = Findings()
         phases: dict[str, list[Step]] = {phase: [] for phase in PHASES}
@@ -146,8 +146,8 @@ class Run:
                     read = replace(step, publish=step.publish.read_files(folder, self.longest))
             phases[str(phase)].append(read)
         findings.check()
-        found: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
-        return replace(self, **found)
+        by_phase: dict[str, Any] = {phase: tuple(steps) for phase, steps in phases.items()}
+        return replace(self, **by_phase)
 
     @property
     def settings(self) -> Iterator[tuple[KeyPath, SetParameter]]:
@@ -209,15 +209,15 @@ class Run:
                 yield step.wait_until.condition, (*path, "wait_until", "condition")
 
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
-        """Refuse what refers to signals and nodes that the study does not have."""
+        """Refuse references to signals and nodes that the study does not have."""
         findings = Findings()
         for path, step in self.steps:
             if step.publish is not None:
                 for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
                     for name, signal in topic.follow.items():
-                        here = (*path, "publish", *below, "follow", name)
+                        key_path = (*path, "publish", *below, "follow", name)
                         with findings.under():
-                            checks.reference(signal, "signal", signals, *here)
+                            checks.reference(signal, "signal", signals, *key_path)
             if step.restart:
                 with findings.under():
                     checks.reference(step.restart, "node", nodes, *path, "restart")
@@ -247,7 +247,7 @@ def build_run(value: object) -> Run:
 
 
 def _build_end(value: object) -> End:
-    """Return what ends a run; the word ``result`` alone says as much as its mapping."""
+    """Return what ends a run; the word ``result`` alone is short for ``{result: true}``."""
     if value == RESULT:
         return End(result=True)
     if not isinstance(value, dict):

@@ -19,45 +19,45 @@ def safe_values(study: Study) -> dict[str, dict[str, object]]:
 
 def set_by_steps(study: Study) -> dict[str, dict[str, list[object]]]:
     """Return by node key, then by parameter, the values that steps set."""
-    found: dict[str, dict[str, list[object]]] = {}
+    by_node: dict[str, dict[str, list[object]]] = {}
     for _, item in () if study.run is None else study.run.settings:
-        found.setdefault(item.node, {}).setdefault(item.parameter, []).append(item.value)
-    return found
+        by_node.setdefault(item.node, {}).setdefault(item.parameter, []).append(item.value)
+    return by_node
 
 
 def _left_by_steps(study: Study) -> dict[str, dict[str, object]]:
-    """Return by node key what a study says of parameters that steps set, for between two runs.
+    """Return by node key the values between two runs of the parameters that steps set.
 
-    That is what the last step of `after` leaves, or a constant.
+    A value is that of the last step of `after`, or else a constant of the node.
     """
-    found: dict[str, dict[str, object]] = {}
+    by_node: dict[str, dict[str, object]] = {}
     settings = [] if study.run is None else list(study.run.settings)
     for _, item in settings:
         constants = study.nodes[item.node].parameters
         if item.parameter in constants:
-            found.setdefault(item.node, {})[item.parameter] = constants[item.parameter]
+            by_node.setdefault(item.node, {})[item.parameter] = constants[item.parameter]
     for path, item in settings:
         if path[1] == AFTER:
-            found.setdefault(item.node, {})[item.parameter] = item.value
-    return found
+            by_node.setdefault(item.node, {})[item.parameter] = item.value
+    return by_node
 
 
 def named_safe(
     study: Study, previous: Mapping[str, Mapping[str, object]]
 ) -> dict[str, dict[str, object]]:
-    """Return by node key the values that ``park`` names and nodes do not have already.
+    """Return by node key the values of ``park`` that the nodes do not have yet.
 
     Parameters
     ----------
     study
         The study.
     previous
-        What the nodes have, by key. Of an array the items that are not named stay as they are.
+        Present values of the nodes, by key. Items of an array that ``park`` does not name are kept.
     """
     safe, whole = study.safe_parameters, _whole(study)
-    found: dict[str, dict[str, object]] = {}
+    by_node: dict[str, dict[str, object]] = {}
     for item in (study.parameters[name] for name in study.park.parameters):
-        of_node = found.setdefault(item.node, {})
+        of_node = by_node.setdefault(item.node, {})
         if not item.array:
             of_node[item.parameter] = safe[item.name]
             continue
@@ -68,7 +68,7 @@ def named_safe(
             of_node[item.array] = whole[item.node][item.array]
     return {
         key: {n: v for n, v in values.items() if not holds(previous[key].get(n), v)}
-        for key, values in found.items()
+        for key, values in by_node.items()
     }
 
 

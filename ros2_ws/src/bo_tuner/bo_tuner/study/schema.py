@@ -125,11 +125,11 @@ def _sections() -> Iterator[tuple[str, type[Any]]]:
 def _below(cls: type[Any], path: str, seen: set[type[Any]]) -> Iterator[tuple[str, type[Any]]]:
     hints = typing.get_type_hints(cls)
     for field in _keys(cls):
-        for found in _classes(hints[field.name]):
-            if found not in seen:
-                seen.add(found)
-                yield f"`{path}{field.name}`", found
-                yield from _below(found, f"{path}{field.name}: ", seen)
+        for inner in _classes(hints[field.name]):
+            if inner not in seen:
+                seen.add(inner)
+                yield f"`{path}{field.name}`", inner
+                yield from _below(inner, f"{path}{field.name}: ", seen)
 
 
 def _classes(hint: Any) -> list[type[Any]]:
@@ -149,15 +149,15 @@ def _object(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
     properties = {}
     required = []
     for field in _keys(cls):
-        found = _field(cls, field, definitions)
+        of_field = _field(cls, field, definitions)
         if field.name in texts:
-            found = {**found, "description": texts[field.name]}
-        properties[field.name] = found
+            of_field = {**of_field, "description": texts[field.name]}
+        properties[field.name] = of_field
         if field.default is field.default_factory is dataclasses.MISSING:
             required.append(field.name)
     result: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
     if cls is Parameter:
-        # Where its node runs, this says what is left out.
+        # A running node can be asked for its type.
         required.remove("type")
     if cls is Constraint:
         result["anyOf"] = [{"required": ["upper"]}, {"required": ["lower"]}]
@@ -172,25 +172,25 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
         return {"enum": list(choices)}
     if cls is ContextVariable and field.name == "distribution":
         return {"enum": list(DISTRIBUTIONS)}
-    found = _type(typing.get_type_hints(cls)[field.name], definitions)
+    schema = _type(typing.get_type_hints(cls)[field.name], definitions)
     if (cls, field.name) == (Study, "objective"):
-        # Text alone is minimized.
-        return {"anyOf": [found, {"type": "string"}]}
+        # A text is a metric, or an expression of metrics, that is minimized.
+        return {"anyOf": [schema, {"type": "string"}]}
     if cls is Constraint and field.name in (UPPER, LOWER):
-        # Text is relative to the default.
-        return {"anyOf": [found, {"type": "string"}]}
+        # A text is a limit relative to the default.
+        return {"anyOf": [schema, {"type": "string"}]}
     for part, alone in ((End, {"const": "result"}), (Guarding, {"type": "boolean"})):
-        if found.get("$ref") == f"#/$defs/{part.__name__}":
-            # The word alone is one, too.
-            return {"anyOf": [found, alone]}
-    return found
+        if schema.get("$ref") == f"#/$defs/{part.__name__}":
+            # A single word can stand for the mapping.
+            return {"anyOf": [schema, alone]}
+    return schema
 
 
 def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
     if hint in SCALARS:
         return dict(SCALARS[hint])
     if hint is Profile:
-        # Text alone is an expression.
+        # A text is an expression.
         return {"anyOf": [_reference(hint, definitions), {"type": "string"}]}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return _reference(hint, definitions)
@@ -212,21 +212,21 @@ def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
 def _reference(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
     if cls.__name__ not in definitions:
         definitions[cls.__name__] = {}
-        found = _object(cls, definitions)
+        schema = _object(cls, definitions)
         if cls is ContextVariable:
-            found = _with_distributions(found, definitions)
-        definitions[cls.__name__] = found
+            schema = _with_distributions(schema, definitions)
+        definitions[cls.__name__] = schema
     return {"$ref": f"#/$defs/{cls.__name__}"}
 
 
-def _with_distributions(found: Schema, definitions: dict[str, Schema]) -> Schema:
-    """Add the keys of each distribution to those of a context, as they are on one level."""
+def _with_distributions(schema: Schema, definitions: dict[str, Schema]) -> Schema:
+    """Add the keys of each distribution to those of a context: both are on one level."""
     kinds = []
     for kind, cls in DISTRIBUTIONS.items():
         own = _object(cls, definitions)
-        properties = found["properties"] | own["properties"] | {"distribution": {"const": kind}}
-        required = [*found["required"], *own.get("required", [])]
-        kinds.append({**found, "properties": properties, "required": required})
+        properties = schema["properties"] | own["properties"] | {"distribution": {"const": kind}}
+        required = [*schema["required"], *own.get("required", [])]
+        kinds.append({**schema, "properties": properties, "required": required})
     return {"anyOf": kinds}
 
 
@@ -252,12 +252,12 @@ def _texts(cls: type[Any]) -> dict[str, str]:
 def _introduction(cls: type[Any]) -> str:
     """Return the docstring of a class up to its first section, a paragraph a line."""
     text = inspect.cleandoc(cls.__doc__ or "")
-    found = []
+    paragraphs = []
     for paragraph in text.split("\n\n"):
         if paragraph.partition("\n")[2].startswith("---"):
             break
-        found.append(" ".join(paragraph.split()))
-    return "\n\n".join(found)
+        paragraphs.append(" ".join(paragraph.split()))
+    return "\n\n".join(paragraphs)
 
 
 def _default(field: dataclasses.Field[Any]) -> str:
@@ -271,22 +271,22 @@ def _default(field: dataclasses.Field[Any]) -> str:
     return f"`{json.dumps(value)}`"
 
 
-def _kind(found: Schema) -> str:
+def _kind(schema: Schema) -> str:
     """Name a type in a word or two."""
-    if "$ref" in found:
+    if "$ref" in schema:
         return "mapping"
-    if "enum" in found:
-        return ", ".join(f"`{choice}`" for choice in found["enum"])
-    if "const" in found:
-        return f"`{found['const']}`"
-    if "anyOf" in found:
-        return " or ".join(dict.fromkeys(_kind(item) for item in found["anyOf"]))
-    if found.get("type") == "array":
-        items = found.get("items") or found["prefixItems"][0]
-        size = f" of {found['maxItems']}" if "maxItems" in found else ""
+    if "enum" in schema:
+        return ", ".join(f"`{choice}`" for choice in schema["enum"])
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(_kind(item) for item in schema["anyOf"]))
+    if schema.get("type") == "array":
+        items = schema.get("items") or schema["prefixItems"][0]
+        size = f" of {schema['maxItems']}" if "maxItems" in schema else ""
         return f"list{size}: {_kind(items)}"
     words = {"string": "text", "object": "mapping", "boolean": "true or false"}
-    return str(words.get(found.get("type", ""), found.get("type", "any")))
+    return str(words.get(schema.get("type", ""), schema.get("type", "any")))
 
 
 if __name__ == "__main__":

@@ -24,32 +24,32 @@ from bo_tuner.study.parameter_scale import LOG, SYMLOG, scaled, unscaled
 from bo_tuner.study.parameter_space import ParameterSpace
 from bo_tuner.trials import Value
 
-# Parameter sets whose doubles differ by less than this fraction of their range count as the same.
+# Doubles that differ by less than this fraction of their range count as the same value.
 RESOLUTION = 1e-6
 
 STEP = 0.05
 """Step to a neighbour, as a fraction of a double's range on its scale; an integer's step is 1.
 
-Fixed, so that the sensitivity to a step can be compared between runs.
+It is no option, so that the sensitivity to a step can be compared between runs.
 """
 
 SAMPLE = 2**16
-"""Parameter sets that tell what share of them the conditions leave."""
+"""Parameter sets by which the share that the conditions leave is estimated."""
 
 MOST_ANCHORS = 512
-"""Of the permitted ones among these, towards which others are moved."""
+"""Largest number of permitted parameter sets of the sample towards which others are moved."""
 
 ROUNDS = 100
 BATCH = 1024
-"""Draws of random parameter sets until as many are permitted as are asked for."""
+"""Random parameter sets that are drawn at once, until enough of them are permitted."""
 
 
 class SearchSpace:
     """The unit cube over the tuned parameters.
 
-    In the shapes below, d is the number of tuned parameters and n any number of parameter sets,
-    whose values are in own units. One that is passed needs the tuned parameters only; one that is
-    returned has all, tied and fixed ones included, in the study's order.
+    In the shapes, d is the number of tuned parameters and n any number of parameter sets, with
+    values in own units. An argument needs the tuned parameters only; a returned parameter set has
+    all, tied and fixed ones included, in the study's order.
 
     Methods raise `ParameterError` if a tuned parameter is missing, of a wrong type or out of
     bounds, a name is unknown, or positions have a wrong shape or are not finite.
@@ -61,7 +61,7 @@ class SearchSpace:
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parameter set.
     where : sequence of str
-        Conditions that hold in every parameter set, see `Condition`.
+        Conditions that hold in every parameter set, such as ``ki <= kp / 2``.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ class SearchSpace:
     names : tuple of str
         Tuned parameters, one for each column.
     lower, upper : ndarray, shape (d,)
-        Bounds of the tuned parameters, in their own units; of what is no number, of the position
-        among its levels.
+        Bounds of the tuned parameters, in their own units; for a parameter that is no number, of
+        the position among its levels.
     integer, discrete : ndarray of bool, shape (d,)
         Which of them are integers, and which are integers, booleans or choices.
 
@@ -110,7 +110,7 @@ class SearchSpace:
         self._order = self._space.partial_order
         # The bounds, tightened by the order.
         self._low, self._high = self._space.permitted
-        # The decimal place, on its scale, to which a double tells two parameter sets apart.
+        # The decimal place of a double, on its scale, in which two parameter sets must differ.
         self._places = [
             None if discrete else -math.floor(math.log10(RESOLUTION * width))
             for discrete, width in zip(self.discrete, self._scaled_width.tolist(), strict=True)
@@ -126,7 +126,7 @@ class SearchSpace:
     @property
     def levels(self) -> tuple[int, ...]:
         """Number of values without an order, for each column; 0 for one with an order."""
-        # Two values have the same distance in either way.
+        # With two values one column suffices: there is only one distance.
         counts = (len(item.levels) for item in self._tuned)
         return tuple(count if count > 2 else 0 for count in counts)
 
@@ -161,14 +161,14 @@ class SearchSpace:
         return self._space.complete(self._space.row(parameters))
 
     def permitted(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
-        """Return all parameters, as `completed`, of a set that satisfies order and conditions.
+        """Return all parameters for the tuned ones of a set that satisfies order and conditions.
 
         Raises
         ------
         ParameterError
-            Also if the order is violated.
+            If the order is violated, or the class's rules for its arguments are.
         ConditionError
-            If a condition is.
+            If a condition is violated.
         """
         row = self._space.row(parameters)
         self._space.check_order(row)
@@ -179,8 +179,8 @@ class SearchSpace:
         """Move positions (n, d) to points (n, d) that represent permitted parameter sets.
 
         Clips to the cube, moves parameters in the wrong order to their mean, rounds integers, and
-        moves what breaks a condition straight towards a parameter set that breaks none, as far as
-        it must. A second repair changes nothing (to rounding).
+        moves what breaks a condition straight towards a parameter set that breaks none, no farther
+        than needed. A second repair changes nothing (to rounding).
         """
         rows = np.asarray(positions, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.dimension:
@@ -206,8 +206,8 @@ class SearchSpace:
     def at_bounds(self, parameters: Mapping[str, Value]) -> dict[str, str]:
         """Return which tuned numbers are at a bound, ``lower`` or ``upper``, by their names.
 
-        A double is if it differs from the bound by no more than `RESOLUTION` times its range, on
-        its scale; of a number with a step the last one within the bounds counts as the upper bound.
+        A double is at a bound if it differs from it by no more than `RESOLUTION` times its range,
+        on its scale. For a number with a step, the last step counts as the upper bound.
         """
         row = self._space.row(parameters)
         last = np.array(
@@ -215,11 +215,11 @@ class SearchSpace:
         )
         near = np.where(self.discrete, 0.0, RESOLUTION) * self._scaled_width
         scaled = self._scaled(row)
-        found: dict[str, str] = {}
+        sides: dict[str, str] = {}
         for side, bound in ((LOWER, self.lower), (UPPER, last)):
             at = np.abs(scaled - self._scaled(bound)) <= near
-            found |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
-        return {name: found[name] for name in self.numbers if name in found}
+            sides |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
+        return {name: sides[name] for name in self.numbers if name in sides}
 
     def latin_hypercube(
         self,
@@ -274,27 +274,27 @@ class SearchSpace:
         return self._ordered(self._order.swap(values))
 
     def _drawn_anew(self, values: Array, rng: np.random.Generator) -> Array:
-        """Return values (n, d) of which those that break a condition are drawn again.
+        """Return values (n, d) with the rows that break a condition drawn again.
 
-        Where hardly any holds, some still break one after all draws.
+        If few sets satisfy the conditions, some may still break one after all draws.
         """
-        found = values.copy()
-        wrong = np.flatnonzero(~self._space.holds(found))
+        drawn = values.copy()
+        wrong = np.flatnonzero(~self._space.holds(drawn))
         for _ in range(ROUNDS):
             if not len(wrong):
                 break
             fresh = self._drawn(BATCH, rng)
             fresh = fresh[self._space.holds(fresh)][: len(wrong)]
-            found[wrong[: len(fresh)]] = fresh
+            drawn[wrong[: len(fresh)]] = fresh
             wrong = wrong[len(fresh) :]
-        return found
+        return drawn
 
     def minimum_length_scales(self) -> Array:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
 
         A squared-exponential kernel correlates integers that are d apart in the cube by at least
         c = `minimum_correlation` if l >= d / sqrt(-2 ln c). Here d is the largest distance between
-        neighbours: 1 / (upper - lower) on the linear scale, that of the two lowest on another one.
+        neighbours: 1 / (upper - lower) on the linear scale, the one of the two lowest on another.
         The paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
         0 where the study sets no minimum.
         """
@@ -310,8 +310,8 @@ class SearchSpace:
         """Return the permitted parameter sets one integer step away.
 
         For each tuned integer, one step below and one above where bounds, order and conditions
-        permit it; for each boolean or choice, every other value; doubles as in `parameters`, tied
-        ones follow.
+        permit it; for each boolean or choice, every other value. Doubles keep their values, tied
+        parameters follow.
         """
         row = self._space.row(parameters)
         steps = self._steps(row, self.discrete)
@@ -320,8 +320,8 @@ class SearchSpace:
     def integer_neighbour_points(self, parameters: Mapping[str, Value]) -> Array:
         """Return the points (m, d) of the unit cube one step of an integer away.
 
-        They are those of the `integer_neighbours`, without the other values of a choice, which has
-        no steps.
+        They are the points of `integer_neighbours`, except those that differ in a choice: it has no
+        steps.
         """
         return self._to_unit(self._steps(self._space.row(parameters), self.integer))
 
@@ -344,12 +344,12 @@ class SearchSpace:
         return np.concatenate(steps)
 
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
-        """Return the permitted parameter sets one step away, see `STEP`.
+        """Return the permitted parameter sets one step away, for a double `STEP` times its range.
 
         The integer neighbours, then for each tuned double one below and one above, repaired to
         bounds and order; a step that breaks a condition ends where that begins.
         """
-        found = self.integer_neighbours(parameters)
+        neighbours = self.integer_neighbours(parameters)
         row = self._space.row(parameters)
         at = self._to_unit(self._free_values(self.to_cube(parameters)[None]))
         for column in np.flatnonzero(~self.discrete):
@@ -368,8 +368,8 @@ class SearchSpace:
                     if np.abs(self._to_unit(values) - at).max() <= RESOLUTION:
                         continue
                 if np.any(values != row):
-                    found.append(self._space.complete(values[0]))
-        return found
+                    neighbours.append(self._space.complete(values[0]))
+        return neighbours
 
     def _values(self, positions: Array) -> Array:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
@@ -400,7 +400,7 @@ class SearchSpace:
         return self._conditions.moved(values) if self._space.conditions else values
 
     def _check_conditions(self) -> None:
-        """Refuse conditions that leave hardly anything, and defaults that break one."""
+        """Refuse conditions that hardly any set satisfies, and defaults that break one."""
         check_shares(
             self._space.conditions, self._space.held(self._drawn(SAMPLE, np.random.default_rng(0)))
         )
@@ -425,16 +425,16 @@ class SearchSpace:
 
     def _scaled(self, values: Array) -> Array:
         """Return s(v) for values of shape (..., d)."""
-        found = values.copy()
-        for scale, there in self._on_scale.items():
-            found[..., there] = scaled(scale, values[..., there], self.upper[there])
-        return found
+        transformed = values.copy()
+        for scale, columns in self._on_scale.items():
+            transformed[..., columns] = scaled(scale, values[..., columns], self.upper[columns])
+        return transformed
 
     def _unscaled(self, positions: Array) -> Array:
         """Return v for s(v) of shape (n, d)."""
         values = positions.copy()
-        for scale, there in self._on_scale.items():
-            values[:, there] = unscaled(scale, positions[:, there], self.upper[there])
+        for scale, columns in self._on_scale.items():
+            values[:, columns] = unscaled(scale, positions[:, columns], self.upper[columns])
         return values
 
     def _distinct(self, points: Array, seen: set[tuple[Value, ...]]) -> Array:
@@ -456,7 +456,7 @@ class SearchSpace:
                         visited.add(self.key(step))
                         layer.append(step)
             if not layer and self.discrete.all():
-                # All sets are taken, so that none of the other points can be moved either.
+                # All parameter sets are taken: no other point can be moved either.
                 return points
         return points
 
@@ -465,5 +465,5 @@ class SearchSpace:
 def search_space(
     parameters: tuple[Parameter, ...], order: tuple[tuple[str, str], ...], where: tuple[str, ...]
 ) -> SearchSpace:
-    """Return the `SearchSpace`, made once: what conditions leave takes some tenths of a second."""
+    """Return the `SearchSpace`, made once: sampling the conditions takes tenths of a second."""
     return SearchSpace(parameters, order, where)

@@ -22,7 +22,7 @@ class SeenNode:
     parameters
         What it says of its parameters.
     changing
-        Names of those that it was seen to change by itself.
+        Names of the parameters that it was seen to change by itself.
     """
 
     name: str
@@ -44,10 +44,10 @@ class SeenTopic:
     name, type
         Of the topic, and of its messages.
     fields
-        The numbers that can be signals: their value in a message that was heard, by field. Of a
-        topic that was silent those that every message has, as in an empty one.
+        The numbers that can be signals: their value in a message that was heard, by field. For a
+        silent topic, the fields of an empty message.
     publishers, listeners
-        Names of nodes, one for each end: a node may have several.
+        Names of nodes, one for each publisher or subscription: a node may have several.
     joints
         Those of a trajectory that a controller waits for, in the order of `fields`.
     is_silent
@@ -92,8 +92,8 @@ def with_joints(
 ) -> SeenTopic:
     """Fill in the joints of a trajectory that nobody publishes yet, and where they are now.
 
-    They are those of the parameters of the node that waits for it, or else all whose positions are
-    published.
+    They are those in the parameters of the node that listens to it, or else all joints that have a
+    published position.
     """
     if topic.type != JOINT_TRAJECTORY or topic.publishers:
         return topic
@@ -104,7 +104,7 @@ def with_joints(
         if name.startswith("position[")
     }
     known = (_joints(node) for node in nodes if node.name in topic.listeners)
-    joints = next((found for found in known if found), tuple(positions))
+    joints = next((names for names in known if names), tuple(positions))
     fields = {
         f"points[0].positions[{i}]": positions.get(joint, 0.0) for i, joint in enumerate(joints)
     }

@@ -15,27 +15,27 @@ from bo_tuner.study.seen import SeenTopic
 MOST_SIGNALS = 6
 """Signals that are suggested."""
 MOST_OF_TOPIC = 3
-"""Numbers of a message that are suggested, of those that are named below any."""
+"""Numbers of a message that are suggested if none has one of the names in `USUAL`."""
 REFERENCE = re.compile(
     r"set_?point|reference|target|desired|wanted|demand|goal|command|trajectory"
     r"|(^|[/_])(ref|cmd|sp)([/_]|$)",
     re.IGNORECASE,
 )
-"""In the name of a topic: it carries what another signal shall follow."""
+"""Words in the name of a topic that carries what another signal shall follow."""
 USUAL = (
     re.compile(r"position\["),
     re.compile(r"velocity\["),
     re.compile(r"(^|\.)(linear\.x|angular\.z)$"),
     re.compile(r"(^|\.)(position\.[xyz]|angular_velocity\.[xyz])$"),
 )
-"""Fields that a controller controls, of messages with many, in the order of their use."""
+"""Fields of large messages that a controller controls, the most useful first."""
 UNUSUAL = re.compile(r"(^|[._])(min|max|increment|time|seq|id|status|variance|w)([._]|$)")
 """Fields that say how something is measured or for how long it is valid, not what is measured."""
 NO_SUBJECT = {
     *("data", "x", "y", "z", "w", "position", "velocity", "effort", "linear", "angular", "pose"),
     *("point", "points", "positions", "vector", "twist", "state", "states", "joint", "cmd", "ref"),
 }
-"""Words in the name of a signal that do not say of what it is."""
+"""Words in the name of a signal that do not say what it is a signal of."""
 QUANTITIES = (
     ("velocity", re.compile(r"veloc|speed|twist|(^|[/_])(cmd_)?vel([/_:]|$)|rpm", re.IGNORECASE)),
     (
@@ -77,7 +77,7 @@ class SignalOffer:
 
     @property
     def is_finite(self) -> bool:
-        """Whether its present value is a number; a run with one that is none fails."""
+        """Whether its present value is finite; a run with a value that is not fails."""
         return math.isfinite(self.value)
 
     @property
@@ -88,7 +88,7 @@ class SignalOffer:
 
     @property
     def quantity(self) -> str:
-        """What it is by its name, such as a velocity; empty if that tells nothing."""
+        """What it is by its name, such as a velocity; empty if the name does not say it."""
         return next((name for name, pattern in QUANTITIES if pattern.search(str(self))), "")
 
 
@@ -98,11 +98,11 @@ def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
 
 
 def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> list[SignalOffer]:
-    """Return the signals that are taken unless somebody says otherwise, the most useful first.
+    """Return the signals that are taken unless the user says otherwise, the most useful first.
 
     These are the reference and what follows it, where names say which, and what the tuned nodes
     publish and hear from others, each from one node: plain numbers before parts of larger
-    messages. All topics serve if that is nothing.
+    messages. If that gives none, all topics are considered.
 
     Parameters
     ----------
@@ -114,9 +114,9 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     topics = list(topics)
     single = [topic for topic in topics if len(topic.nodes) == 1]
     near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
-    # What is silent may be published in runs only, or never.
+    # A silent topic may be published in runs only, or never.
     pools = ([t for t in near if not t.is_silent], [t for t in single if not t.is_silent], near)
-    usual = next((found for pool in pools if (found := [o for t in pool for o in _usual(t)])), [])
+    usual = next((offers for pool in pools if (offers := [o for t in pool for o in _usual(t)])), [])
     heard = [topic for topic in topics if set(topic.listeners) & set(nodes)]
     wanted = reference([o for t in heard if REFERENCE.search(t.name) for o in _usual(t)], nodes)
     measured = None
@@ -124,12 +124,12 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
         possible = [offer for topic in single for offer in signal_offers(topic)]
         measured = partner(wanted, [o for o in possible if not UNUSUAL.search(o.field)], nodes)
     if wanted is not None and (measured is None or not is_sure(wanted, measured)):
-        # A step into the unknown is nothing to suggest.
+        # Without a signal that surely follows it, a step of the reference is not suggested.
         wanted = measured = None
     first = [offer for offer in (wanted, measured) if offer is not None]
     outputs = [offer for offer in usual if set(offer.topic.publishers) & set(nodes)]
     usual.sort(key=lambda offer: (offer not in outputs[:1], len(offer.topic.fields) > 1))
-    # Of the reference one number is enough: a run moves one.
+    # One number of the reference is enough: a run moves one.
     rest = [o for o in usual if o not in first and (wanted is None or o.topic != wanted.topic)]
     return [*first, *rest][:MOST_SIGNALS]
 
@@ -142,7 +142,7 @@ def reference(offers: Sequence[SignalOffer], nodes: Collection[str]) -> SignalOf
     offers
         Signals to choose of.
     nodes
-        Names of the nodes that are tuned; what they publish is no reference of theirs.
+        Names of the nodes that are tuned; their own topics are no reference.
     """
     possible = [
         offer
@@ -151,7 +151,7 @@ def reference(offers: Sequence[SignalOffer], nodes: Collection[str]) -> SignalOf
         and len(offer.topic.nodes) <= 1
         and not set(offer.topic.publishers) & set(nodes)
     ]
-    # What nobody publishes the run can.
+    # A topic that nobody publishes comes first: the run can publish it.
     rank = {
         offer: (bool(offer.topic.publishers), not set(offer.topic.listeners) & set(nodes))
         for offer in possible
@@ -171,17 +171,17 @@ def partner(
     offers
         Signals to choose of.
     nodes
-        Names of the nodes that are tuned, whose own outputs come last.
+        Names of the nodes that are tuned; their own outputs come last.
     """
 
     def rank(offer: SignalOffer) -> tuple[bool, ...]:
-        both = set(wanted.topic.listeners) & set(offer.topic.listeners)
+        shared = set(wanted.topic.listeners) & set(offer.topic.listeners)
         return (
             not _is_same(wanted, offer),
             not _subject(wanted) & _subject(offer),
             offer.quantity != (wanted.quantity or "position"),
             bool(set(offer.topic.publishers) & set(nodes)),
-            not both,
+            not shared,
             offer.topic.is_silent,
         )
 
@@ -196,10 +196,10 @@ def is_sure(wanted: SignalOffer, measured: SignalOffer) -> bool:
         return True
     if wanted.quantity or subject:
         return bool(wanted.quantity) and wanted.quantity == measured.quantity
-    # A plain "setpoint": of a position, or of the plain number that its listener measures.
-    both = set(wanted.topic.listeners) & set(measured.topic.listeners)
+    # A plain "setpoint" is of a position, or of the plain number that its listener measures.
+    shared = set(wanted.topic.listeners) & set(measured.topic.listeners)
     is_plain = len(measured.topic.fields) == 1 and measured.quantity not in ("velocity", "effort")
-    return measured.quantity == "position" or (bool(both) and is_plain)
+    return measured.quantity == "position" or (bool(shared) and is_plain)
 
 
 def _is_same(wanted: SignalOffer, offer: SignalOffer) -> bool:
@@ -211,20 +211,20 @@ def _is_same(wanted: SignalOffer, offer: SignalOffer) -> bool:
 
 
 def _subject(offer: SignalOffer) -> set[str]:
-    """Return the words of which a topic is, without those that say that it is a reference."""
+    """Return the words in the name of a topic, without those that say that it is a reference."""
     last = offer.topic.name.rpartition("/")[2]
     text = f"{REFERENCE.sub('_', last)}_{offer.field}".lower()
     return set(re.findall(r"[a-z]+", text)) - NO_SUBJECT
 
 
 def _usual(topic: SeenTopic) -> list[SignalOffer]:
-    """Return what is worth to be recorded of a topic, unless somebody says otherwise."""
+    """Return the signals of a topic that are worth recording, unless the user says otherwise."""
     offers = [offer for offer in signal_offers(topic) if offer.is_finite]
     if len(topic.fields) == 1:
         return offers
     for pattern in USUAL:
-        if found := [offer for offer in offers if pattern.search(offer.field)]:
-            return found
-    # Integers and truth values beside other fields count, or tell of a state.
+        if matching := [offer for offer in offers if pattern.search(offer.field)]:
+            return matching
+    # Integers and truth values beside other fields are counters or states.
     numbers = [o for o in offers if type(topic.fields[o.field]) is float]
     return [o for o in numbers if not UNUSUAL.search(o.field)][:MOST_OF_TOPIC]

@@ -23,7 +23,7 @@ SIGNAL_NAME = re.compile(r"[A-Za-z_]\w{0,63}", re.ASCII)
 GRAPH_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 FRAME = re.compile(r"[^\s/][^\s]*")
 TF = "/tf"
-"""Topic of transforms; what never changes is on the topic of that name with `STATIC` behind."""
+"""Topic of transforms; transforms that never change are on this name with `STATIC` appended."""
 STATIC = "_static"
 MESSAGE_TYPE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
 
@@ -48,7 +48,7 @@ class Signal:
         by the transforms of the topic, and `field` is one of a Transform, such as `translation.x`
         or `yaw(rotation)`.
     publisher : str
-        The node whose messages count where several publish the topic.
+        The node that messages are taken from where several publish the topic.
     merge : bool
         Whether the messages of all publishers count, where there are several.
     type : str
@@ -141,7 +141,7 @@ class Signal:
 
     @property
     def source(self) -> str:
-        """Where it comes from, in a few words: its topic, and the frames that are meant there."""
+        """Where it comes from, in a few words: its topic, and its frames if it has any."""
         return " ".join([self.topic, *([] if self.frames is None else self.frames)])
 
 
@@ -175,9 +175,9 @@ def expression(text: object, signals: Iterable[str], *path: str | int) -> Expres
 def named_expression(
     text: object, names: tuple[str, ...], kind: str, *path: str | int, finite: bool = False
 ) -> Expression:
-    """Return the expression of names that a text is; `kind` says in errors what these are of.
+    """Return the expression of `names` that a text is; `kind` says in errors what they name.
 
-    `finite` as in `Expression`.
+    With `finite` a comparison with an infinite number is not known, like one with NaN.
 
     Raises
     ------

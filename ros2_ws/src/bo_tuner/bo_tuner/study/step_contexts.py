@@ -14,7 +14,7 @@ from bo_tuner.study.steps import Step
 from bo_tuner.trials import Context
 
 _CONTENTS = {"publish": "message", "call": "request", "send_goal": "goal"}
-"""Kinds of steps that send something, and which of their keys has what."""
+"""Kinds of steps that send something, each with the key of its content."""
 
 
 def filled_step(step: Step, context: Context) -> Step:
@@ -56,18 +56,18 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
             if in_condition and variable is not None and variable.type == "string":
                 raise StudyError(f"'{name}' is a text, which no condition on signals has", path)
     for path, text in () if run is None else _without_context(run):
-        for found in names_in(text):
+        for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{found}': it must hold whatever an evaluation "
+                    f"expected no context, found '{name}': it must hold whatever an evaluation "
                     "is, also without the tuner",
                     path,
                 )
     for path, text in () if run is None else _in_streams(run):
-        for found in names_in(text):
+        for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{found}': a stream has none in it", path
+                    f"expected no context, found '{name}': a stream has none in it", path
                 )
     for name, variable in contexts.items():
         if variable is not None and not variable.node and name not in used:
@@ -80,7 +80,7 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
 
 
 def _all_names(run: Run) -> Iterator[tuple[KeyPath, str, bool]]:
-    """Yield each name in braces with its place, and whether that is a condition."""
+    """Yield each name in braces with its place, and whether it is in a condition."""
     for path, step in run.steps:
         for below, name in _names(step):
             yield (*path, *below), name, step.wait_until is not None
@@ -89,7 +89,7 @@ def _all_names(run: Run) -> Iterator[tuple[KeyPath, str, bool]]:
 
 
 def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield what stops the machine, which a guard does, too, with its place."""
+    """Yield the contents, with their places, of steps to rest, which a guard sends, too."""
     yield ("run", "abort_when"), run.abort_when
     for index, step in enumerate(run.after):
         if step.publish is None:
@@ -98,15 +98,15 @@ def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def _in_streams(run: Run) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield what streams, with its place."""
+    """Yield the contents of streams, with their places."""
     for path, step in run.steps:
         if step.publish is None or not step.publish.streams:
             continue
         for below, topic in zip(step.publish.paths, step.publish.published, strict=True):
-            here = (*path, "publish", *below)
-            yield (*here, "message"), topic.message
+            key_path = (*path, "publish", *below)
+            yield (*key_path, "message"), topic.message
             for name, profile in topic.profile.items():
-                yield (*here, "profile", name), profile.expression
+                yield (*key_path, "profile", name), profile.expression
 
 
 def _names(step: Step) -> Iterator[tuple[KeyPath, str]]:

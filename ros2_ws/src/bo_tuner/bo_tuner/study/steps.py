@@ -15,7 +15,7 @@ TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 @dataclass(frozen=True, kw_only=True)
 class Call:
-    """A call of a service; an answer that has a field `success` must have it true.
+    """A call of a service; if its answer has a field `success`, that must be true.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Step:
     publish : Publish, optional
         Publishes a message, or begins to stream a reference.
     stop : str
-        Topic that a stream has published, and now ends to.
+        Topic of a stream that ends with this step.
     send_goal : SendGoal, optional
         Sends a goal to an action server.
     lifecycle : Lifecycle, optional

@@ -18,7 +18,7 @@ from bo_tuner.text import one_line
 
 MAX_DEPTH = 20
 LONGEST_LINE = 10**9
-"""Where none is to be broken."""
+"""Width of lines that are not to be broken."""
 
 Scalar = None | bool | int | float | str
 
@@ -111,9 +111,9 @@ class _Reader:
     def _sequence(self, path: KeyPath) -> list[object]:
         items: list[object] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
-            here = (*path, len(items))
-            self._document.lines[here] = _line(event)
-            items.append(self._node(event, here))
+            key_path = (*path, len(items))
+            self._document.lines[key_path] = _line(event)
+            items.append(self._node(event, key_path))
         return items
 
     def _mapping(self, path: KeyPath) -> dict[str, object]:
@@ -124,12 +124,12 @@ class _Reader:
             key = self._node(event, path)
             if not isinstance(key, str):
                 raise self._error(f"expected text as a key, found {show(key)}", event, path)
-            here = (*path, key)
+            key_path = (*path, key)
             if key in items:
-                first = self._document.lines[here]
-                raise self._error(f"given twice, first in line {first}", event, here)
-            self._document.lines[here] = _line(event)
-            items[key] = self._node(next(self._events), here)
+                first = self._document.lines[key_path]
+                raise self._error(f"given twice, first in line {first}", event, key_path)
+            self._document.lines[key_path] = _line(event)
+            items[key] = self._node(next(self._events), key_path)
         return items
 
     def _plain(self, event: Any, path: KeyPath) -> Scalar:
@@ -172,8 +172,8 @@ def dump(value: object) -> str:
 
 
 def dump_line(value: object) -> str:
-    """Return the same on one line, in braces and brackets."""
-    # In a list, since what is in brackets is written so itself.
+    """Return a value as `dump` does, but on one line, in braces and brackets."""
+    # As the item of a list in brackets: what is inside is written in this style, too.
     text = yaml.serialize(
         _represent([value]), Dumper=yaml.SafeDumper, allow_unicode=True, width=LONGEST_LINE
     )

@@ -42,7 +42,7 @@ from bo_tuner.study.step_contexts import check_contexts
 from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
-"""Stands for the study's default in the list of parameter sets that are tried first."""
+"""Name of the default among the parameter sets that are tried first."""
 
 MOST = {
     "nodes": maxima.NODES,
@@ -95,8 +95,8 @@ class Study:
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     measured : tuple of str
-        Metrics that tell in what surroundings a run was, such as its mean wind: contexts that
-        nobody sets. They must not depend on the parameters, and have no limit.
+        Metrics that describe the surroundings of a run, such as its mean wind: contexts that nobody
+        sets. They must not depend on the parameters, and have no limit.
     constraints : mapping from str to Constraint
         Limits on metrics. One with two limits becomes two constraints.
     certificate : CertificateRequirement
@@ -167,7 +167,7 @@ class Study:
                 check_kinds(self.run, self.metrics, self.signals)
         with findings.under():
             check_contexts(self.run, self.contexts)
-        # The others lead through the references to nodes.
+        # Other references are checked by way of the nodes.
         if has_nodes:
             with findings.under():
                 check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
@@ -198,7 +198,7 @@ class Study:
         findings.check()
 
     def _check_fields(self, findings: Findings) -> None:
-        """Check what is no reference; of a list that is wrong none is left."""
+        """Check the fields that are no references; a list with an error becomes empty."""
         with findings.under():
             expected = "a name of letters, digits, _ and -"
             checks.matching(self.name, checks.SIMPLE_NAME, expected, "name")
@@ -242,7 +242,7 @@ class Study:
                         raise StudyError(f"is called '{item.name}' in itself", (section, name))
 
     def _check_sizes(self, findings: Findings) -> None:
-        """Refuse what is too large to be looked at further, with what was found before."""
+        """Refuse a study that is too large to be checked further, with the errors so far."""
         size = len(findings)
         for section, most in MOST.items():
             with findings.under():
@@ -258,7 +258,7 @@ class Study:
             findings.check()
 
     def _check_sets(self, findings: Findings) -> None:
-        """Check parameter sets, if the parameters are right, of which is told only once."""
+        """Check the parameter sets of a study without errors in its parameters."""
         self.search_space()
         with findings.under():
             self._check_park()
@@ -273,7 +273,7 @@ class Study:
         return (self.objective, *self.further_objectives)
 
     def from_predicted_cost(self, cost: ArrayLike) -> Array:
-        """Return the objective that models predict: of several, the cost of the compromise.
+        """Return the objective for a predicted cost; of several, the cost of the compromise.
 
         Parameters
         ----------
@@ -315,7 +315,7 @@ class Study:
         ) or any(isinstance(metric, PythonMetric) for metric in self.metrics.values())
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is made of the fields: another process makes it again."""
+        """Leave out cached values: another process computes them from the fields."""
         return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
 
     def search_space(self) -> SearchSpace:
@@ -324,7 +324,7 @@ class Study:
 
     @cached_property
     def _search_space(self) -> SearchSpace:
-        # Studies that differ in other sections share it.
+        # Shared by studies that differ only in other sections.
         return search_space(tuple(self.parameters.values()), self.order, self.where)
 
     @property
@@ -365,17 +365,17 @@ class Study:
         """
         space = self.search_space()
         try:
-            found = space.permitted({**space.defaults, **given})
+            complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
         for name, value in given.items():
-            if found[name] != value:
+            if complete[name] != value:
                 raise StudyError(
-                    f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
+                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
                     (name,),
                 )
             self.parameters[name].check_grid(value, name)
-        return found
+        return complete
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
@@ -389,10 +389,10 @@ class Study:
         sets: dict[object, dict[str, Value]] = {}
         for index, given in enumerate(self.start):
             try:
-                found = self.complete_set({} if isinstance(given, str) else given)
+                complete = self.complete_set({} if isinstance(given, str) else given)
             except StudyError as error:
                 raise error.under("start", index) from None
-            sets.setdefault(space.key(found), found)
+            sets.setdefault(space.key(complete), complete)
         if len(sets) > self.budget.trials:
             raise StudyError(
                 f"{len(sets)} parameter sets are more than the {self.budget.trials} trials",
@@ -413,17 +413,17 @@ class Study:
 
     @property
     def start_names(self) -> dict[str, frozenset[str]]:
-        """What nodes take only while they start, as `at_start.start_names`."""
+        """Names of the parameters that nodes take only while they start, by node key."""
         return start_names(self.nodes, self.parameters, self.contexts, self.seed_parameter)
 
     @property
     def starts_nodes(self) -> bool:
-        """Whether it says how to start a node; others may start along with that."""
+        """Whether it says how to start a node; other nodes may start along with that one."""
         return any(spec.is_started for spec in self.nodes.values())
 
     @property
     def drawn_constraints(self) -> tuple[Constraint, ...]:
-        """Constraints over the distribution of the contexts, which draws show."""
+        """Constraints over the distribution of the contexts, which draws can show."""
         return tuple(c for c in self.constraints.values() if not c.rule.in_every_context)
 
     @property
@@ -432,7 +432,7 @@ class Study:
         return tuple(c for c in self.constraints.values() if c.rule.in_every_context)
 
     def titled(self, constraint: Constraint, text: str) -> str:
-        """Return a text on a constraint, with its name if another one limits the same side, too."""
+        """Return a text on a constraint, with its name if another one limits the same side."""
         same = [
             item
             for item in self.constraints.values()
@@ -472,7 +472,7 @@ class Study:
     def node_parameters(
         self, parameters: Mapping[str, Value]
     ) -> dict[str, dict[str, checks.ParameterValue]]:
-        """Return a parameter set as the nodes take it: an item of an array as the whole array.
+        """Return a parameter set in the form that nodes take: whole arrays in place of their items.
 
         The values are by the node's name in the study, then by the node's own parameter name.
         """
@@ -486,7 +486,7 @@ class Study:
             items = of_node.get(item.array, self.nodes[item.node].parameters[item.array])
             if isinstance(items, tuple):
                 items = (*items[: item.item], value, *items[item.item + 1 :])
-                # A node has an array of doubles, however its constant items are written.
+                # The array is one of doubles, even if its constant items are written as integers.
                 of_node[item.array] = (
                     tuple(map(float, items)) if isinstance(value, float) else items
                 )
@@ -577,7 +577,7 @@ class Study:
     def _check_parked_configuration(self) -> None:
         """Refuse to have a tuned node configured in `before` with its safe parameters.
 
-        It would keep them in the run if it reads them only then, and nobody would notice.
+        If it reads them only then, it would keep them in the run, and nobody would notice.
         """
         if self.run is None or not self.park.between_runs:
             return
@@ -587,7 +587,7 @@ class Study:
             change = step.lifecycle
             if change is None or change.transition != "configure":
                 continue
-            # The namespace, which the study does not know, may stand ahead of it.
+            # The name may have a namespace, which the study does not know, ahead of it.
             if any(f"/{change.node}".endswith(node) for node in tuned):
                 raise StudyError(
                     f"a step of run.before configures {change.node}, which has the safe parameters "
@@ -597,22 +597,22 @@ class Study:
 
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:
-    """Return the metrics, those that are computed from others with these."""
-    found = dict(metrics)
-    # One that is relative may be to a combined one.
+    """Return the metrics, with references to the others in those that are computed from others."""
+    joined = dict(metrics)
+    # Combined metrics first: a relative metric may be of a combined one.
     for kind in (CombinedMetric, RelativeMetric):
         for name, item in metrics.items():
             if isinstance(item, kind):
                 with findings.under("metrics", name):
-                    found[name] = item.joined(found)
-    return found
+                    joined[name] = item.joined(joined)
+    return joined
 
 
 def _one_limit_each(
     constraints: Mapping[str, Constraint], taken: Collection[str]
 ) -> dict[str, Constraint]:
-    """Return the constraints by name, those with two limits as two; some names are taken."""
-    found: dict[str, Constraint] = {}
+    """Return the constraints by name, each with one limit; names in `taken` are refused."""
+    limits: dict[str, Constraint] = {}
     for name, item in constraints.items():
         if item.name != name:
             raise StudyError(f"is called '{item.name}' in itself", ("constraints", name))
@@ -622,13 +622,13 @@ def _one_limit_each(
                     f"the models call another one '{side.name}'; choose another name",
                     ("constraints", name),
                 )
-            if side.name in found or (side is not item and side.name in constraints):
+            if side.name in limits or (side is not item and side.name in constraints):
                 raise StudyError(
                     f"is split into '{side.name}' and another, but there is such a constraint",
                     ("constraints", name),
                 )
-            found[side.name] = side
-    return found
+            limits[side.name] = side
+    return limits
 
 
 def _order(order: object) -> tuple[tuple[str, str], ...]:

@@ -28,13 +28,13 @@ from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
 COST = "cost"
-"""Name of the metric that an objective is which is written as an expression."""
+"""Name of the metric for an objective that is written as an expression."""
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
 
-# Sections that a word alone may stand for, at least in part.
+# Sections that may be, in whole or in part, a single word.
 _BUILDERS: dict[type[Any], Callable[[object], Any]] = {Run: build_run, Guarding: build_guarding}
-# Sections that hold one object, and sections of objects by name.
+# Sections with one object, and sections with objects by name.
 _SINGLE: dict[str, type[Any]] = {
     "trigger": Trigger,
     "seed_parameter": SeedParameter,
@@ -62,7 +62,7 @@ def shipped_studies() -> list[str]:
 
 
 def shipped_nodes() -> list[NodeSpec]:
-    """Return the nodes of all shipped studies, without what else is in these."""
+    """Return the nodes of all shipped studies, without reading their other sections."""
     nodes: list[NodeSpec] = []
     for name in shipped_studies():
         path = config_directory() / "studies" / f"{name}.yaml"
@@ -90,7 +90,7 @@ def load_study(
         Asks the nodes for what the file leaves open of their parameters; without it, nothing may
         be left open.
     of_function : bool
-        Whether a file without nodes describes a study of a function, see `with_function`.
+        Whether a file without nodes describes a study of a function, which becomes its only node.
 
     Returns
     -------
@@ -120,20 +120,20 @@ def load_study(
 
 
 def _in_folder(study: Study, folder: Path, source: str) -> Study:
-    """Return a study with its own folder, from wherever it is run; `folder` has its file.
+    """Return a study with the full path of its own folder; `folder` has its file.
 
     Raises
     ------
     StudyError
-        If what its references are over time cannot be had from files there.
+        If a file there with a reference over time cannot be read.
     """
     own = str((folder / study.folder).resolve()) if study.needs_folder else study.folder
     try:
         with under("run"):
             run = study.run and study.run.read_files(own)
     except StudyError as error:
-        found = [each.located(source, None) for each in (error, *error.others)]
-        raise found[0].with_others(found[1:]) from None
+        problems = [each.located(source, None) for each in (error, *error.others)]
+        raise problems[0].with_others(problems[1:]) from None
     return dataclasses.replace(study, folder=own, run=run)
 
 
@@ -146,7 +146,8 @@ def parse_study(
 ) -> Study:
     """Return the study that a YAML text describes; `source` names it in errors.
 
-    `describe` and `of_function` as in `load_study`.
+    `describe` asks nodes for what the text leaves open of their parameters. With `of_function` a
+    text without nodes describes a study of a function.
 
     Raises
     ------
@@ -174,9 +175,9 @@ def parse_study(
         completed = with_function(document.value) if of_function else document.value
         return study_from_mapping(completed)
     except StudyError as error:
-        found = [located(each) for each in (error, *error.others)]
-        # What is missing altogether stands nowhere.
-        first, *others = sorted(found, key=lambda each: each.line or math.inf)
+        problems = [located(each) for each in (error, *error.others)]
+        # An error on a key that is missing has no line, and comes last.
+        first, *others = sorted(problems, key=lambda each: each.line or math.inf)
         raise first.with_others(others) from None
 
 
@@ -198,7 +199,7 @@ def study_from_mapping(mapping: object) -> Study:
     with findings.under("objective"):
         values |= _objective_of_text(values)
     if len(findings) > size:
-        # What is wrong with it is told.
+        # Its error is among the findings already.
         del values["objective"]
     values |= written_out(values, findings)
     made = dict(values)
@@ -216,7 +217,7 @@ def study_from_mapping(mapping: object) -> Study:
         if key in values:
             made[key] = _build_named(key, cls, values[key], findings)
     if findings:
-        # What refers to parts is told with what is wrong in these.
+        # Errors in references are reported together with those in the parts.
         check_names(made, _names(values), findings)
     findings.check()
     return Study(**made)
@@ -225,16 +226,16 @@ def study_from_mapping(mapping: object) -> Study:
 def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
     """Return by section the names of the parts in a study file, as far as it has such a section."""
     optional = {field.name for field in dataclasses.fields(Study) if not is_required(field)}
-    found = {}
+    by_section = {}
     for key in _NAMED:
         section = values.get(key, {} if key in optional else None)
         if isinstance(section, dict):
-            found[key] = [name for name in section if isinstance(name, str)]
-    return found
+            by_section[key] = [name for name in section if isinstance(name, str)]
+    return by_section
 
 
 def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sections that an objective stands for that is text; none if it is none."""
+    """Return the sections that a text objective is short for; none if the objective is no text."""
     given, metrics = values.get("objective"), values.get("metrics")
     if not isinstance(given, str) or not isinstance(metrics, dict):
         return {}
@@ -251,13 +252,13 @@ def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _build_objectives(value: object) -> tuple[Objective, ...]:
-    found = []
+    objectives = []
     for index, item in enumerate(
         checks.sequence(value, "a list of objectives", "further_objectives")
     ):
         with under("further_objectives", index):
-            found.append(build(Objective, item))
-    return tuple(found)
+            objectives.append(build(Objective, item))
+    return tuple(objectives)
 
 
 def study_to_mapping(study: Study) -> dict[str, object]:
@@ -268,7 +269,7 @@ def study_to_mapping(study: Study) -> dict[str, object]:
         if items:
             mapping[key] = {name: _plain_part(item) for name, item in items.items()}
     if not study.start:
-        # Unlike in other sections, an empty list is not what it is without the key.
+        # Here an empty list differs from a missing key, which means the default.
         mapping["start"] = []
     return mapping
 
@@ -279,7 +280,7 @@ def study_to_yaml(study: Study) -> str:
 
 
 def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Describe) -> None:
-    """Let nodes say what the file leaves open; what is wrong otherwise is found later."""
+    """Let nodes say what the file leaves open; other errors are found later."""
     specs = mapping.get("nodes") if isinstance(mapping, dict) else None
     if not isinstance(mapping, dict) or not isinstance(specs, dict):
         return
@@ -294,12 +295,12 @@ def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Desc
 
 
 def is_path(text: str) -> bool:
-    """Whether a text is the path of a file, by a suffix or separator, and not what is shipped."""
+    """Whether a text is a path, with a suffix or separator, and not the name of a shipped study."""
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
 def read_text(path: Path, source: str) -> str:
-    """Read a file of the user's, which errors call `source`.
+    """Read a file of the user; errors call it `source`.
 
     Raises
     ------
@@ -313,7 +314,7 @@ def read_text(path: Path, source: str) -> str:
         problem = f"cannot be read: {error.strerror or error}"
         raise StudyError(problem, source=source) from None
     except ValueError as error:
-        # A path with a null character.
+        # The path has a null character.
         raise StudyError(f"cannot be read: {error}", source=repr(source)) from None
     if len(content) > MAX_BYTES:
         raise StudyError("expected a file of at most 1 MB", source=source)
@@ -329,8 +330,8 @@ def _build_named(section: str, cls: type[Any], value: object, findings: Findings
     items: dict[str, Any] = {}
     with findings.under(section):
         if not isinstance(value, dict):
-            found = checks.show(value)
-            raise StudyError(f"expected a mapping of names, {{}} for none, found {found}")
+            shown = checks.show(value)
+            raise StudyError(f"expected a mapping of names, {{}} for none, found {shown}")
         for name, fields in value.items():
             if not isinstance(name, str):
                 raise StudyError(f"expected a name, found {checks.show(name)}")
@@ -361,7 +362,7 @@ def _build_context(name: str, value: object) -> ContextVariable:
 
 def _plain_part(part: Any) -> dict[str, object]:
     fields = _plain_fields(part)
-    # The name is the key of the part.
+    # The part has its name as its key.
     del fields["name"]
     if isinstance(part, ContextVariable):
         distribution: Distribution = part.distribution
@@ -372,14 +373,14 @@ def _plain_part(part: Any) -> dict[str, object]:
 
 def _plain_fields(settings: Any) -> dict[str, Any]:
     """Return the fields that are not empty, with lists for tuples."""
-    found = {}
+    plain = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         # An empty text may be one of the choices of a parameter.
         if value is None or value in ((), {}) or (value == "" and field.default == ""):
             continue
-        found[field.name] = _plain(value)
-    return found
+        plain[field.name] = _plain(value)
+    return plain
 
 
 def _plain(value: object) -> object:

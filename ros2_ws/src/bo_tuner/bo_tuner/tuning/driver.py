@@ -1,4 +1,4 @@
-"""Carries out plans: has their tasks run, tells observers, counts losses, waits and ends.
+"""Carries out plans: has their tasks run, notifies observers, counts losses, waits and ends.
 
 With a window of q tasks, task k is planned when exactly the tasks up to k - q are told, even if
 later results are there, and those in between are pending. So what is asked and told is one fixed
@@ -26,7 +26,7 @@ class Driver:
     backend
         Runs the evaluations; open.
     observer
-        Is told of each task that is planned, each evaluation and each step.
+        Is notified of each task that is planned, each evaluation and each step.
     window
         Number of tasks that are planned at once, at most.
     gate
@@ -52,7 +52,7 @@ class Driver:
         Raises
         ------
         RunError
-            As in `run`.
+            If three tasks in a row were lost with their nodes or disturbed.
         """
         self._observer.begin(plan.phase, plan.steps)
         for _ in self.run(plan):
@@ -153,7 +153,7 @@ class Steps(Generic[TaskT]):
             self._window.fill()
 
     def _pass_gate(self) -> None:
-        """Take requests from outside, and tell observers of them as events."""
+        """Take requests from outside, and pass them to observers as events."""
 
         def note(kind: EventKind, detail: str = "") -> None:
             self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
@@ -175,7 +175,7 @@ class _Planned(Generic[TaskT]):
     running
         Whether a backend has it.
     lost
-        The first of its evaluations that tells nothing of its parameters, if there is one.
+        The first of its evaluations that is unusable, if there is one.
     """
 
     def __init__(self, task: TaskT, attempts: int) -> None:
@@ -189,11 +189,11 @@ class _Planned(Generic[TaskT]):
     def take(self, evaluation: Evaluation) -> None:
         """Take a result, unless its evaluation is to be run again."""
         self.running = False
-        spoilt = evaluation.outcome.spoilt
-        if spoilt and self._failed + 1 < self._attempts:
+        unusable = evaluation.outcome.unusable
+        if unusable and self._failed + 1 < self._attempts:
             self._failed += 1
             return
-        if spoilt and self.lost is None:
+        if unusable and self.lost is None:
             self.lost = evaluation
         self._failed = 0
         self.task.tell(evaluation)
@@ -206,7 +206,7 @@ class _Window(Generic[TaskT]):
     Attributes
     ----------
     tasks
-        Them.
+        Those tasks.
     planned
         Number of all tasks of the plan that were planned, the told ones included.
     """
@@ -258,5 +258,5 @@ class _Window(Generic[TaskT]):
 
 
 def _place(evaluation: Evaluation) -> tuple[object, ...]:
-    """Return what tells an evaluation from the others that are planned."""
+    """Return the key of an evaluation among those that are planned."""
     return evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed

@@ -1,9 +1,9 @@
 """Which tuned parameters were seen to move a metric, by the trials of a run.
 
-A node may accept a parameter, read it back, and never use it. No single run tells. The test of each
-parameter on each metric is that of `models.dependence`, over all evaluations of the trials; whether
-runs fail is one more response. All tests together take a parameter that does nothing for one that
-does with the probability `ERROR` at most (Bonferroni).
+A node may accept a parameter, read it back, and never use it. No single run shows that. The test of
+each parameter on each metric is that of `models.dependence`, over all evaluations of the trials;
+whether runs fail is one more response. All tests together take a parameter that does nothing for
+one that does with the probability `ERROR` at most (Bonferroni).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,10 +58,10 @@ class Effect:
     visible: float
 
     @classmethod
-    def of(cls, study: Study, metric: str, found: LinearEffect, level: float) -> Self:
-        """Return the effect on a metric that a test of a level has found."""
+    def of(cls, study: Study, metric: str, test: LinearEffect, level: float) -> Self:
+        """Return the effect on a metric by a test of a level."""
         unit = study.metrics[metric].unit if metric in study.metrics else ""
-        return cls(metric, unit, found.p_value < level, found.change, found.visible)
+        return cls(metric, unit, test.p_value < level, test.change, test.visible)
 
 
 @dataclass(frozen=True)
@@ -123,12 +123,12 @@ def test_level(study: Study, responses: int) -> float:
 
 
 def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects, ...]:
-    """Return what the trials of a run tell of each tuned parameter."""
+    """Return the effects of each tuned parameter that the trials of a run show."""
     known = [
         evaluation
         for trial in trials
         for evaluation in trial.evaluations
-        if evaluation.stage in TUNING and not evaluation.outcome.spoilt
+        if evaluation.stage in TUNING and not evaluation.outcome.unusable
     ]
     if not known:
         return ()
@@ -139,10 +139,10 @@ def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects,
     space = study.search_space()
     responses = list(_responses(study, known))
     level = test_level(study, len(responses))
-    found: list[list[Effect]] = [[] for _ in space.names]
+    by_parameter: list[list[Effect]] = [[] for _ in space.names]
     for name, evaluations, values in responses:
         each = _tested(study, evaluations, values, level, rng)
-        for effects, effect in zip(found, each, strict=True):
+        for effects, effect in zip(by_parameter, each, strict=True):
             effects.append(Effect.of(study, name, effect, level))
     objectives = {objective.metric for objective in study.objectives}
     least = {name: _worth(values) for name, _, values in responses if name in objectives}
@@ -152,7 +152,7 @@ def effects_in(study: Study, trials: Sequence[Trial]) -> tuple[ParameterEffects,
             tuple(effects),
             told=all(e.visible <= least[e.metric] for e in effects if e.metric in objectives),
         )
-        for name, effects in zip(space.names, found, strict=True)
+        for name, effects in zip(space.names, by_parameter, strict=True)
     )
 
 

@@ -79,9 +79,9 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     study
         The study.
     ranked
-        As from `Ranking.rank`, with the evaluations of checks.
+        From `Ranking.rank`, with the evaluations of checks.
     """
-    # In a space smaller than the budget several trials are of one set.
+    # In a space smaller than the budget several trials have the same parameter set.
     firsts: dict[object, Candidate] = {}
     for candidate in ranked:
         firsts.setdefault(candidate.trial.parameter_set, candidate)

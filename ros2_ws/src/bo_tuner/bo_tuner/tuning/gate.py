@@ -20,7 +20,7 @@ class Gate:
     check
         Raises if the run is to end; also called all the while in a pause.
     observer
-        Is told of the start and the end of a pause.
+        Is notified of the start and the end of a pause.
     finishing
         Returns whether a phase is to end early, even if nobody asks for it.
 
@@ -45,7 +45,7 @@ class Gate:
         self._asked_to_finish = False
 
     def halt(self, reason: str) -> None:
-        """Let the run wait because the guard has taken over, as it says in a line."""
+        """Let the run wait because the guard has taken over, for a reason in one line."""
         self._halted_by = reason
         self.requests.request(True)
 

@@ -180,8 +180,8 @@ class RecordedTask:
 def pending_trial(study: Study, method: Method, number: int, proposal: Proposal) -> Trial:
     """Return a trial that has not ended, with planned evaluations in its first contexts.
 
-    The contexts are those of any trial of its number, also where a proposal asks for fewer: the
-    record of a trial does not tell, and a resumed run has to know the same.
+    The contexts are those of any trial of its number, also where a proposal asks for fewer: that is
+    not on record, and a resumed run has to know the same.
     """
     contexts = method.first_contexts(study, number, replace(proposal, protocol=None))
     evaluations = tuple(
@@ -200,7 +200,7 @@ def trials_are_over(study: Study, trials: Sequence[Trial], finished: int | None)
     study, trials
         Of the run.
     finished
-        As in `TrialPlan`.
+        Number of trials after which an earlier session was asked to finish.
     """
     if finished is not None and len(trials) >= finished:
         return True
@@ -227,7 +227,7 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
     Attributes
     ----------
     trials
-        Those that were told.
+        Those that have ended.
     """
 
     phase = Phase.TUNING
@@ -277,7 +277,7 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
 
     def tell(self, task: TrialTask | RecordedTask) -> bool:
-        """Add a trial, which observers are told of as such and not as a step."""
+        """Add a trial; observers are notified of it as a trial and not as a step."""
         trial = task.trial()
         self.trials.append(trial)
         self._optimizer.tell(trial)
@@ -296,9 +296,9 @@ class Tuning:
     method
         The method.
     trials
-        As `recorded` of `TrialPlan`.
+        Those on record, which are not run again.
     finished
-        As in `TrialPlan`.
+        Number of trials after which an earlier session was asked to finish.
 
     Attributes
     ----------

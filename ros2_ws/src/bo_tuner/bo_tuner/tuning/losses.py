@@ -14,7 +14,7 @@ HOW = {
 
 
 class Losses:
-    """Counter of tasks in a row with a spoilt outcome, see `Outcome.spoilt`.
+    """Counter of tasks in a row with an unusable outcome, see `Outcome.unusable`.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ class Losses:
         self._in_a_row: list[Outcome] = []
 
     def note(self, evaluation: Evaluation | None) -> None:
-        """Count a task by its spoilt evaluation; None, or one on record, resets the counter.
+        """Count a task by its unusable evaluation; None, or one on record, resets the counter.
 
-        Those on record ended an earlier session: whoever resumes it has the nodes again.
+        One on record belongs to an earlier session; its user has brought the nodes back since.
         """
         if evaluation is not None and not evaluation.recorded:
             self._in_a_row.append(evaluation.outcome)

@@ -43,7 +43,7 @@ class Conclusion:
     default, tuned
         Validation of the hand-tuned parameter set and of the recommended one.
     effects
-        What the trials tell of each tuned parameter.
+        Effects of each tuned parameter that the trials show.
     """
 
     recommendation: Recommendation
@@ -125,7 +125,7 @@ def continued(
     stop_early
         Whether the run follows the advice to stop.
     finished
-        As in `TrialPlan`.
+        Number of trials after which an earlier session was asked to finish.
     """
     if stop_early:
         return list(trials)
@@ -141,7 +141,7 @@ def choose_answer(
     *,
     most_repeated: int | None = None,
 ) -> Recommendation | None:
-    """Evaluate the best candidates again, in the way of the method, and recommend one.
+    """Evaluate the best candidates again, by the method's rule, and recommend one.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def choose_answer(
     driver
         Carries out the search.
     most_repeated
-        As `most` of `Method.answer_search`.
+        Largest number of evaluations in it; by default as many as are due to the trials.
 
     Returns
     -------
@@ -210,8 +210,8 @@ def summarize(
     if len(study.objectives) > 1:
         content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
     # As it will be read from the file.
-    found: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
-    return found
+    as_read: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
+    return as_read
 
 
 def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
@@ -246,12 +246,12 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         advisor.consider(record.trials[:count])
     if not over and advisor.advice is None:
         return None
-    # What the trials hold is not given again, nor what was lost and then run again.
-    kept = {_place(item) for item in record.evaluations if not item.outcome.spoilt}
+    # Evaluations of trials are left out, and those that were lost and then run again.
+    kept = {_place(item) for item in record.evaluations if not item.outcome.unusable}
     later = [
         item
         for item in record.evaluations
-        if item.stage not in TUNING and not (item.outcome.spoilt and _place(item) in kept)
+        if item.stage not in TUNING and not (item.outcome.unusable and _place(item) in kept)
     ]
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)
@@ -311,9 +311,9 @@ def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
         (tuned, record.trials[number].parameters),
     )
     return all(
-        parameter_set(found.parameters) == parameter_set(parameters)
-        and found.constraints.keys() == record.study.constraints.keys()
-        for found, parameters in sides
+        parameter_set(validation.parameters) == parameter_set(parameters)
+        and validation.constraints.keys() == record.study.constraints.keys()
+        for validation, parameters in sides
     )
 
 

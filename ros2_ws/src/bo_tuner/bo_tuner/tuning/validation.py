@@ -27,8 +27,8 @@ class Validation:
     draws
         Number of evaluations.
     failures, lost
-        Number of those that failed for the parameters, and of those that tell nothing of them: lost
-        with their nodes, or disturbed by others.
+        Number of those that failed for the parameters, and of those that are unusable: lost with
+        their nodes, or disturbed by others.
     objective, deviation
         Mean and standard deviation of the objective's metric over the complete evaluations, in the
         metric's unit; NaN if there are too few.
@@ -51,7 +51,7 @@ class Validation:
         Raises
         ------
         KeyError, TypeError, ValueError, AttributeError
-            If it is none.
+            If it is something else.
         """
         if not isinstance(entry, Mapping):
             raise TypeError(f"expected an object, found {entry!r}")
@@ -98,7 +98,7 @@ class ValidationPlan(Plan[Run]):
         self._study = study
         self._candidates = candidates
         self._planned = self._evaluations()
-        self._told: list[list[Evaluation]] = [[] for _ in candidates]
+        self._results: list[list[Evaluation]] = [[] for _ in candidates]
         self.steps = study.budget.validation_draws
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
@@ -108,14 +108,14 @@ class ValidationPlan(Plan[Run]):
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation; a draw of all parameter sets is a step."""
-        self._told[task.evaluation.trial].append(task.evaluation)
-        return sum(map(len, self._told)) % len(self._candidates) == 0
+        self._results[task.evaluation.trial].append(task.evaluation)
+        return sum(map(len, self._results)) % len(self._candidates) == 0
 
     @property
     def results(self) -> list[Validation]:
         """One for each parameter set, in their order."""
-        pairs = zip(self._candidates, self._told, strict=True)
-        return [_judge(self._study, parameters, told) for parameters, told in pairs]
+        pairs = zip(self._candidates, self._results, strict=True)
+        return [_judge(self._study, parameters, evaluations) for parameters, evaluations in pairs]
 
     def _evaluations(self) -> Iterator[Evaluation]:
         study, contexts = self._study, self._study.context_space()
@@ -161,7 +161,7 @@ def _judge(
     study: Study, parameters: Mapping[str, Value], evaluations: Sequence[Evaluation]
 ) -> Validation:
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
-    lost = sum(not e.outcome.complete and e.outcome.spoilt for e in evaluations)
+    lost = sum(not e.outcome.complete and e.outcome.unusable for e in evaluations)
     objective = np.array([metrics[study.objective.metric] for metrics in complete])
     return Validation(
         parameters=dict(parameters),

@@ -97,7 +97,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Found:
-    """What the runs tell of a parameter.
+    """What the runs show of a parameter.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Found:
 
 @dataclass
 class VariedRuns:
-    """Runs that have ended, without those that tell nothing of their parameters.
+    """Runs that have ended, without unusable ones.
 
     Attributes
     ----------
@@ -160,15 +160,15 @@ def plan(study: Study, *, whole_range: bool) -> Variations:
 
 def _single(space: SearchSpace, *, whole_range: bool) -> dict[str, tuple[Value, ...]]:
     """Return the values of each parameter that is moved alone."""
-    found: dict[str, list[Value]] = {name: [] for name in space.names}
+    values_of: dict[str, list[Value]] = {name: [] for name in space.names}
     for neighbour in space.neighbours(space.defaults):
         moved = [name for name in space.names if neighbour[name] != space.defaults[name]]
-        # Of two that are kept in order, one may move the other.
+        # One of two that are kept in order may move the other.
         if len(moved) == 1 and (whole_range or moved[0] in space.numbers):
-            found[moved[0]].append(neighbour[moved[0]])
+            values_of[moved[0]].append(neighbour[moved[0]])
     if whole_range:
-        found |= {name: _ends(space, name) for name in space.numbers}
-    return {name: tuple(values) for name, values in found.items() if values}
+        values_of |= {name: _ends(space, name) for name in space.numbers}
+    return {name: tuple(values) for name, values in values_of.items() if values}
 
 
 def _ends(space: SearchSpace, name: str) -> list[Value]:
@@ -182,7 +182,7 @@ def _ends(space: SearchSpace, name: str) -> list[Value]:
             most = min(most, float(default[upper]))
     ends = [max(float(space.lower[column]), least), min(float(space.upper[column]), most)]
     (item,) = (item for item in space.parameters if item.name == name)
-    # Of a grid the last value may lie within the bound.
+    # The last value of a grid may lie within the bound.
     numbers = map(item.on_grid, ends)
     values: list[Value] = [round(n) if item.is_integer else n for n in numbers]
     return [value for value in dict.fromkeys(values) if value != default[name]]
@@ -233,7 +233,7 @@ def order_of_runs(study: Study, planned: Variations, default_runs: int) -> list[
 
 
 def judge(study: Study, planned: Variations, runs: VariedRuns) -> dict[str, Found]:
-    """Return what the runs tell of each parameter that was tried, by its name."""
+    """Return what the runs show of each parameter that was tried, by its name."""
     level = test_level(study, len(study.responses))
     at_once = [
         evaluation
@@ -265,9 +265,9 @@ def _singly(study: Study, planned: Variations, runs: VariedRuns, name: str, leve
     each = {}
     for metric in study.responses:
         y = _values([base, *groups.values()], metric)
-        found = _tested(y, np.ones((len(y), 1)), factor, np.eye(len(groups)), level)
-        each[metric] = (found, [*groups, *own][found.contrast])
-    result = _found(study, name, each, level)
+        test = _tested(y, np.ones((len(y), 1)), factor, np.eye(len(groups)), level)
+        each[metric] = (test, [*groups, *own][test.contrast])
+    result = _from_tests(study, name, each, level)
     failing = [value for value, done in own.items() if len(done) >= REPEATS and not complete[value]]
     if failing and len(base) == len(runs.default):
         effect = Effect(FAILURES, "", seen=True, change=1.0, visible=1.0)
@@ -302,7 +302,7 @@ def _screened(
     if not complete.all():
         failed = (~complete).astype(np.float64)
         each[FAILURES] = (tested(failed, np.ones_like(complete)), upper)
-    return _found(study, name, each, level)
+    return _from_tests(study, name, each, level)
 
 
 def _tested(
@@ -313,18 +313,18 @@ def _tested(
     return linear_effect(values, others, factor, contrasts, level)
 
 
-def _found(
+def _from_tests(
     study: Study, name: str, each: Mapping[str, tuple[LinearEffect, Value]], level: float
 ) -> Found:
-    """Return what tests of a parameter have found, by the response."""
-    effects = {m: Effect.of(study, m, found, level) for m, (found, _) in each.items()}
+    """Return what a parameter does, by its tests on each response."""
+    effects = {m: Effect.of(study, m, test, level) for m, (test, _) in each.items()}
     moves = tuple(
-        Move(effects[m], value, found.noise)
-        for m, (found, value) in each.items()
-        if effects[m].seen
+        Move(effects[m], value, test.noise) for m, (test, value) in each.items() if effects[m].seen
     )
-    told = all(np.isfinite(effects[objective.metric].visible) for objective in study.objectives)
-    return Found(ParameterEffects(name, tuple(effects.values()), told=told), moves)
+    conclusive = all(
+        np.isfinite(effects[objective.metric].visible) for objective in study.objectives
+    )
+    return Found(ParameterEffects(name, tuple(effects.values()), told=conclusive), moves)
 
 
 def _complete(done: Iterable[Evaluation]) -> list[Evaluation]:

@@ -1,4 +1,4 @@
-"""The process that serves the page: ``python -m bo_tuner.web SOCKET``, told of the run on stdin."""
+"""The process that serves the page: ``python -m bo_tuner.web SOCKET``; stdin has the run."""
 
 import asyncio
 import json

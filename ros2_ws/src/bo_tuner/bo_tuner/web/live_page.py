@@ -1,4 +1,4 @@
-"""The run's side of the page: a process that serves it, told of each step by a pipe."""
+"""The run's side of the page: a process that serves it, and gets each step by a pipe."""
 
 import contextlib
 import json
@@ -38,11 +38,11 @@ COLUMNS = re.compile(f"[ {JOIN}]{{2,}}")
 LONGEST_TEXT = 600
 """Characters of a text in a message."""
 PATIENCE = 25.0
-"""Longest time [s] that the page has at the end to show the result, if somebody looks."""
+"""Longest time [s] that the page has at the end to show the result, if somebody reads it."""
 
 
 class LivePage(RunObserver):
-    """Starts the process that serves the page, and tells it of the run; use it in a ``with`` block.
+    """Starts the process that serves the page, and sends it the run; use it in a ``with`` block.
 
     The run never waits for that process: a message that the pipe cannot take is left out, since
     each one says all there is to say.
@@ -78,11 +78,11 @@ class LivePage(RunObserver):
         self._control = control
         self._asked = ""
         self._ending = False
-        # The thread that takes requests tells of them, too.
+        # The thread that takes requests sends, too.
         self._lock = threading.Lock()
         self._pipe = -1
         self._process: subprocess.Popen[bytes] | None = None
-        self._told = 0.0
+        self._sent = 0.0
         self._trial = ""
         self._running = 0
         self._ended = False
@@ -126,10 +126,10 @@ class LivePage(RunObserver):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Show the result to whoever looks, and end the process."""
+        """Show the result to whoever reads the page, and end the process."""
         self._running = 0
         self._ended = True
-        self._tell()
+        self._send_state()
         with self._lock:
             self._hang_up()
         if self._process is not None:
@@ -140,41 +140,41 @@ class LivePage(RunObserver):
                 self._process.wait()
 
     def begin(self, phase: str, total: int) -> None:
-        """Tell of a phase."""
+        """Send a phase."""
         self._running = 0
-        self._tell()
+        self._send_state()
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Tell of the recorded trials."""
+        """Send the recorded trials."""
         self._trial = describe(trials[-1], self._study)
-        self._tell()
+        self._send_state()
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Tell of an evaluation, unless the page was told of something just now."""
+        """Send an evaluation, unless the page got something just now."""
         self._forget_what_has_come()
         self._running += 1
-        if time.monotonic() - self._told >= PERIOD:
-            self._tell()
+        if time.monotonic() - self._sent >= PERIOD:
+            self._send_state()
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Tell of a trial."""
+        """Send a trial."""
         self._forget_what_has_come()
         self._trial = describe(trial, self._study)
         self._running = 0
-        self._tell()
+        self._send_state()
 
     def advance(self) -> None:
-        """Tell of a step."""
-        self._tell()
+        """Send a step."""
+        self._send_state()
 
     def advise(self, advice: StopAdvice) -> None:
-        """Tell of the advice to stop."""
-        self._tell()
+        """Send the advice to stop."""
+        self._send_state()
 
     def pause(self, paused: bool) -> None:
-        """Tell of a pause."""
+        """Send a pause."""
         self._forget_what_has_come()
-        self._tell()
+        self._send_state()
 
     @property
     def _log(self) -> Path:
@@ -198,9 +198,9 @@ class LivePage(RunObserver):
                     self._asked = control.finish()
                 else:
                     self._asked = control.pause(request is Request.PAUSE)
-                self._tell()
+                self._send_state()
 
-    def _tell(self) -> None:
+    def _send_state(self) -> None:
         now, ended = self._status.now, self._ended
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
@@ -208,7 +208,7 @@ class LivePage(RunObserver):
             "asked": "" if ended else self._asked,
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
         }
-        self._told = time.monotonic()
+        self._sent = time.monotonic()
         self._send(
             {
                 "phase": now.phase,

@@ -48,7 +48,7 @@ class Runs:
 
     def names(self) -> list[str]:
         """Return the names of the run folders, the latest first."""
-        found = []
+        runs = []
         with os.scandir(self._folder) as entries:
             for entry in entries:
                 journal = Path(entry.path) / JOURNAL
@@ -60,8 +60,8 @@ class Runs:
                     ]
                     # A run may be deleted meanwhile.
                     if times:
-                        found.append((max(times), entry.name))
-        return [name for _, name in sorted(found, reverse=True)]
+                        runs.append((max(times), entry.name))
+        return [name for _, name in sorted(runs, reverse=True)]
 
     def listing(self) -> str:
         """Return the page that lists the runs."""
@@ -134,7 +134,7 @@ def _of_journal(folder: Path) -> list[Path]:
 
 def _signature(path: Path) -> tuple[int, int] | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size
+    return status.st_mtime_ns, status.st_size

@@ -73,14 +73,15 @@ class LiveSections:
         return Analysis(record, self._known, quick=not ended)
 
     def made(self, *, ended: bool) -> Made:
-        """Make all parts as of now; raises as `analysis`."""
+        """Make all parts as of now; raises `RunRecordError` if the run cannot be read."""
         analysis = self.analysis(ended=ended)
         when = datetime.now().astimezone().strftime("%H:%M:%S")
         count = count_trials(analysis.record.trials)
         stamp = f"As of {counted(count, 'trial')}, {when}"
         parts = [Part(ANSWER, "Result", answer_html(analysis))]
         parts += [
-            Part(found.name, found.title, chapter_html(found)) for found in chapters(analysis)
+            Part(chapter.name, chapter.title, chapter_html(chapter))
+            for chapter in chapters(analysis)
         ]
         return Made(tuple(parts), stamp)
 

@@ -36,7 +36,7 @@ from bo_tuner.web.sections import LiveSections
 from bo_tuner.web.state import LiveState
 
 PAGE = secrets.token_hex(8)
-"""Tells one run's page from that of the next on the same port."""
+"""Distinguishes one run's page from that of the next on the same port."""
 LAST_LOOK = 20.0
 """Longest time [s] after the end of the run in which the page shows the result."""
 LEFT = 2.0
@@ -276,7 +276,7 @@ class Server(HTTPServer):
         super().on_close(server_conn)
 
 
-async def serve(listening: socket.socket, settings: Mapping[str, Any], told: BinaryIO) -> None:
+async def serve(listening: socket.socket, settings: Mapping[str, Any], steps: BinaryIO) -> None:
     """Serve the page of a run until its end.
 
     Parameters
@@ -286,7 +286,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
     settings
         The run `folder`, the `token` that a reader must know, and, if the run takes requests, the
         pipe for them as `control`.
-    told
+    steps
         Gives a line of JSON whenever the run has something to say, and ends with it.
     """
     folder = Path(settings["folder"])
@@ -321,7 +321,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
     loop = asyncio.get_running_loop()
 
     def listen() -> None:
-        for line in told:
+        for line in steps:
             loop.call_soon_threadsafe(state.take, json.loads(line))
         loop.call_soon_threadsafe(end)
 
@@ -341,7 +341,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
 
 
 async def _last_look(state: LiveState) -> None:
-    """Let those who look see the end of the run."""
+    """Let readers of the page see the end of the run."""
     if not state.watched:
         return
     loop = asyncio.get_running_loop()

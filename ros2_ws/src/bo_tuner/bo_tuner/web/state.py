@@ -1,4 +1,4 @@
-"""What the page of a run in progress shows, kept up to date while somebody looks."""
+"""What the page of a run in progress shows, kept up to date while somebody reads it."""
 
 import asyncio
 import contextlib
@@ -44,7 +44,7 @@ class LiveState:
     Attributes
     ----------
     parts
-        By the name of a part, in their order, since which version it is as it is.
+        By the name of a part, in their order, the version of its last change, and the part.
     stamp
         Which state of the run they show, in words.
     models, pages, others
@@ -80,7 +80,7 @@ class LiveState:
         return await asyncio.get_running_loop().run_in_executor(thread, function, *arguments)
 
     def take(self, now: Mapping[str, Any]) -> None:
-        """Take what the run tells."""
+        """Take a state of the run."""
         self.now = now
         if now.get("ended"):
             self._over.set()
@@ -94,7 +94,7 @@ class LiveState:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has looked of late."""
+        """Whether somebody has read the page of late."""
         return asyncio.get_running_loop().time() <= self._watched_until
 
     async def news(self, version: int) -> None:
@@ -105,7 +105,7 @@ class LiveState:
                     await self._changed.wait()
 
     async def keep_up(self) -> None:
-        """Make the parts anew whenever the run has come further and somebody looks."""
+        """Make the parts anew whenever the run has come further and somebody reads the page."""
         made: object = None
         while True:
             await self._due.wait()
@@ -142,10 +142,12 @@ class LiveState:
         try:
             made = await self.call(self.models, partial(self.sections.made, ended=ended))
         except BoTunerError as error:
-            self._tell(f"The page cannot be brought up to date: {error}")
+            self._show_problem(f"The page cannot be brought up to date: {error}")
         except Exception as error:
             # Unexpected, but the result is to be shown all the same.
-            self._tell(f"The page cannot be brought up to date: {type(error).__name__}: {error}")
+            self._show_problem(
+                f"The page cannot be brought up to date: {type(error).__name__}: {error}"
+            )
         else:
             if ended or not self._over.is_set():
                 self._show(made)
@@ -160,8 +162,8 @@ class LiveState:
         self.stamp, self.problem = made.stamp, ""
         self._publish()
 
-    def _tell(self, problem: str) -> None:
-        """Tell of a problem."""
+    def _show_problem(self, problem: str) -> None:
+        """Show a problem."""
         if problem != self.problem:
             self.problem = problem
             self._publish()

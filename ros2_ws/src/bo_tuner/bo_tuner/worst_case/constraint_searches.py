@@ -14,15 +14,15 @@ from bo_tuner.worst_case.protocol import WorstCaseSearch
 class ConstraintSearch:
     """A worst-case constraint and the search for its worst context.
 
-    The search maximizes. For a lower limit it is told the negative of the metric, and its limit is
-    the negative of the constraint's.
+    The search maximizes. For a lower limit it observes the negative metric, and its limit is the
+    negative of the constraint's.
 
     Attributes
     ----------
     constraint, search
         The two.
     measured
-        Metrics that are measured contexts, which it is told beside the context.
+        Metrics that are measured contexts, which are observed beside the context.
     """
 
     constraint: Constraint
@@ -36,8 +36,8 @@ class ConstraintSearch:
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all evaluations so far, in the metric's unit."""
-        sign, found = self.constraint.sign, self.search.worst_case(rng)
-        return replace(found, value=sign * found.value, observed=sign * found.observed)
+        sign, worst = self.constraint.sign, self.search.worst_case(rng)
+        return replace(worst, value=sign * worst.value, observed=sign * worst.observed)
 
 
 class WorstCaseSearches:

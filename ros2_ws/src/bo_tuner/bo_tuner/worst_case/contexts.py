@@ -63,7 +63,7 @@ def maximize_over_contexts(
     value
         Value of the function in it.
     """
-    found = maximize(
+    maximum = maximize(
         function,
         space.dimension,
         rng,
@@ -71,7 +71,7 @@ def maximize_over_contexts(
         initial=np.vstack([initial, space.corners()]),
         settings=SEARCH_EFFORT,
     )
-    return space.to_dict(space.to_contexts(found.position[None])[0]), found.value
+    return space.to_dict(space.to_contexts(maximum.position[None])[0]), maximum.value
 
 
 def worst_contexts_nearby(

@@ -31,8 +31,10 @@ class JointSearch:
 
     Parameters
     ----------
-    space, evaluations
-        As in `ReinterpolationSearch`.
+    space
+        The context space.
+    evaluations
+        Largest number of contexts that `ask` returns.
     limit
         Upper limit of the metric, in its unit, without the margin for the noise of an evaluation.
     probability

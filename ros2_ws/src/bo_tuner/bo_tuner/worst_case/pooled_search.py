@@ -1,4 +1,4 @@
-"""Stage two with one process over parameter set and context, whose noise is local."""
+"""Stage two with one process over parameter set and context, with local noise."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -52,8 +52,8 @@ class PooledSearch:
     point
         The parameter set (d,) in the unit cube.
     known
-        Evaluations of other parameter sets. Values of measured contexts are told with the context
-        of further ones; the worst case is that of the mean over them.
+        Evaluations of other parameter sets. Values of measured contexts come with the context of
+        further ones; the worst case is that of the mean over them.
     limit
         Upper limit of the metric, in its unit.
     deviations
@@ -130,8 +130,8 @@ class PooledSearch:
         process = self._fit(rng)
         point = self._point[None]
         context, _ = self._maximize(lambda c: self._everywhere(process, c).limited(point)[0], rng)
-        there = self._everywhere(process, self._space.cube_of([context]))
-        _, mean, noise = there.worst_case(point)
+        in_context = self._everywhere(process, self._space.cube_of([context]))
+        _, mean, noise = in_context.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
 
     def _fit(self, rng: np.random.Generator) -> ContextProcess:

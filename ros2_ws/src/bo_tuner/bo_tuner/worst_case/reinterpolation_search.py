@@ -30,8 +30,8 @@ class ReinterpolationSearch:
     evaluations
         Largest number of contexts that `ask` returns.
     estimate
-        ``observed``, as in the paper: a single observation above the limit violates it, and the
-        worst case is the largest observation, whose upward bias grows with the number of
+        ``observed``, the estimate of the paper: a single observation above the limit violates it,
+        and the worst case is the largest observation. Its upward bias grows with the number of
         evaluations. ``posterior``: the limit is violated if the posterior mean exceeds it by a
         standard deviation in an evaluated context, and the worst case is the largest posterior mean
         over all contexts.

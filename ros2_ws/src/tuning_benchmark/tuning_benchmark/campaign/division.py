@@ -17,7 +17,7 @@ from bo_tuner.study.study import Study
 
 
 def divided(method: Method, study: Study, evaluations: int, reserved: int) -> tuple[Method, int]:
-    """Divide so many evaluations.
+    """Divide the evaluations of a run between its trials and its checks.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def divided(method: Method, study: Study, evaluations: int, reserved: int) -> tu
     Returns
     -------
     Method
-        As it can run with them.
+        With as many checks as the evaluations allow.
     int
         Evaluations of the trials.
     """
@@ -48,7 +48,7 @@ def divided(method: Method, study: Study, evaluations: int, reserved: int) -> tu
 
 
 def before_repetitions(repetitions: Repetitions, study: Study, evaluations: int) -> int:
-    """Return how many of so many evaluations in all, at least one, are those of the trials."""
+    """Return how many of all evaluations are those of the trials, at least one."""
     if not repetitions.share:
         return evaluations
     of_trials = _part_of_trials(repetitions, evaluations)
@@ -56,9 +56,9 @@ def before_repetitions(repetitions: Repetitions, study: Study, evaluations: int)
 
 
 def further_trials(method: Method, study: Study, left: int) -> int:
-    """Return how many evaluations more trials have if so many are left after the answer.
+    """Return how many of the evaluations `left` after the answer go to more trials.
 
-    An answer is known then, so none are kept for the check of one; 0 if it is too few for a trial.
+    No check is kept in reserve, since an answer is known; 0 if they are too few for a trial.
     """
     if not isinstance(method, Boundary):
         return 0

@@ -57,7 +57,7 @@ def conduct(
     jobs
         Processes on this machine.
     cluster
-        Address of a Dask scheduler, whose workers run the tasks instead; empty for none.
+        Address of a Dask scheduler; its workers run the tasks instead. Empty for none.
     about
         Provenance that all records share.
     tell
@@ -119,7 +119,7 @@ def _results(
     tasks: Sequence[Task], interruption: Interruption, config: dict[str, Any]
 ) -> Iterator[dict[str, Any]]:
     """Yield records as tasks end; the wait for the next one gives way to a signal."""
-    found: queue.Queue[dict[str, Any] | Exception | None] = queue.Queue()
+    results: queue.Queue[dict[str, Any] | Exception | None] = queue.Queue()
 
     def work() -> None:
         try:
@@ -129,17 +129,17 @@ def _results(
                     return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
                 )
                 for record in parallel(joblib.delayed(carry_out)(task) for task in tasks):
-                    found.put(record)
-            found.put(None)
+                    results.put(record)
+            results.put(None)
         except Exception as error:
-            found.put(error)
+            results.put(error)
 
     thread = threading.Thread(target=work, name=THREAD, daemon=True)
     thread.start()
     while True:
         interruption.check()
         try:
-            item = found.get(timeout=POLL)
+            item = results.get(timeout=POLL)
         except queue.Empty:
             continue
         if not isinstance(item, dict):

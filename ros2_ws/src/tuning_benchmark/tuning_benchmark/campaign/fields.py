@@ -91,17 +91,17 @@ def true_fields(study: Study, judge: str, figure: SurrogateFigure, first: Value)
     truth = Truth(study, judge, EFFORT)
     evaluator = Evaluator(study)
     space = study.search_space()
-    found: dict[str, Any] = {"objective": [], "worst": [], "constraints": {}}
+    fields: dict[str, Any] = {"objective": [], "worst": [], "constraints": {}}
     for second in figure.axes(study)[1]:
         parameters = space.to_parameters(_cube(space, first, second))
         judged = truth.judge.judge(study.assignments(parameters, {}, 0))
-        found["objective"].append(_number(judged.objective))
-        found["worst"].append(_number(judged.worst))
+        fields["objective"].append(_number(judged.objective))
+        fields["worst"].append(_number(judged.worst))
         metrics = evaluator.metrics(parameters)
         for constraint in study.drawn_constraints:
             value = metrics.get(constraint.metric, np.nan)
-            found["constraints"].setdefault(constraint.name, []).append(_number(value))
-    return found
+            fields["constraints"].setdefault(constraint.name, []).append(_number(value))
+    return fields
 
 
 def _cube(space: SearchSpace, first: Value, second: Value) -> Array:

@@ -75,8 +75,8 @@ def _versions(roots: tuple[str, ...]) -> tuple[str, ...]:
     names = {name.partition(".")[0] for path in imported(roots).values() for name in _imports(path)}
     distributions = _distributions()
     libraries = {d for name in names - _own(roots) for d in distributions.get(name, ())}
-    found = sorted(f"{name} {metadata.version(name)}" for name in libraries)
-    return (f"Python {platform.python_version()}", *found)
+    installed = sorted(f"{name} {metadata.version(name)}" for name in libraries)
+    return (f"Python {platform.python_version()}", *installed)
 
 
 def commit(roots: Iterable[str]) -> str:

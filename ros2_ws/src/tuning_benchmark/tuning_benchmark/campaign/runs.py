@@ -103,7 +103,7 @@ class Run:
         self.backend = TimedBackend(self.study)
         self.backend.open()
         self._tuning = Tuning(self.study, Driver(self.backend), self.method)
-        self._found: Recommendation | None = None
+        self._recommendation: Recommendation | None = None
 
     @property
     def trials(self) -> Sequence[Trial]:
@@ -133,7 +133,7 @@ class Run:
         """Settle the answer; return whether more trials follow, which know what was run for it."""
         settling = _Evaluations()
         left = self._evaluations - self.backend.evaluations
-        self._found = choose_answer(
+        self._recommendation = choose_answer(
             self.study,
             Driver(self.backend, settling),
             self.method,
@@ -142,7 +142,7 @@ class Run:
         )
         left = self._evaluations - self.backend.evaluations
         more = further_trials(self.method, self.study, left)
-        if self._found is None or not more:
+        if self._recommendation is None or not more:
             return False
         known = self.method.continued(self.trials, settling.evaluations, more=True)
         self.budget = self.backend.evaluations + more
@@ -169,8 +169,12 @@ class Run:
         if self._peer is not None:
             number = self._peer.recommend()
             return None if number is None else (number, True)
-        found = self._found
-        return None if found is None else (found.candidate.trial.number, found.feasible)
+        recommendation = self._recommendation
+        return (
+            None
+            if recommendation is None
+            else (recommendation.candidate.trial.number, recommendation.feasible)
+        )
 
 
 def _with_choices(method: Method, row: Row) -> Method:

@@ -79,9 +79,9 @@ def carry_out(task: Task) -> dict[str, Any]:
             f"{task.name}: {provenance.machine()} cannot import what it needs: {error}"
         ) from error
     if version != task.version:
-        found = ", ".join(provenance.versions(task.modules))
+        versions = ", ".join(provenance.versions(task.modules))
         raise RunError(
-            f"{task.name}: {provenance.machine()} has another version of the code, or of {found}"
+            f"{task.name}: {provenance.machine()} has another version of the code, or of {versions}"
         )
     begin = time.monotonic()
     result: dict[str, Any] | None = None

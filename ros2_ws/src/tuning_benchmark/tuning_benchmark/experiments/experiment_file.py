@@ -76,7 +76,7 @@ def load_experiment(name_or_path: str) -> Experiment:
         return _experiment(document.value, path.parent)
     except StudyError as error:
         if error.source:
-            # A study that the experiment names, which tells where in its own file.
+            # A study that the experiment names; its error has the place in its own file.
             raise
         line, where = error.line, error.path
         while line is None and where:

@@ -86,9 +86,8 @@ def _path(node: type) -> str:
 def study_digest(study: Study) -> str:
     """Digest of what decides over the truth of a study's parameter sets.
 
-    Seed, budget and what is tried first are no part of it, nor is the scale on which a metric is
-    modelled, nor the probability of the worst-case constraint, since a search says itself what it
-    asked for.
+    It leaves out the seed, the budget, what is tried first, the scale of a metric's model, and the
+    probability of the worst-case constraint, which is on record with each search.
     """
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}

@@ -22,13 +22,15 @@ def judge_neighbours(
     judged = []
     space = truth.study.search_space()
     for neighbour in space.neighbours(parameters):
-        found = truth.verdict(neighbour, FEW_REAL_EVALUATIONS)
-        tolerable = is_tolerable(truth.study, verdict.objective, found.objective, found.worst)
+        truth_there = truth.verdict(neighbour, FEW_REAL_EVALUATIONS)
+        tolerable = is_tolerable(
+            truth.study, verdict.objective, truth_there.objective, truth_there.worst
+        )
         judged.append(
             {
                 "parameters": neighbour,
                 "changed": [name for name in space.names if neighbour[name] != parameters[name]],
-                "truth": verdict_record(found),
+                "truth": verdict_record(truth_there),
                 "tolerable": tolerable,
             }
         )

@@ -135,10 +135,10 @@ class BoxProgram:
 
     def _solve_alone(self, V: Array) -> Array:
         root = np.linalg.cholesky(self._P).T
-        found = lsq_linear(
+        least_squares = lsq_linear(
             root, root @ V, bounds=(self._lower, self._upper), method="bvls", tol=1e-14
         )
-        solution: Array = np.asarray(found.x)
+        solution: Array = np.asarray(least_squares.x)
         return solution
 
 
@@ -277,11 +277,11 @@ def _transitions(plant: PlantSettings, constants: Array) -> tuple[Array, Array, 
     """
     _, tau = split_dead_time(plant.dead_time, plant.sample_time)
     distinct, rows = np.unique(constants, axis=0, return_inverse=True)
-    found = []
+    transitions = []
     for gain, damping_ratio, natural_frequency, stiffness_factor, damping_factor in distinct:
         A, B = feed_axis(gain, damping_ratio * damping_factor, natural_frequency * stiffness_factor)
         Phi_1, Gamma_1 = zero_order_hold(A, B, tau)
         Phi_2, Gamma_2 = zero_order_hold(A, B, plant.sample_time - tau)
-        found.append((Phi_2 @ Phi_1, (Phi_2 @ Gamma_1)[:, 0], Gamma_2[:, 0]))
-    Phi, older, newer = (np.array(column)[rows] for column in zip(*found, strict=True))
+        transitions.append((Phi_2 @ Phi_1, (Phi_2 @ Gamma_1)[:, 0], Gamma_2[:, 0]))
+    Phi, older, newer = (np.array(column)[rows] for column in zip(*transitions, strict=True))
     return Phi, older, newer

@@ -34,10 +34,10 @@ NOISE = 20
 """Noise draws in each context of the grid."""
 
 CANDIDATES, MORE_NOISE = 3, 400
-"""So many contexts, the worst of the grid, are judged again by so many draws."""
+"""Number of the worst contexts of the grid that are judged again, and of draws in each."""
 
 ROUGH = 10
-"""Every so many-th drawn context serves a rough judgement."""
+"""One in this many drawn contexts serves a rough judgement."""
 
 
 class Judge:
@@ -112,7 +112,7 @@ class Judge:
         return float(result.tracking_error[corners:].mean()), float(means.max())
 
     def precise_worst(self, values: Mapping[str, Mapping[str, Any]]) -> float:
-        """Worst overshoot [m/s] as in a judgement, but of the few worst contexts by more draws."""
+        """Worst overshoot [m/s], of only the few worst contexts, by more draws than a judgement."""
         means = self.grid_overshoot(values)
         order = np.argsort(-np.where(np.isnan(means), np.inf, means), kind="stable")
         settings = self._settings(values)

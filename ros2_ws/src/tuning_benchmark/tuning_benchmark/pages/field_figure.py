@@ -133,7 +133,7 @@ def _colors(study: Study, name: str, known: Grid) -> ColorScale:
     finite = known[np.isfinite(known)]
     if name == study.objective.metric:
         scale = Scale.LOG if study.objective.scale == "log" else Scale.LINEAR
-        # Beyond, a value is only bad: the colours are for telling the good ones apart.
+        # Beyond, a value is only bad: the colours keep the good ones apart.
         low, high = float(finite.min()), float(np.quantile(finite, 0.6))
         unit = study.metrics[name].unit or ""
         return ColorScale(label=name, unit=unit, low=low, high=high, scale=scale)
@@ -182,16 +182,16 @@ def _predicted_edge(x: Sequence[float], y: Sequence[float], result: Record) -> C
 
 
 def _regions(x: Sequence[float], y: Sequence[float], result: Record) -> list[Element]:
-    found: list[Element] = []
+    regions: list[Element] = []
     for key, name, color in (
         ("outlier", "outliers likely", Color.ORANGE),
         ("failure", "crashes likely", Color.VERMILION),
     ):
         field = _grid(result[key])
         if (field > LIKELY).any():
-            found.append(Region(x=x, y=y, z=field, above=LIKELY, name=name, color=color))
-    found.append(_predicted_edge(x, y, result))
-    return found
+            regions.append(Region(x=x, y=y, z=field, above=LIKELY, name=name, color=color))
+    regions.append(_predicted_edge(x, y, result))
+    return regions
 
 
 def _marks(result: Record) -> list[Element]:

@@ -27,7 +27,7 @@ from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
 from tuning_benchmark.pages.tables import costs
 
 COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION)
-"""Of the rows; more than these are not told apart in one panel."""
+"""Of the rows; more than these cannot be kept apart in one panel."""
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT, Dash.DASHED)
 
 STEPS = 120
@@ -45,7 +45,7 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
     evaluations = np.linspace(
         0.0, max([case.evaluations, *(s.most_evaluations for s in summaries)]), STEPS
     )
-    found = [
+    values_of_rows = [
         [feasible_at(s.results.values(), int(count)) for count in evaluations] for s in summaries
     ]
     metric = case.study.metrics[case.study.objective.metric]
@@ -54,14 +54,14 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
     if optimum is not None:
         # From zero on, no difference looks larger than it is.
         label, unit = "median above the optimum", "%"
-        found = [
+        values_of_rows = [
             [[100.0 * sign * (value / optimum - 1.0) for value in values] for values in row]
-            for row in found
+            for row in values_of_rows
         ]
-    medians = [_medians(row) for row in found]
+    medians = [_medians(row) for row in values_of_rows]
     y = Axis(label=label, unit=unit, limits=_limits(medians, case.study.objective.scale == LOG))
     x = Axis(label="evaluations", limits=(0.0, float(evaluations[-1])))
-    shares = [np.array([len(values) / case.runs for values in row]) for row in found]
+    shares = [np.array([len(values) / case.runs for values in row]) for row in values_of_rows]
     return Figure(
         name=f"convergence-{case.name}",
         title=f"Incumbents, {case.title}",
@@ -116,10 +116,10 @@ def _limits(medians: Sequence[Array], logarithmic: bool) -> tuple[float, float] 
     return min(0.0, HEADROOM * float(settled.min())), HEADROOM * max(float(settled.max()), 1e-9)
 
 
-def _medians(found: Sequence[Sequence[float]]) -> Array:
+def _medians(moments: Sequence[Sequence[float]]) -> Array:
     """First quartile, median and third quartile (3, moments); NaN without values."""
     empty = [np.nan] * len(QUARTILES)
-    return np.array([np.percentile(f, QUARTILES) if f else empty for f in found]).T
+    return np.array([np.percentile(f, QUARTILES) if f else empty for f in moments]).T
 
 
 def calibration(given: Calibration, result: Record) -> tuple[Figure | None, str]:
@@ -196,10 +196,10 @@ def _other_key(given: Calibration) -> str:
 
 def cost_scaling(given: Cost, done: Mapping[str, Record]) -> tuple[Figure, str]:
     """Cost of a run against trials and against the number of parameters, with fitted powers."""
-    found = costs(given, done)
+    seconds_by_size = costs(given, done)
     smallest = min(given.dimensions)
-    of_trials = {t: s for (d, t), s in found.items() if d == smallest}
-    of_dimension = {d: s for (d, t), s in found.items() if t == given.compared_trials}
+    of_trials = {t: s for (d, t), s in seconds_by_size.items() if d == smallest}
+    of_dimension = {d: s for (d, t), s in seconds_by_size.items() if t == given.compared_trials}
     first, said_first = _power_panel(of_trials, "trials", f"{smallest} parameters")
     second, said_second = _power_panel(
         of_dimension, "parameters", f"{given.compared_trials} trials"
@@ -227,20 +227,20 @@ def _power_panel(
     text = ""
     fits = _fits(seconds)
     if fits:
-        found = mean([fit.exponent for fit in fits])
+        exponent = mean([fit.exponent for fit in fits])
         # The lines of all runs have this mean, in logarithmic axes.
         factor = float(np.exp(np.mean([np.log(fit.factor) for fit in fits])))
         ends = np.array([float(min(seconds)), float(max(seconds))])
         elements.append(
             Line(
                 x=ends,
-                y=factor * ends**found.value,
-                name=f"{label} to the power {found.value:.2f}",
+                y=factor * ends**exponent.value,
+                name=f"{label} to the power {exponent.value:.2f}",
                 color=Color.VERMILION,
             )
         )
         text = (
-            f"With {title} the cost grows with the {label} to the power {_exponent(found)}"
+            f"With {title} the cost grows with the {label} to the power {_exponent(exponent)}"
             f"{_local_exponents(seconds)}."
         )
     panel = Panel(
@@ -262,10 +262,12 @@ def _fits(seconds: Mapping[int, Mapping[int, float]]) -> list[Power]:
     return fits
 
 
-def _exponent(found: Mean) -> str:
-    if found.count == 1:
-        return f"{found.value:.2f} (one run)"
-    return f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f}, {found.count} seeds)"
+def _exponent(exponent: Mean) -> str:
+    if exponent.count == 1:
+        return f"{exponent.value:.2f} (one run)"
+    return (
+        f"{exponent.value:.2f} ({exponent.low:.2f} to {exponent.high:.2f}, {exponent.count} seeds)"
+    )
 
 
 def _local_exponents(seconds: Mapping[int, Mapping[int, float]]) -> str:

@@ -25,20 +25,20 @@ def beside_the_paper(case: Case, summaries: Sequence[RowSummary]) -> list[str]:
     validation and training: they agree if ours have the same sign beyond chance. Rows without a
     feasible answer are not ordered, as their low objectives violate the limits.
     """
-    said = []
+    sentences = []
     for s in summaries:
         if {"feasible", "runs"} <= s.row.published.keys():
-            said.append(_about_share(s))
+            sentences.append(_about_share(s))
         if _clear(s.row.published.get("difference", 0.0)) and s.difference.count > 1:
-            said.append(_about_gap(s))
+            sentences.append(_about_gap(s))
     quoted = [s for s in summaries if "objective" in s.row.published]
     ordered = [s for s in quoted if s.feasible.count > 0]
     for a, b in combinations(ordered, 2):
         paper = a.row.published["objective"] - b.row.published["objective"]
         ours = difference(a.validated_objectives, b.validated_objectives)
         if _clear(paper) and ours.count > 1:
-            said.append(_about_order(a, b, paper, ours))
-    return said + [_unordered(case, s, ordered) for s in quoted if s.feasible.count == 0]
+            sentences.append(_about_order(a, b, paper, ours))
+    return sentences + [_unordered(case, s, ordered) for s in quoted if s.feasible.count == 0]
 
 
 def in_brief(case: Case, summaries: Sequence[RowSummary]) -> str:
@@ -52,13 +52,13 @@ def in_brief(case: Case, summaries: Sequence[RowSummary]) -> str:
         key=lambda s: (-s.feasible.value, sign * s.objective.value if s.objective.count else 0.0),
     )
     best, *others = order
-    said = _answers(best)
+    sentence = _answers(best)
     if others:
-        said += f"; next {_answers(others[0])}"
+        sentence += f"; next {_answers(others[0])}"
     last = order[-1]
     if len(others) > 1 and last.feasible.value < others[0].feasible.value:
-        said += f"; fewest feasible: {last.row.name}, {_count(last)}"
-    return f"{said}."
+        sentence += f"; fewest feasible: {last.row.name}, {_count(last)}"
+    return f"{sentence}."
 
 
 def _count(s: RowSummary) -> str:
@@ -108,14 +108,14 @@ def _about_order(a: RowSummary, b: RowSummary, paper: float, ours: Mean) -> str:
 
 
 def _unordered(case: Case, s: RowSummary, ordered: Sequence[RowSummary]) -> str:
-    said = f"No answer of {s.row.name} is truly feasible, so it is not ranked"
+    sentence = f"No answer of {s.row.name} is truly feasible, so it is not ranked"
     sign = case.study.objective.sign
     others = [sign * o.validation.value for o in ordered if o.validation.count]
     if others and s.validation.count and sign * s.validation.value < min(others):
-        said += (
+        sentence += (
             f": its objective is {'low' if sign > 0.0 else 'high'} because it violates the limits"
         )
-    return f"{said}."
+    return f"{sentence}."
 
 
 def _same_sign(paper: float, ours: float) -> str:
@@ -136,7 +136,7 @@ def about_points(case: Case, done: Mapping[str, Record]) -> list[str]:
     Points are compared with the first one whose objective the paper prints. Ours differ if they do
     so by two standard errors of both means, which is cautious, as both share their contexts.
     """
-    said = []
+    sentences = []
     first = ""
     for name, point in case.points.items():
         record = done[point_task(case.name, name)]
@@ -144,23 +144,23 @@ def about_points(case: Case, done: Mapping[str, Record]) -> list[str]:
             continue
         truth = record["result"]["truth"]
         if "feasible" in point.published:
-            said.append(_about_feasibility(name, bool(point.published["feasible"]), truth))
+            sentences.append(_about_feasibility(name, bool(point.published["feasible"]), truth))
         if "objective" not in point.published or truth["objective"] is None:
             continue
         if first:
             paper = point.published["objective"] - case.points[first].published["objective"]
             reference = done[point_task(case.name, first)]["result"]["truth"]
             if _clear(paper):
-                said.append(_about_distance(name, first, paper, truth, reference))
+                sentences.append(_about_distance(name, first, paper, truth, reference))
         else:
             first = name
-    return said
+    return sentences
 
 
 def _about_feasibility(name: str, paper: bool, truth: Record) -> str:
     verdict = "Agrees" if paper == truth["feasible"] else "Differs"
-    there, here = ("feasible" if kept else "infeasible" for kept in (paper, truth["feasible"]))
-    return f"{verdict}: *{name}* is {there} in the paper and {here} here."
+    theirs, ours = ("feasible" if kept else "infeasible" for kept in (paper, truth["feasible"]))
+    return f"{verdict}: *{name}* is {theirs} in the paper and {ours} here."
 
 
 def _about_distance(name: str, first: str, paper: float, truth: Record, reference: Record) -> str:
@@ -188,19 +188,19 @@ def beside_others(case: Case, summaries: Sequence[RowSummary]) -> list[str]:
     best = max(ours, key=lambda s: _quality(s, sign))
     others = [s for s in summaries if s is not best]
     level = (1.0 - CONFIDENCE) / len(others)
-    said = [
+    sentences = [
         f"The reference is {best.row.name}: {_quoted(best)}.",
         f"Each of the {len(others)} comparisons is made at a confidence of {1.0 - level:.2%}, so "
         f"that all comparisons of counts, and all of objectives, hold jointly at {CONFIDENCE:.0%} "
         f"(Bonferroni).",
     ]
-    said += [_about(best, s, level, sign) for s in others]
+    sentences += [_about(best, s, level, sign) for s in others]
     drawn = [s for s in others if s.row.protocol == RANDOM]
     lent = [s for s in others if s.row.protocol == WORST_CASE and s.row.optimizer]
     for group, words in ((drawn, "random contexts"), (lent, "our worst-case search")):
         if group:
-            said.append(_best_of(group, words, sign))
-    return said
+            sentences.append(_best_of(group, words, sign))
+    return sentences
 
 
 def _quality(s: RowSummary, sign: float) -> tuple[int, float]:
@@ -236,14 +236,14 @@ def _about(best: RowSummary, other: RowSummary, level: float, sign: float) -> st
 
 
 def _about_counts(best: RowSummary, other: RowSummary, level: float) -> str:
-    here, there = other.feasible, best.feasible
-    if here.count == there.count:
+    own, reference = other.feasible, best.feasible
+    if own.count == reference.count:
         return "as many feasible answers as the reference"
-    if fisher((here.count, here.runs), (there.count, there.runs)) >= level:
+    if fisher((own.count, own.runs), (reference.count, reference.runs)) >= level:
         return (
-            f"no difference of feasible answers beyond chance ({here.count} against "
-            f"{there.count} of {there.runs})"
+            f"no difference of feasible answers beyond chance ({own.count} against "
+            f"{reference.count} of {reference.runs})"
         )
-    if here.count < there.count:
+    if own.count < reference.count:
         return "fewer feasible answers than the reference"
     return "**more feasible answers than the reference**"

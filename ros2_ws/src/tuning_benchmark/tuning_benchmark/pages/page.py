@@ -152,7 +152,9 @@ def numbers(experiment: Experiment, done: Mapping[str, Record]) -> str:
     text = []
     for case in experiment.cases.values():
         summaries = summaries_of(experiment, case, done)
-        said = findings.beside_the_paper(case, summaries) + findings.beside_others(case, summaries)
+        sentences = findings.beside_the_paper(case, summaries) + findings.beside_others(
+            case, summaries
+        )
         text += [
             case.title,
             tables.comparison_table(case, summaries),
@@ -161,7 +163,7 @@ def numbers(experiment: Experiment, done: Mapping[str, Record]) -> str:
             tables.paired_table(case, summaries),
             tables.ranked_table(case, summaries),
             tables.convergence_table(case, summaries),
-            "\n".join(f"- {sentence}" for sentence in said),
+            "\n".join(f"- {sentence}" for sentence in sentences),
         ]
         if case.points:
             text.append(tables.neighbourhood_table(case, summaries, done))
@@ -182,7 +184,7 @@ def _case(campaign: Campaign, case: Case, summaries: Sequence[RowSummary]) -> Se
     if case.remarks:
         text.append(case.remarks.strip())
     drawn: tuple[Figure, ...] = ()
-    # A single row is compared with nothing, and more than these are not told apart.
+    # A single row is compared with nothing, and more than these cannot be kept apart.
     if 1 < len(summaries) <= len(figures.COLORS):
         drawn = (
             figures.convergence(case, summaries, None if optimum is None else optimum.objective),
@@ -233,9 +235,9 @@ def _points(campaign: Campaign, case: Case) -> Section:
     """Lay out the parameter sets that the experiment asks for, compared with the paper."""
     done = campaign.done
     judged = [done[point_task(case.name, name)] for name in case.points]
-    said = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
+    sentences = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
     table = tables.neighbourhood_table(case, (), done, neighbours=False)
-    parts = [part for part in (table, said, _origin(campaign, judged)) if part]
+    parts = [part for part in (table, sentences, _origin(campaign, judged)) if part]
     return Section(f"{case.title}: single parameter sets", "\n\n".join(parts))
 
 

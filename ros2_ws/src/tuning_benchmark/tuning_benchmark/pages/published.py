@@ -39,7 +39,7 @@ def publish(experiment: Experiment, done: Mapping[str, Record], path: Path) -> P
 
 def reduced(experiment: Experiment, done: Mapping[str, Record]) -> dict[str, Record]:
     """Return records of an experiment by task, those of runs with what is read of them."""
-    # Of a case with judged parameter sets the tables list the neighbours of the best answers, too.
+    # The tables also list the neighbours of the best answers if a case has judged parameter sets.
     neighbours_listed = {
         run_task(case.name, row, seed): bool(case.points)
         for case in experiment.cases.values()

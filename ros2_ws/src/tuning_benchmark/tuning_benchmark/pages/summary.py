@@ -154,13 +154,13 @@ def summarize(
 def _regrets(
     answers: Mapping[int, Record], optimum: Optimum | None, sign: float
 ) -> dict[int, float]:
-    found = {}
+    regrets = {}
     for seed, answer in answers.items():
         truth = answer["truth"]
         least = optimum.at(truth["worst"]) if optimum and truth["feasible"] else None
         if least is not None:
-            found[seed] = 100.0 * sign * (truth["objective"] / least - 1.0)
-    return found
+            regrets[seed] = 100.0 * sign * (truth["objective"] / least - 1.0)
+    return regrets
 
 
 def _kept(answer: Record) -> float | None:
@@ -196,11 +196,11 @@ def incumbent_at(result: Record, evaluations: int) -> Record | None:
         if used > evaluations:
             break
         number = trial
-    found: Record | None = None if number is None else result["incumbents"][str(number)]
-    return found
+    truth: Record | None = None if number is None else result["incumbents"][str(number)]
+    return truth
 
 
 def feasible_at(results: Iterable[Record], evaluations: int) -> list[float]:
     """Return the true objectives of the truly feasible incumbents after so many evaluations."""
-    found = [incumbent_at(result, evaluations) for result in results]
-    return [item["objective"] for item in found if item is not None and item["feasible"]]
+    incumbents = [incumbent_at(result, evaluations) for result in results]
+    return [item["objective"] for item in incumbents if item is not None and item["feasible"]]

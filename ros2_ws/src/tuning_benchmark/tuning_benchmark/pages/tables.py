@@ -189,9 +189,9 @@ def convergence_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     marks = [round(case.evaluations * (i + 1) / MARKS) for i in range(MARKS)]
     rows = []
     for s in summaries:
-        found = [feasible_at(s.results.values(), evaluations) for evaluations in marks]
-        found.append(list(s.feasible_objectives.values()))
-        rows.append([s.row.name, *(_found(values, case.runs) for values in found)])
+        objectives = [feasible_at(s.results.values(), evaluations) for evaluations in marks]
+        objectives.append(list(s.feasible_objectives.values()))
+        rows.append([s.row.name, *(_count_and_mean(values, case.runs) for values in objectives)])
     return markdown(
         ["row", *(f"after {evaluations} evaluations" for evaluations in marks), "answer"], rows
     )
@@ -201,12 +201,14 @@ def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     """Lay out the answers of Algorithm IV's rule to others' trials; empty without any."""
     rows = []
     for s in summaries:
-        found = [result["ranked"] for result in s.results.values()]
-        truths = [ranked["truth"] for ranked in found if ranked is not None]
+        choices = [result["ranked"] for result in s.results.values()]
+        truths = [ranked["truth"] for ranked in choices if ranked is not None]
         if truths:
             ranked = [truth["objective"] for truth in truths if truth["feasible"]]
             own = list(s.feasible_objectives.values())
-            rows.append([s.row.name, _found(ranked, case.runs), _found(own, case.runs)])
+            rows.append(
+                [s.row.name, _count_and_mean(ranked, case.runs), _count_and_mean(own, case.runs)]
+            )
     header = ["row", "Algorithm IV's choice, truly feasible", "own choice, truly feasible"]
     return markdown(header, rows) if rows else ""
 
@@ -261,17 +263,17 @@ def _judged(
     case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
 ) -> list[_Judged]:
     """Best answer of each row by its validation, then the points of the experiment."""
-    found = []
+    judged = []
     sign = case.study.objective.sign
     for s in summaries:
         if s.held:
             best = min(s.held.values(), key=lambda a: sign * a["validation"]["objective"])
-            found.append(_Judged(f"best of {s.row.name}", best))
+            judged.append(_Judged(f"best of {s.row.name}", best))
     for name, point in case.points.items():
         record = done[point_task(case.name, name)]
         if not record["failed"]:
-            found.append(_Judged(name, record["result"], point.neighbours, point.published))
-    return found
+            judged.append(_Judged(name, record["result"], point.neighbours, point.published))
+    return judged
 
 
 def cost_table(cost: Cost, done: Mapping[str, Record]) -> str:
@@ -285,13 +287,13 @@ def cost_table(cost: Cost, done: Mapping[str, Record]) -> str:
 
 def costs(cost: Cost, done: Mapping[str, Record]) -> dict[tuple[int, int], dict[int, float]]:
     """Seconds of the runs by seed, for each number of parameters and trials."""
-    found: dict[tuple[int, int], dict[int, float]] = {}
+    seconds_by_size: dict[tuple[int, int], dict[int, float]] = {}
     for dimension in cost.dimensions:
         for seed in range(1, cost.seeds + 1):
             result = done[cost_task(dimension, seed)]["result"] or {"trials": [], "seconds": []}
             for trials, seconds in zip(result["trials"], result["seconds"], strict=True):
-                found.setdefault((dimension, trials), {})[seed] = seconds
-    return found
+                seconds_by_size.setdefault((dimension, trials), {})[seed] = seconds
+    return seconds_by_size
 
 
 def _evaluations(s: RowSummary) -> str:
@@ -312,7 +314,7 @@ def _printed(s: RowSummary, key: str) -> str:
     return f"{value:.0%}" if runs is None else f"{value:.0%} of {runs:g}"
 
 
-def _found(objectives: Sequence[float], runs: int) -> str:
+def _count_and_mean(objectives: Sequence[float], runs: int) -> str:
     """Count the feasible ones, with their mean, and the median if that differs clearly."""
     counted = f"{len(objectives)} of {runs}"
     if not objectives:
@@ -358,14 +360,14 @@ def _verdict(study: Study, entry: Record) -> str:
 
 def _step(study: Study, entry: Record, neighbour: Record) -> str:
     """Describe a step: its relative change of the objective and excess over the limit."""
-    there, here = neighbour["truth"], entry["truth"]
-    if there["objective"] is None or there["worst"] is None or here["objective"] is None:
+    moved, truth = neighbour["truth"], entry["truth"]
+    if moved["objective"] is None or moved["worst"] is None or truth["objective"] is None:
         return "fails"
-    change = there["objective"] / here["objective"] - 1.0
+    change = moved["objective"] / truth["objective"] - 1.0
     parts = [f"objective {change:+.0%}"]
     for worst in study.worst_case_constraints:
-        if worst.violations(there["worst"]):
-            parts.append(f"limit exceeded by {worst.excess(there['worst']):.0%}")
+        if worst.violations(moved["worst"]):
+            parts.append(f"limit exceeded by {worst.excess(moved['worst']):.0%}")
     return ", ".join(parts) + ("" if neighbour["tolerable"] else ": not tolerable")
 
 

@@ -52,12 +52,12 @@ class PeerOptimizer:
             self._designing = False
             for trial in self._trials:
                 self._show(trial)
-        asked = dict(self._optimizer.ask())
-        parameters = self._space.to_parameters(self._space.to_cube(asked))
-        if self._space.key(parameters) != self._space.key(asked):
-            raise ParameterError(f"{asked}: expected values in the order of the study")
+        proposed = dict(self._optimizer.ask())
+        parameters = self._space.to_parameters(self._space.to_cube(proposed))
+        if self._space.key(parameters) != self._space.key(proposed):
+            raise ParameterError(f"{proposed}: expected values in the order of the study")
         # As asked to the last digit, for an optimizer may look for what it asked.
-        return Proposal(parameters | asked, ORIGIN)
+        return Proposal(parameters | proposed, ORIGIN)
 
     def tell(self, trial: Trial) -> None:
         """Take a finished trial."""

@@ -51,7 +51,7 @@ are contexts."""
 SAMPLES, RESTARTS, RAW_SAMPLES = 32, 4, 64
 REFIT = 5
 PENALTY = 5.0
-"""Cost of exceeding the limit by as much as its size, as in `confidence_bounds`."""
+"""Cost of exceeding the limit by as much as its size, the same as for `confidence_bounds`."""
 
 OPTIONS = {"maxiter": 50, "batch_limit": RESTARTS, "init_batch_limit": RAW_SAMPLES}
 
@@ -156,7 +156,7 @@ class RiskAverse:
         )
         dimension = self._space.dimension
         bounds = torch.stack([torch.zeros(dimension), torch.ones(dimension)]).double()
-        found, _ = optimize_acqf(
+        candidates, _ = optimize_acqf(
             acquisition,
             bounds,
             q=1,
@@ -164,7 +164,7 @@ class RiskAverse:
             raw_samples=RAW_SAMPLES,
             options=OPTIONS,
         )
-        return found
+        return candidates
 
     def _means(self, model: ModelListGP, X: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior means (n,) of expected cost and of the excess at risk, at points (n, d)."""

@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen and Ostermeier 2001) as in `cma` (pycma), by ask and tell.
+"""CMA-ES (Hansen and Ostermeier 2001) of `cma` (pycma), by ask and tell.
 
 Sources
     https://cma-es.github.io/apidocs-pycma/ : `CMAEvolutionStrategy`, `CMAOptions` and
@@ -37,7 +37,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.peers.optimizer import Observation, best_observed, excesses, permitted, tuned
 
-# Its Lagrangian makes log files in the working folder, whatever it is told; this is how its source
+# Its Lagrangian makes log files in the working folder, whatever its options; this is how its source
 # says that one turns them off.
 cma.constraints_handler._Logger = cma.logger.LoggerDummy
 

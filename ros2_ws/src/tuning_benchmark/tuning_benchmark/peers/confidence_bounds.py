@@ -82,7 +82,7 @@ class ConfidenceBounds(ABC):
         nominal = self._contexts.to_cube(self._contexts.nominal()[None])
         corners = rng.permutation(self._contexts.corners())[:CORNERS]
         self._fixed = np.vstack([corners, nominal])
-        self._found: list[Array] = []
+        self._asked_contexts: list[Array] = []
 
     def tell(self, result: Result) -> None:
         """Keep a result."""
@@ -95,7 +95,7 @@ class ConfidenceBounds(ABC):
         self._condition(rng)
         evaluated = self._evaluated()
         order = np.argsort(self._value(evaluated, -DEVIATIONS), kind="stable")
-        found = maximize(
+        maximum = maximize(
             lambda x: -self._value(x, -DEVIATIONS),
             self._space.dimension,
             rng,
@@ -103,9 +103,9 @@ class ConfidenceBounds(ABC):
             initial=evaluated[order[:5]],
             settings=SWARM,
         )
-        parameters = tuned(self._space, self._space.to_parameters(found.position))
+        parameters = tuned(self._space, self._space.to_parameters(maximum.position))
         context = self._context(self._space.to_cube(parameters), rng)
-        self._found.append(self._contexts.cube_of([context])[0])
+        self._asked_contexts.append(self._contexts.cube_of([context])[0])
         return parameters, context
 
     def recommend(self) -> Mapping[str, Value] | None:
@@ -141,14 +141,14 @@ class ConfidenceBounds(ABC):
             self._contexts,
             lambda w: self._bound(model, x[None], w, DEVIATIONS)[0],
             rng,
-            np.array(self._found[-REMEMBERED:]).reshape(-1, self._contexts.dimension),
+            np.array(self._asked_contexts[-REMEMBERED:]).reshape(-1, self._contexts.dimension),
         )
         return context
 
     @property
     def _candidates(self) -> Array:
         """Contexts (k, e) over which a maximum is taken."""
-        return np.vstack([self._fixed, *(w[None] for w in self._found[-REMEMBERED:])])
+        return np.vstack([self._fixed, *(w[None] for w in self._asked_contexts[-REMEMBERED:])])
 
     def _evaluated(self) -> Array:
         return self._space.cube_of(r.parameters for r in self._results)

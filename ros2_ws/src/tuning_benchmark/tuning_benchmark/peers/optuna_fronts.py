@@ -8,7 +8,7 @@ Constraints
     one objective (`peers.adapter.observation`).
 Initial samples
     `Study.enqueue_trial`: they are asked for like others, so that they are in NSGA-II's first
-    population. A trial that fails is told as `TrialState.FAIL`.
+    population. A trial that fails is reported as `TrialState.FAIL`.
 Settings
     Defaults, but for NSGA-II's population: its default of 50 is more than the trials of a run,
     which would all be random.

@@ -1,9 +1,9 @@
 """What an optimizer offers that chooses the contexts itself, one evaluation at a time.
 
 The published robust optimizers are of this kind: each evaluation is a parameter set and a context.
-An experiment file names one as `module:Class` with the protocol ``own``. It is told the single
-evaluations of its run's initial trials first, the same ones that the tuner's algorithms start
-from; what it then asks for is counted evaluation by evaluation.
+An experiment file names one as `module:Class` with the protocol ``own``. It takes the single
+evaluations of its run's initial trials first, the same ones that the tuner's algorithms start from;
+what it then asks for is counted evaluation by evaluation.
 """
 
 from collections.abc import Mapping
@@ -72,10 +72,10 @@ def worst_case_constraint(study: Study) -> Constraint:
     ValueError
         If the study has none, or more than one.
     """
-    found = study.worst_case_constraints
-    if len(found) != 1:
-        raise ValueError(f"expected one worst_case constraint, found {len(found)}")
-    return found[0]
+    constraints = study.worst_case_constraints
+    if len(constraints) != 1:
+        raise ValueError(f"expected one worst_case constraint, found {len(constraints)}")
+    return constraints[0]
 
 
 def result_of(study: Study, evaluation: Evaluation) -> Result:
@@ -84,7 +84,7 @@ def result_of(study: Study, evaluation: Evaluation) -> Result:
     Raises
     ------
     ValueError
-        As in `worst_case_constraint`.
+        If the study has no worst-case constraint, or more than one.
     """
     constraint = worst_case_constraint(study)
     tuned = {name: evaluation.parameters[name] for name in study.search_space().names}

@@ -62,13 +62,13 @@ class ScenarioLoop:
         self._points: dict[Key, Mapping[str, Value]] = {}
         self._largest = [0.0, 0.0]
         self._loop: greenlet | None = None
-        self._told: Result | None = None
+        self._latest: Result | None = None
 
     def ask(self) -> tuple[Mapping[str, Value], Context]:
         """Let the loop go on to its next run."""
         if self._loop is None:
             self._loop = greenlet(self._rounds)
-        asked: tuple[Mapping[str, Value], Context] = self._loop.switch(self._told)
+        asked: tuple[Mapping[str, Value], Context] = self._loop.switch(self._latest)
         return asked
 
     def tell(self, result: Result) -> None:
@@ -80,7 +80,7 @@ class ScenarioLoop:
             self._largest = [
                 max(self._largest[0], result.cost), max(self._largest[1], result.excess),
             ]  # fmt: skip
-        self._told = result
+        self._latest = result
 
     def recommend(self) -> Mapping[str, Value] | None:
         """Return the best point that was run in all plants."""
@@ -126,20 +126,20 @@ class ScenarioLoop:
                 known[clipped.tobytes()] = float(np.mean(costs)), max(excesses) + self._margin()
             return known[clipped.tobytes()]
 
-        found = minimize(
+        minimum = minimize(
             lambda x: both(x)[0],
             start,
             bounds=Bounds(np.zeros(len(start)), np.ones(len(start))),
             constraints=NonlinearConstraint(lambda x: both(x)[1], -np.inf, 0.0),
             options={"radius_init": radius, "radius_final": FINAL_RADIUS},
         )
-        best: Array = np.clip(found.x, 0.0, 1.0)
+        best: Array = np.clip(minimum.x, 0.0, 1.0)
         return best
 
     def _worst_plant(self, x: Array) -> Context:
         """Search for a context worse than those of the plants, one variable after the other."""
-        found = [(self._numbers(self._run(x, plant))[1], plant) for plant in self._plants]
-        largest, worst = max(found, key=lambda pair: pair[0])
+        excesses = [(self._numbers(self._run(x, plant))[1], plant) for plant in self._plants]
+        largest, worst = max(excesses, key=lambda pair: pair[0])
         for name, variable in self._study.contexts.items():
             for end in (variable.distribution.lower, variable.distribution.upper):
                 tried = {**worst, name: end}

@@ -103,7 +103,10 @@ class Smac:
         self._range = self._largest - min(objectives, default=0.0) or 1.0
         seen = [excesses(self._study, o) for o in self._observations]
         self._excess = {
-            name: max([0.0, *(found[name] for found in seen if name in found)]) or 1.0
+            name: max(
+                [0.0, *(of_observation[name] for of_observation in seen if name in of_observation)]
+            )
+            or 1.0
             for name in self._study.constraints
         }
         # SMAC writes its settings when it starts; after that nothing, as results are not saved.

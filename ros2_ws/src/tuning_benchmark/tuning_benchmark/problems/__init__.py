@@ -1,1 +1,1 @@
-"""Robust problems in closed form, whose optimum is known."""
+"""Robust problems in closed form, with known optimum."""

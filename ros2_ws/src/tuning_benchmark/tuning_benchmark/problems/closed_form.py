@@ -31,7 +31,7 @@ Optimum
 Noise
     σ(w) is zero, constant, or grows with the leaning contexts towards their worst ends.
 Steep
-    Beyond the limit the mean is L + τ (exp(d / τ) - 1) instead of L + d, as of a loop that becomes
+    Beyond the limit the mean is L + τ (exp(d / τ) - 1) instead of L + d, like a loop that becomes
     unstable, and the noise is larger by the slope exp(d / τ). This is increasing in d and the same
     within the limit, hence the optimum is the same, too.
 Law
@@ -42,7 +42,7 @@ Law
     that of g / L - 1, which is increasing and L at L, hence the optimum is the same. One on single
     runs binds at ε = σ q - L s² / 2.
 Narrow
-    All contexts are of a fourth kind, *narrow*, p' (exp(-(w - ω - ρ·Δ)² / (2 b²)) - 1), as of a
+    All contexts are of a fourth kind, *narrow*, p' (exp(-(w - ω - ρ·Δ)² / (2 b²)) - 1), like a
     resonance: worst where the interior ones are, and far better elsewhere, so that no corner of the
     contexts shows how bad the worst one is. The worst case is L + h·Δ, and the optimum the same.
 Crash
@@ -382,7 +382,7 @@ class ClosedForm:
 
     @property
     def _lowering(self) -> float:
-        """By how much g is lowered lest noise raises the mean of the metric, L s² / 2."""
+        """By how much g is lowered so that noise does not raise the metric's mean, L s² / 2."""
         return self._largest_noise**2 / (2.0 * LIMIT) if self.law == LOGNORMAL else 0.0
 
     def _ratio(self, u: Array) -> tuple[float, Array]:

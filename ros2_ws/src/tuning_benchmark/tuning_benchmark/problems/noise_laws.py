@@ -70,11 +70,11 @@ NORMAL, LOGNORMAL, BIMODAL, SPIKES = "normal", "lognormal", "bimodal", "spikes"
 
 LAWS: Mapping[str, NoiseLaw] = {
     NORMAL: NoiseLaw(),
-    # Of the metric's logarithm.
+    # On the metric's logarithm.
     LOGNORMAL: NoiseLaw(),
-    # One run in five ends far above the others, as with a second way through an obstacle.
+    # One run in five ends far above the others, like a second way through an obstacle.
     BIMODAL: NoiseLaw.standardized((0.8, 0.0, 0.3), (0.2, 2.5, 0.3)),
-    # One run in twenty, as with a message that came late.
+    # One run in twenty, like a message that came late.
     SPIKES: NoiseLaw.standardized((0.95, 0.0, 0.3), (0.05, 4.0, 0.5)),
 }
 """Laws by their names in a problem's settings."""

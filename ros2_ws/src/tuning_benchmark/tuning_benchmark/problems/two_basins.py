@@ -1,7 +1,7 @@
 """A narrow optimum beside a wide basin, with a limit that does not bind.
 
-Notation: u in [0, 1]^d are the parameters, x the same warped as in `closed_form`; w in [-1, 1]^m
-are the contexts, with E[w] = 0; n, n' are standard normal; |v|² = Σ_i v_i² / d.
+Notation: u in [0, 1]^d are the parameters, x the same, warped by `closed_form`; w in [-1, 1]^m are
+the contexts, with E[w] = 0; n, n' are standard normal; |v|² = Σ_i v_i² / d.
 
 Cost
     C = B(x) (1 + κ w_1) exp(σ_C n - σ_C² / 2), with the least of two bowls

@@ -1,7 +1,7 @@
 """A problem with two objectives under a robust limit, whose Pareto front is known exactly.
 
 Notation: u in [0, 1]^d are the parameters, x = u + sin(2πu) / (4π) the same warped, coordinate by
-coordinate and increasing (as in `closed_form`); w in [-1, 1]^m are the contexts, with E[w] = 0; n
+coordinate and increasing (that of `closed_form`); w in [-1, 1]^m are the contexts, with E[w] = 0; n
 is standard normal.
 
 Costs

@@ -98,7 +98,7 @@ class RosBackend(SequentialBackend):
     guard
         Have a guard leave the nodes safe if this process does not.
     halt
-        Is told that the guard has taken over, so that the next evaluation waits until somebody
+        Called when the guard has taken over, so that the next evaluation waits until somebody
         lets it begin; without it that ends the run.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
@@ -135,7 +135,7 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study)
         self._rates = MessageRates(study)
         self._functions = contextlib.ExitStack()
-        # What computes a metric may take any time, in which nobody looks after the machine.
+        # A function of a metric may take any time, in which nobody watches the machine.
         self._parks_after_run = study.park.between_runs or bool(python_functions(study))
         self._log_directory = log_directory
         self._attach = attach
@@ -243,7 +243,7 @@ class RosBackend(SequentialBackend):
         os.environ.update(variables)
 
     def _reset_environment(self) -> None:
-        """Leave no domain there that a later backend would take for the user's."""
+        """Restore the domain, so that a later backend does not take this one for the user's."""
         for name, value in self._environment.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -329,10 +329,10 @@ class RosBackend(SequentialBackend):
         problems = [*safe_state.take_unfinished(), *problems]
         if not problems:
             return outcome
-        # What was tried more than once is told once.
+        # What was tried more than once is reported once.
         text = brief("; ".join(dict.fromkeys(problems)))
         if outcome.state is EvaluationState.COMPLETE:
-            # Of a complete run nobody else tells what is amiss.
+            # The outcome of a complete run does not say what went wrong after it.
             self._opened.tuner.warn(text)
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
@@ -344,7 +344,7 @@ class RosBackend(SequentialBackend):
         """
         try:
             if self._guard is not None and outcome.state is not EvaluationState.COMPLETE:
-                # It is told of an act in ten states a second, and a node of it at once.
+                # The guard publishes ten states a second, but has set the nodes already.
                 self._opened.tuner.spin_for(SPIN_PERIOD)
             self._look_at_guard()
         except GuardActedError as acted:
@@ -378,7 +378,7 @@ class RosBackend(SequentialBackend):
                 # It has acted after the last evaluation, such as while a node was waited for.
                 raise self._guard.unheeded
             if self._previous is not None:
-                self._previous.tell(wanted)
+                self._previous.announce(wanted)
             run = None
             if self._procedure is not None:
                 self._procedure.forget()
@@ -425,13 +425,13 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         UnpreparedError
-            If that fails: no node has the parameters of the trial yet, which it tells nothing of.
+            If that fails: it says nothing of the parameters of the trial, which no node has yet.
         DisturbedError
             If that is because somebody else was at work.
         LostError
             If a node does not have the safe ones, or does not answer.
         """
-        # One that has ended is not told as one that does not answer.
+        # A node that has ended is reported as ended, not as one that does not answer.
         self._started.check()
         if problems := self.park():
             raise LostError("; ".join(problems))
@@ -452,7 +452,7 @@ class RosBackend(SequentialBackend):
             raise
 
     def _stop_failed(self, procedure: Procedure, error: Exception) -> None:
-        """Stop the machine in a run that failed, and look whose fault that was.
+        """Stop the machine in a run that failed, and raise if the parameters were not the cause.
 
         Raises
         ------
@@ -485,7 +485,7 @@ class RosBackend(SequentialBackend):
         """Leave the nodes as they are to be after an evaluation; returns what went wrong."""
         safe_state = self._opened.safe_state
         if state is EvaluationState.COMPLETE:
-            # Between two runs nobody looks at what was not parked right after one.
+            # What was not parked right after a run is not watched until the next one.
             return safe_state.take_unfinished() and safe_state.park()
         if state is EvaluationState.LOST:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
@@ -560,7 +560,7 @@ class RosBackend(SequentialBackend):
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
         with contextlib.ExitStack() as stack:
-            # What is done first stands last, and all of it is tried whatever the rest comes to.
+            # Callbacks run in reverse order, and each of them whatever the others raise.
             stack.callback(self._let_go)
             stack.callback(self._functions.close)
             stack.callback(self._reset_environment)
@@ -627,6 +627,6 @@ class RosBackend(SequentialBackend):
             self._guard.look()
 
     def _look(self) -> None:
-        """Watch without a look at the nodes."""
+        """Check for an interruption and a suspension, not the nodes."""
         self._suspension.look()
         self._interrupted()

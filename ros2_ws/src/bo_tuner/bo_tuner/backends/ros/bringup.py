@@ -1,4 +1,4 @@
-"""The nodes of a study are there: started or attached to, discovered, and got back when lost."""
+"""Brings the nodes of a study up: started or attached to, discovered, restarted when lost."""
 
 import os
 
@@ -92,7 +92,7 @@ class Bringup:
         self._settle_all()
 
     def restart(self, key: str) -> None:
-        """Start a node anew that the tuner has started, and tell it what it must have.
+        """Restart a node that the tuner has started, and set the parameters that it must have.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class Bringup:
             raise LostError(f"{key} is not started anew: {error}") from error
         # Others may run in the same process.
         for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
-            self._client.tell_again(anew)
+            self._client.assign_again(anew)
         self._client.start_values.after()
 
     def get_back(self) -> None:
@@ -143,7 +143,7 @@ class Bringup:
             self._started.start()
         anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
         if self._attach:
-            # Of a node that was killed and is back, the graph tells bit by bit.
+            # A node that was killed and is back appears in the graph bit by bit.
             tuner.spin_for(LOOK_AROUND)
             anew += client.restarted()
         client.renew(anew)

@@ -17,7 +17,7 @@ TOPIC = "/clock"
 LARGEST_JUMP = 0.5
 """Difference [s] of the machine's clock and a steady one in a run that is no slow correction."""
 UNWATCHED = 1.0
-"""Time [s] without a look after which what a clock did before is forgotten."""
+"""Time [s] without a check after which what a clock did before is forgotten."""
 LONGEST_STANDSTILL = 5.0
 """Time [s] of the machine after which a simulated clock that does not go on stands still."""
 END_OF_TIME = 2**31 - 1
@@ -49,10 +49,10 @@ class RunClock(Protocol):
         """End the run: the clock may be set."""
 
     def update(self) -> None:
-        """Bring `now` up to date, for whoever has not looked for a while."""
+        """Bring `now` up to date, where the clock was not read for a while."""
 
     def look(self) -> None:
-        """Look at the clock: `update`, and refuse what a run cannot go by.
+        """Check the clock: `update`, and refuse one that a run cannot go by.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class SimClock:
         self._received: list[int] = []
         self._times: list[int] = []
         self._is_running = False
-        self._advanced = self._looked = time.monotonic()
+        self._advanced = self._checked = time.monotonic()
 
     def connect(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Wait for the first message.
@@ -179,10 +179,10 @@ class SimClock:
     def look(self) -> None:
         """Take what came, and refuse a clock that stands still, or was set back in a run."""
         now = time.monotonic()
-        if now - self._looked > UNWATCHED:
+        if now - self._checked > UNWATCHED:
             # Between two runs a simulation may be paused.
             self._advanced = now
-        self._looked = now
+        self._checked = now
         self.update()
         if now - self._advanced > LONGEST_STANDSTILL:
             raise LostError(
@@ -238,7 +238,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 
 def check_wall_clock() -> None:
-    """Refuse a wall clock whose time no ROS message can hold: every run would be refused.
+    """Refuse a wall clock with a time that no ROS message can hold: every run would be refused.
 
     Raises
     ------

@@ -111,8 +111,8 @@ def _angle(cls: Any, call: FieldCall) -> Callable[[Any], float]:
     angle = ANGLES[call.function]
 
     def read(message: Any) -> float:
-        found = _followed(message, path)  # type: ignore[arg-type]
-        return angle(np.array([getattr(found, name) for name in COMPONENTS]))
+        quaternion = _followed(message, path)  # type: ignore[arg-type]
+        return angle(np.array([getattr(quaternion, name) for name in COMPONENTS]))
 
     return read
 
@@ -159,10 +159,10 @@ def _values(cls: Any, argument: Argument, call: FieldCall) -> Callable[[Any], Ar
         raise StudyError(f"{call.function} is of numbers; {_shown(path)} is {_described(kind)}")
 
     def read(message: Any) -> Array:
-        found = _all(message, path)
+        items = _all(message, path)
         if names:
-            found = [getattr(item, name) for item in found for name in names]
-        values = [np.atleast_1d(np.asarray(item, np.float64)) for item in found]
+            items = [getattr(item, name) for item in items for name in names]
+        values = [np.atleast_1d(np.asarray(item, np.float64)) for item in items]
         return np.concatenate(values) if values else np.empty(0)
 
     return read
@@ -226,22 +226,22 @@ def _all(message: Any, path: FieldPath, last: bool = True) -> list[Any]:
     An array of numbers at its end is one of them; one of messages is taken apart as well, unless
     the `last` is to stay whole.
     """
-    found = [message]
+    items = [message]
     for depth, part in enumerate(path):
-        holders, found = found, []
+        holders, items = items, []
         for holder in holders:
             value = getattr(holder, part.name)
             if isinstance(part.item, slice):
                 value = value[part.item]
             elif part.item is not None:
-                found.append(_item(holder, part, value))
+                items.append(_item(holder, part, value))
                 continue
             is_list = isinstance(value, list)
             if is_list and (last or depth < len(path) - 1):
-                found += value
+                items += value
             else:
-                found.append(value)
-    return found
+                items.append(value)
+    return items
 
 
 def _item(holder: Any, part: FieldPart, values: Sequence[Any]) -> Any:

@@ -142,7 +142,7 @@ class Goal:
             raise FailedRunError(f"{self.name} {ENDS[answer.status]}{_reason(answer.result)}")
 
     def wait(self) -> None:
-        """Wait for the result; raises as `check`."""
+        """Wait for the result; raises what `check` raises."""
 
         def ended() -> bool:
             self.check()
@@ -167,7 +167,7 @@ class Goal:
     def cancel(self) -> str:
         """Cancel the goal if it is open, and wait for its end; returns what went wrong, in a line.
 
-        The result tells that the server has come to rest.
+        With the result the server has come to rest.
         """
         self.request_cancel()
         if self._tuner.wait_until(lambda: not self.is_open, CALL_TIMEOUT):
@@ -176,7 +176,7 @@ class Goal:
 
     @property
     def unended(self) -> str:
-        """Tell in a line of a goal that is open."""
+        """Return a line on a goal that is open."""
         if self._asked is not None:
             return f"{self.name} may yet accept its goal: it does not answer"
         return f"{self.name} does not end its goal"
@@ -201,8 +201,8 @@ class Goal:
 
 
 def _reason(result: Any) -> str:
-    """Tell what an action says of its end, if it has one of the usual fields."""
+    """Return what an action says of its end, if it has one of the usual fields."""
     fields = ("error_msg", "error_string", "message", "error_code")
     said = [brief(str(getattr(result, name, ""))) for name in fields]
-    found = [text for text in said if text and text != "0"]
-    return f": {found[0]}" if found else ""
+    reasons = [text for text in said if text and text != "0"]
+    return f": {reasons[0]}" if reasons else ""

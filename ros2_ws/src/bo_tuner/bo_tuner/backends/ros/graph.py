@@ -1,4 +1,4 @@
-"""A look at running nodes: their parameters, and the signals of a study."""
+"""Queries of running nodes: their parameters, and the signals of a study."""
 
 import contextlib
 import math
@@ -50,7 +50,7 @@ TYPES = {
 def opened_node(
     ros_arguments: Sequence[str], interrupted: Callable[[], None]
 ) -> Iterator[TunerNode]:
-    """Open a node that looks, in domain and namespace of the environment and ``--ros-args``.
+    """Open a node for queries, in domain and namespace of the environment and ``--ros-args``.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def opened_node(
     Raises
     ------
     BackendError
-        If a tuner is at work there, whose nodes have the values of a trial.
+        If a tuner is at work there: its nodes have the values of a trial.
     """
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
@@ -86,8 +86,10 @@ def any_runs(
     ----------
     names
         Of the nodes, as a study has them.
-    ros_arguments, interrupted
-        As of `opened_node`.
+    ros_arguments
+        ``--ros-args`` of the node that asks.
+    interrupted
+        Asked while waiting; raises what should end the wait.
     """
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
@@ -97,19 +99,19 @@ def any_runs(
 
 
 def describe(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
-    """Return all parameters of a node, by name, for a tuner that has told it nothing yet.
+    """Return all parameters of a node, by name, for a tuner that has set none of them yet.
 
-    Those that a tuner which was killed has left on it have the values from before. Arguments and
-    errors as of `describe_now`.
+    Those that a killed tuner has left on it have the values from before. Arguments and errors are
+    those of `describe_now`.
     """
-    found = describe_now(tuner, node, own)
+    described = describe_now(tuner, node, own)
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
-    left = note.left_behind(node, {name: item.value for name, item in found.items()})
+    left = note.left_behind(node, {name: item.value for name, item in described.items()})
     for name, value in left.items():
-        of_killed = said_of_killed(node, name, found[name].value)
+        of_killed = said_of_killed(node, name, described[name].value)
         tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
-        found[name] = replace(found[name], value=value)
-    return found
+        described[name] = replace(described[name], value=value)
+    return described
 
 
 def describe_now(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
@@ -169,8 +171,8 @@ def values_now(tuner: TunerNode, node: str, names: Sequence[str]) -> dict[str, o
     client = ParameterClient(tuner, node)
     try:
         tuner.wait_until(client.is_ready, ANSWER)
-        (found,) = tuner.complete([client.values(names)], ANSWER)
-        return dict(found)
+        (values,) = tuner.complete([client.values(names)], ANSWER)
+        return dict(values)
     except SilentError as error:
         raise BackendError(str(error)) from error
     finally:
@@ -180,7 +182,7 @@ def values_now(tuner: TunerNode, node: str, names: Sequence[str]) -> dict[str, o
 def describe_nodes(
     nodes: Mapping[str, str], ros_arguments: Sequence[str], interrupted: Callable[[], None]
 ) -> dict[str, dict[str, Described]]:
-    """Return all parameters of nodes, ROS names by keys, as `describe` on an `opened_node`."""
+    """Return all parameters of nodes, ROS names by keys, for a tuner that has set none yet."""
     with opened_node(ros_arguments, interrupted) as tuner:
         return {key: describe(tuner, name) for key, name in nodes.items()}
 
@@ -199,11 +201,11 @@ def signal_problems(tuner: TunerNode, signals: Mapping[str, Signal]) -> Iterator
 
 def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
     kind = TYPES.get(value.type, "")
-    found = to_value(value)
+    current = to_value(value)
     ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
     if not ranges:
         return Described(
-            kind, found, read_only=descriptor.read_only, description=descriptor.description
+            kind, current, read_only=descriptor.read_only, description=descriptor.description
         )
     (given,) = ranges[:1]
     lower, upper = float(given.from_value), float(given.to_value)
@@ -211,7 +213,7 @@ def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
     # there is: nobody means to try it.
     return Described(
         kind,
-        found,
+        current,
         -math.inf if lower <= -LARGEST[kind == "integer"] else lower,
         math.inf if upper >= LARGEST[kind == "integer"] else upper,
         float(given.step),

@@ -13,11 +13,11 @@ from bo_tuner.backends.ros.publishers import Publishers
 from bo_tuner.backends.ros.taking import PublisherTaker, taker
 
 DEPTH = 5000
-"""Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
+"""Messages of a topic that may wait until they are taken: 5 s at 1 kHz."""
 
 
 class Heard(NamedTuple):
-    """A message: as it is on the wire, decoded, when it came in [ns], and of which node it is.
+    """A message: as it is on the wire, decoded, its time of reception [ns], and its node.
 
     The node is empty if that is not known.
     """
@@ -34,25 +34,25 @@ class HeardTopic:
     Parameters
     ----------
     node
-        A node in whose executor the subscription is not served.
+        A node that is in no executor.
     name
         Full name of the topic.
     cls
         Class of its messages.
     offered
-        Its publishers, at least one, whose quality of service it takes.
-    tells_publisher
-        Whether it matters of whom a message is.
+        Its publishers, at least one; they decide its quality of service.
+    knows_publisher
+        Whether the publisher of each message is needed.
 
     Attributes
     ----------
     problem : str
-        In a line, what was wrong with a message that could not be read; to be emptied by who tells
+        In a line, what was wrong with a message that could not be read; whoever reports it empties
         it.
-    tells_publisher : bool
-        Whether it can tell of whom a message is.
+    knows_publisher : bool
+        Whether the publisher of each message is known.
     unidentified : int
-        Messages since `begin` of which it could not.
+        Messages since `begin` with an unknown publisher.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class HeardTopic:
         name: str,
         cls: Any,
         offered: Sequence[TopicEndpointInfo],
-        tells_publisher: bool = False,
+        knows_publisher: bool = False,
     ) -> None:
         self.name = name
         self.cls = cls
@@ -74,13 +74,13 @@ class HeardTopic:
         )
         # It is in no executor, which would call this.
         self.subscription = node.create_subscription(cls, name, lambda message: None, qos, raw=True)
-        self._taker = taker(self.subscription, tells_publisher)
-        self.tells_publisher = isinstance(self._taker, PublisherTaker)
+        self._taker = taker(self.subscription, knows_publisher)
+        self.knows_publisher = isinstance(self._taker, PublisherTaker)
         self.unidentified = 0
         self._lost: dict[bytes, LostMessages] = {}
 
     def take(self) -> Iterator[Heard]:
-        """Take what waits, but for messages that cannot be read, see `problem`."""
+        """Take what waits; a message that cannot be read is left out, and noted in `problem`."""
         handle = self.subscription.handle
         with handle:
             count = handle.get_publisher_count()

@@ -70,7 +70,7 @@ class LifecycleNode:
         Raises
         ------
         RefusedError
-            As in `bring_to`.
+            If it refuses a transition, or stays on its way.
         """
         target = target or self.state
         self.bring_to(UNCONFIGURED)

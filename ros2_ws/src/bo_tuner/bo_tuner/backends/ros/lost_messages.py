@@ -4,7 +4,7 @@
 class LostMessages:
     """Counts the gaps in the numbers that a publisher gives its messages.
 
-    Where there are several publishers a gap tells nothing, as each of them counts on its own.
+    Where there are several publishers a gap means nothing: each of them counts on its own.
 
     Attributes
     ----------

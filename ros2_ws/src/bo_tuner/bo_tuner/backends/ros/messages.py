@@ -32,7 +32,7 @@ NO_SIGNALS = (
     "builtin_interfaces/msg/Duration",
     "std_msgs/msg/MultiArrayLayout",
 )
-"""Messages within messages whose numbers say when, or in which order, not what."""
+"""Types of nested messages with times or sequence numbers, which are no signals."""
 
 
 def interface_class(name: str) -> Any:
@@ -98,15 +98,15 @@ def number_fields(message: Any) -> dict[str, bool | int | float]:
 
     An array has the items that it has in this message, by the names beside it where there are any.
     """
-    found: dict[str, bool | int | float] = {}
+    numbers: dict[str, bool | int | float] = {}
     for name, kind in field_types(type(message)).items():
         value = getattr(message, name)
         if isinstance(kind, BasicType):
             if kind.typename != OCTET:
-                found[name] = _number(kind, value)
+                numbers[name] = _number(kind, value)
         elif isinstance(kind, NamespacedType):
             if type_name(type(value)) not in NO_SIGNALS:
-                found |= {f"{name}.{k}": number for k, number in number_fields(value).items()}
+                numbers |= {f"{name}.{k}": number for k, number in number_fields(value).items()}
         elif (
             isinstance(kind, AbstractNestedType)
             and isinstance(kind.value_type, BasicType)
@@ -114,8 +114,8 @@ def number_fields(message: Any) -> dict[str, bool | int | float]:
             and len(value) <= MOST_ITEMS
         ):
             for label, item in zip(_labels(message, len(value)), value, strict=True):
-                found[f"{name}[{label}]"] = _number(kind.value_type, item)
-    return found
+                numbers[f"{name}[{label}]"] = _number(kind.value_type, item)
+    return numbers
 
 
 def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> Any:
@@ -176,13 +176,13 @@ def _value(kind: AbstractType, value: object) -> Any:
     """Turn a value of YAML into what a field takes; rclpy itself checks nothing by default."""
     if isinstance(kind, AbstractNestedType):
         items = checks.sequence(value, "a list")
-        found = []
+        values = []
         for index, item in enumerate(items):
             with under(index):
-                found.append(_value(kind.value_type, item))
-        if isinstance(kind, Array) and len(found) != kind.size:
-            raise StudyError(f"expected {kind.size} items, found {len(found)}")
-        return found
+                values.append(_value(kind.value_type, item))
+        if isinstance(kind, Array) and len(values) != kind.size:
+            raise StudyError(f"expected {kind.size} items, found {len(values)}")
+        return values
     if isinstance(kind, NamespacedType):
         if not isinstance(value, Mapping):
             raise StudyError(f"expected fields by name, found {checks.show(value)}")

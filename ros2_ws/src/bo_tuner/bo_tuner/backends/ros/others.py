@@ -50,7 +50,7 @@ def nodes(node: Node) -> list[str]:
 
 def running(names: Iterable[str], node: Node) -> list[str]:
     """Return which of some nodes run, by their names as a study has them."""
-    there = {full_name(*reversed(found)) for found in node.get_node_names_and_namespaces()}
+    there = {full_name(space, name) for name, space in node.get_node_names_and_namespaces()}
     return [name for name in names if full_name(node.get_namespace(), name) in there]
 
 

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name, is_own
 
 DEPTH = 5000
-"""Messages of a topic that may wait between two looks at it."""
+"""Messages of a topic that may wait until they are taken."""
 ROUNDING = 1_000
 """Time [ns] by which the middleware may round its stamps."""
 
@@ -19,9 +19,9 @@ ROUNDING = 1_000
 class OwnTopic:
     """A topic that the tuner publishes, and listens to.
 
-    The middleware stamps each message when it is published. One whose stamp does not lie within a
-    call of `publish`, or lies within one that has had its message, is somebody else's. Threads may
-    publish while another one takes what came in.
+    The middleware stamps each message when it is published. A message is somebody else's if its
+    stamp lies in no call of `publish`, or in one that has had its message. Threads may publish
+    while another one takes what came in.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class OwnTopic:
 
     @property
     def foreign(self) -> str:
-        """Tell in a line that others publish the topic; empty if none has since `begin`."""
+        """Return a line if others have published the topic since `begin`; empty if not."""
         if self._node is None or self._foreign == 0:
             return ""
         name = self.publisher.topic_name

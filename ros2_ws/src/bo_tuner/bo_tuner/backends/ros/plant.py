@@ -1,4 +1,4 @@
-"""Which nodes of a study look like the plant, by the topics between them."""
+"""Which nodes of a study may be the plant, by the topics between them."""
 
 from collections.abc import Iterator
 
@@ -14,11 +14,11 @@ Ends = dict[str, set[str]]
 
 
 def plant_notes(study: Study, tuner: TunerNode) -> Iterator[str]:
-    """Yield a line for each node that looks like the plant and has parameters that are tuned.
+    """Yield a line for each node that may be the plant and has parameters that are tuned.
 
-    It hears nothing but what a controller publishes that takes the run's reference, and publishes
-    what that controller hears. An estimator hears the plant, too, and a controller the reference.
-    Parameters whose name tells of tuning, such as a gain, are none of the plant's.
+    It hears only what a controller of the run's reference publishes, and publishes what that
+    controller hears. An estimator hears the plant, too, and a controller the reference.
+    Parameters that are named for tuning, such as a gain, are none of the plant's.
     """
     if study.run is None:
         return
@@ -34,11 +34,11 @@ def plant_notes(study: Study, tuner: TunerNode) -> Iterator[str]:
             for name, item in study.parameters.items()
             if item.node == key and item.is_tuned
         }
-        found = kinds(spec.node, dict.fromkeys(tuned.values(), ""))
+        kind_of = kinds(spec.node, dict.fromkeys(tuned.values(), ""))
         names = [
             f"parameters.{name}"
             for name, parameter in tuned.items()
-            if found[parameter] is not Kind.TUNING
+            if kind_of[parameter] is not Kind.TUNING
         ]
         if not names or node in controllers:
             continue
@@ -69,7 +69,9 @@ def _ends(node: Node) -> tuple[Ends, Ends]:
             listeners = node.get_subscriber_names_and_types_by_node(name, namespace)
         except RuntimeError:
             continue
-        for ends, found in ((published, publishers), (heard, listeners)):
-            topics = {topic for topic, _ in found if topic not in OF_ROS and not is_hidden(topic)}
+        for ends, named_types in ((published, publishers), (heard, listeners)):
+            topics = {
+                topic for topic, _ in named_types if topic not in OF_ROS and not is_hidden(topic)
+            }
             ends.setdefault(full, set()).update(topics)
     return published, heard

@@ -130,7 +130,7 @@ class Preparation:
 
 
 def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[StudyError]:
-    """Yield every mistake in the run of a study, as of `Preparation`; nothing is performed."""
+    """Yield every mistake that the preparation of a study's run shows; nothing is performed."""
     if study.run is None:
         return
     wait = partial(tuner.wait_until, timeout=CONNECT_TIMEOUT)

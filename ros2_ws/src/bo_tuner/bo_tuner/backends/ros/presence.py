@@ -17,7 +17,7 @@ from bo_tuner.study.study import Study
 
 
 class Presence:
-    """Tells of the nodes of a study what the graph says of them.
+    """What the graph shows of the nodes of a study.
 
     Parameters
     ----------
@@ -56,14 +56,14 @@ class Presence:
 
     def missing(self) -> list[str]:
         """Return the keys of nodes that are `absent`, or do not answer: one may just have died."""
-        found = self.absent()
+        keys = self.absent()
         for key, client in self._parameters.clients.items():
-            if key not in found:
+            if key not in keys:
                 try:
                     client.expect_answers(time.monotonic())
                 except LostError:
-                    found.append(key)
-        return found
+                    keys.append(key)
+        return keys
 
     def wait_for_nodes(self, timeout: float) -> list[str]:
         """Wait until every node is discovered and answers.
@@ -71,7 +71,7 @@ class Presence:
         Returns
         -------
         list of str
-            The keys of those that were started anew since this was last asked, as `restarted`.
+            The keys of those that were started anew since this or `restarted` was last called.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Presence:
         return self.restarted()
 
     def meet(self, key: str, deadline: float) -> None:
-        """Wait until a node knows the tuner's subscriptions; see `meet` of `services`."""
+        """Wait until a node sends to all of the tuner's subscriptions so far."""
         meet(self._tuner, self._study.nodes[key].node, deadline)
 
     def wait_until_gone(self, timeout: float) -> None:
@@ -103,20 +103,20 @@ class Presence:
     def restarted(self) -> list[str]:
         """Return the keys of nodes that were started anew since this was last asked.
 
-        Such a node has forgotten its parameters, and is to be told them again.
+        Such a node has forgotten its parameters, which are to be set again.
         """
         self._wait_for_names()
-        found = []
+        keys = []
         for key in self._study.nodes:
             present = self._publishers_of(key)
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
-                found.append(key)
+                keys.append(key)
             self._publishers[key] = present
-        return found
+        return keys
 
     def twins(self, timeout: float) -> str:
-        """Tell in a line of nodes that run more than once; empty if none does.
+        """Return a line on nodes that run more than once; empty if none does.
 
         A node that was killed and is back counts twice until its lease ends, which is waited for at
         most `timeout` seconds, and once only.
@@ -132,14 +132,14 @@ class Presence:
 
     def _repeated(self) -> list[str]:
         """Name the nodes and services that more than one process gives."""
-        found = [
+        names = [
             spec.node
             for key, spec in self._study.nodes.items()
             if self._parameters.clients[key].servers() > 1
         ]
         if self._trigger and self._node.count_services(self._trigger.srv_name) > 1:
-            found.append(self._trigger.srv_name)
-        return found
+            names.append(self._trigger.srv_name)
+        return names
 
     def _publishers_of(self, key: str) -> set[bytes]:
         """Find the publishers of a node's sign of life that the graph says are of the node."""
@@ -152,7 +152,7 @@ class Presence:
         }
 
     def _wait_for_names(self) -> None:
-        """Wait until the graph tells whose the new signs of life are."""
+        """Wait until the graph has the node of each new sign of life."""
         deadline = time.monotonic() + NAME_TIMEOUT
         while nameless := self._nameless() - self._anonymous:
             if time.monotonic() > deadline:

@@ -77,7 +77,7 @@ class Procedure:
     restart
         Starts a node anew, by its key; None if the tuner has started none.
     guard
-        Is told when a run is in progress; None without a guard.
+        Watches while a run is in progress; None without a guard.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Procedure:
     def expect_rest(self) -> None:
         """Raise `LostError` if a goal of an earlier run does not end; it is waited for."""
         problems = self._cancel()
-        # One that is not accepted yet is cancelled should it be, but does not block all runs.
+        # A goal that is not accepted yet is cancelled once it is, and does not block all runs.
         self._started[:] = [goal for goal in self._started if goal.is_active]
         if problems:
             raise LostError("; ".join(problems))
@@ -154,12 +154,12 @@ class Procedure:
         self._watch.enter(context)
 
     def forget(self) -> None:
-        """Let `recording` and `counts` have nothing, as of a run that does not come about."""
+        """Empty `recording` and `counts`: the run may not come about."""
         self.recording = NOTHING_RECORDED
         self._streams.begin_run()
 
     def prepare(self) -> None:
-        """Perform the steps before a run; raises as `perform`.
+        """Perform the steps before a run; raises what `perform` raises.
 
         A step may start the publisher of a signal, so that one has to be there only then.
         """
@@ -173,7 +173,7 @@ class Procedure:
         try:
             self._perform(BEFORE)
         except FAULTS:
-            # That somebody else had a hand in it explains whatever else went wrong.
+            # If others publish the same topics, that explains whatever else went wrong.
             self._watch.expect_own_messages()
             raise
         self._watch.expect_own_messages()
@@ -221,12 +221,12 @@ class Procedure:
 
     @property
     def reason_of_abort(self) -> str:
-        """Tell why the last run was to be aborted, as far as was seen; empty if it was not."""
+        """Return why the last run was to be aborted, as far as was seen; empty if it was not."""
         return self._watch.reason_of_abort
 
     @property
     def unpublished(self) -> str:
-        """Tell in a line of a signal that nothing publishes, but should; empty if none.
+        """Return a line on a signal that nothing publishes, but should; empty if none.
 
         Steps of `after` that do more than publish and wait may have ended the publisher, as by the
         cleanup of a lifecycle node. Then it needs to be there only once the next run is prepared.
@@ -245,7 +245,7 @@ class Procedure:
         self._recorder.forget_ended(also, partial(self._tuner.wait_until, timeout=ENDED))
 
     def welcome(self) -> None:
-        """Wait for the first messages of nodes that were started anew, and tell them what is due.
+        """Wait for the first messages of nodes that were started anew, and publish what is due.
 
         If the steps before a run are done they need not have heard what these have published last.
         """
@@ -264,7 +264,7 @@ class Procedure:
         """
         self._is_ready = False
         for index in self._head:
-            # That nobody hears it is told when it is performed.
+            # If nobody hears it, that is reported when it is performed.
             with contextlib.suppress(*FAULTS):
                 self._perform_step(("run", AFTER, index), self._run.after[index])
 
@@ -399,8 +399,8 @@ class Procedure:
     def _expect_time(self, index: int) -> None:
         """Raise `FailedRunError` if a run is over before it has performed a step of `start`.
 
-        What the step brings about would not be recorded. That the study has it wait so long, for
-        what ends with the run, is its own affair.
+        The effect of the step would not be recorded. A study may have a step wait until the end of
+        the run on purpose.
         """
         after, planned = self._run.end.after, sum(s.wait or 0.0 for s in self._run.start[:index])
         # Waits that add up to it may lack a rounding error.
@@ -493,14 +493,14 @@ class Procedure:
 
         if self._is_recording:
             self._watch.wait_until(began + wait.timeout, held)
-            found = held()
+            holds = held()
         else:
             poll = self._poll(path)
-            while not (found := held()) and watch.seconds <= wait.timeout:
+            while not (holds := held()) and watch.seconds <= wait.timeout:
                 self._tuner.spin_once(POLL_PERIOD)
                 self._clock.look()
                 poll()
-        if not found:
+        if not holds:
             if unpublished := self._recorder.unpublished_of(used):
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
@@ -530,13 +530,13 @@ class Procedure:
         for path, step in self._run.steps:
             if not varies(step):
                 continue
-            found = filled_step(step, context)
+            filled = filled_step(step, context)
             with under(*path):
                 if path in self._steps:
-                    self._steps[path] = self._steps[path].filled(found)
-                elif path in self._goals and found.send_goal is not None:
+                    self._steps[path] = self._steps[path].filled(filled)
+                elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
-                        self._goals[path].fill(found.send_goal)
+                        self._goals[path].fill(filled.send_goal)
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)

@@ -46,12 +46,12 @@ def find_executable(package: str, executable: str) -> Path:
         file = Path(prefix) / "lib" / package / executable
         if os.access(file, os.X_OK):
             return file
-    found = shutil.which(executable, path=search_path())
-    if found is None:
+    path = shutil.which(executable, path=search_path())
+    if path is None:
         raise BackendError(
             f"{package}: no executable {executable}; install the package or source its workspace"
         )
-    return Path(found)
+    return Path(path)
 
 
 def has_executable(package: str, executable: str) -> bool:

@@ -76,9 +76,9 @@ class Publication:
         topic = node.resolve_topic_name(publish.topic)
 
         def subscribers() -> list[TopicEndpointInfo]:
-            found = node.get_subscriptions_info_by_topic(topic)
+            endpoints = node.get_subscriptions_info_by_topic(topic)
             # The tuner's own nodes, which record the topic, do not count.
-            return [info for info in found if not is_own(info.node_name)]
+            return [info for info in endpoints if not is_own(info.node_name)]
 
         def of_type() -> list[TopicEndpointInfo]:
             return [i for i in subscribers() if publish.type in ("", i.topic_type)]
@@ -86,9 +86,9 @@ class Publication:
         if not tuner.wait_until(lambda: bool(of_type()), CONNECT_TIMEOUT) and not subscribers():
             near = others.instead(topic, others.topics(node), node)
             raise StudyError(f"nothing subscribes to {topic}; {near}", ("topic",))
-        found = of_type()
-        types = sorted({info.topic_type for info in found or subscribers()})
-        if not found or len(types) > 1:
+        matching = of_type()
+        types = sorted({info.topic_type for info in matching or subscribers()})
+        if not matching or len(types) > 1:
             expected = f"expected {publish.type}" if publish.type else "name one of them"
             raise StudyError(f"{topic} carries {' and '.join(types)}; {expected}", ("type",))
         with under("topic"):
@@ -100,10 +100,12 @@ class Publication:
                 number_writer(message, field_path(name))
         if topic not in topics:
             durability, depth = QoSDurabilityPolicy.VOLATILE, 10
-            if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
+            if any(
+                i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in matching
+            ):
                 # Who joins later is to hear the last message only, not what came before.
                 durability, depth = QoSDurabilityPolicy.TRANSIENT_LOCAL, 1
-            # In full, as the graph tells those of subscribers: by default they do not compare.
+            # In full, like the subscribers' in the graph: defaults cannot be compared with them.
             qos = QoSProfile(
                 depth=depth,
                 durability=durability,
@@ -154,7 +156,7 @@ class Publication:
 
     @property
     def _unheard(self) -> str:
-        """Tell that nobody hears it: why somebody who subscribes does not, if there is one."""
+        """Say that nobody hears it, and why a subscriber does not, if there is one."""
         for info in self._endpoints():
             if not is_own(info.node_name) and (reason := self._obstacle(info)):
                 name = full_name(info.node_namespace, info.node_name)
@@ -168,11 +170,11 @@ class Publication:
 
     def _endpoints(self) -> list[TopicEndpointInfo]:
         """Return the subscribers of the topic whose messages have this type."""
-        found = self.tuner.node.get_subscriptions_info_by_topic(self.name)
-        return [info for info in found if info.topic_type == type_name(self.kind)]
+        endpoints = self.tuner.node.get_subscriptions_info_by_topic(self.name)
+        return [info for info in endpoints if info.topic_type == type_name(self.kind)]
 
     def _obstacle(self, info: TopicEndpointInfo) -> str:
-        """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
+        """Return why a subscriber cannot hear the publisher by its QoS; empty if it can."""
         offered = self.topic.publisher.qos_profile
         compatible, reason = qos_check_compatible(offered, info.qos_profile)
         return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""

@@ -13,9 +13,9 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import Signal
 
 NAME_TIMEOUT = 1.0
-"""Time [s] that the graph has to tell which node a new publisher belongs to."""
-LOOK = 0.1
-"""Time [s] between two looks at the graph, which takes longer than a message."""
+"""Time [s] that the graph has to show the node of a new publisher."""
+QUERY = 0.1
+"""Time [s] between two queries of the graph: one takes longer than a message."""
 
 
 class Publishers:
@@ -32,24 +32,24 @@ class Publishers:
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
         self._topic = topic
-        self._looked = -LOOK
-        self._found: list[TopicEndpointInfo] = []
+        self._queried = -QUERY
+        self._endpoints: list[TopicEndpointInfo] = []
         self._names: dict[bytes, str] = {}
 
     def now(self) -> list[TopicEndpointInfo]:
-        """Look at the graph."""
-        found = self._node.get_publishers_info_by_topic(self._topic)
-        self._looked = time.monotonic()
-        self._found = [info for info in found if info.node_name != GUARD]
-        for info in self._found:
+        """Query the graph."""
+        endpoints = self._node.get_publishers_info_by_topic(self._topic)
+        self._queried = time.monotonic()
+        self._endpoints = [info for info in endpoints if info.node_name != GUARD]
+        for info in self._endpoints:
             if info.node_name != UNKNOWN_NODE:
                 gid = bytes(info.endpoint_gid)
                 self._names[gid] = full_name(info.node_namespace, info.node_name)
-        return self._found
+        return self._endpoints
 
     def lately(self) -> list[TopicEndpointInfo]:
-        """Return what was found not long ago, or look."""
-        return self._found if time.monotonic() - self._looked < LOOK else self.now()
+        """Return the publishers of a recent query, or of a new one."""
+        return self._endpoints if time.monotonic() - self._queried < QUERY else self.now()
 
     def name_of(self, gid: bytes) -> str:
         """Return the full name of the node of a publisher; empty if it is not known."""
@@ -65,35 +65,37 @@ class Publishers:
         """Whether one that a signal is of was there lately."""
         return bool(self._own(spec, self.lately()))
 
-    def _own(self, spec: Signal, found: Sequence[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+    def _own(
+        self, spec: Signal, publishers: Sequence[TopicEndpointInfo]
+    ) -> list[TopicEndpointInfo]:
         if not spec.publisher:
-            return list(found)
+            return list(publishers)
         wanted = node_of(self._node, spec)
-        return [i for i in found if full_name(i.node_namespace, i.node_name) == wanted]
+        return [i for i in publishers if full_name(i.node_namespace, i.node_name) == wanted]
 
     def mixed(self, spec: Signal) -> str:
-        """Tell in a line that publishers of more than one node mix in a signal; empty if not.
+        """Return a line if publishers of more than one node mix in a signal; empty if not.
 
         Those of one node belong together, and the study may say of which node, or that all do.
         """
         if spec.merge or spec.frames is not None:
             return ""
-        found = self.own(spec)
-        nodes = {(info.node_namespace, info.node_name) for info in found}
+        own = self.own(spec)
+        nodes = {(info.node_namespace, info.node_name) for info in own}
         running = self._node.get_node_names_and_namespaces()
-        if len(found) > 1 and len(nodes) == 1:
+        if len(own) > 1 and len(nodes) == 1:
             ((namespace, name),) = nodes
             if running.count((name, namespace)) <= 1 and name != UNKNOWN_NODE:
                 return ""
-        if len(found) <= 1:
+        if len(own) <= 1:
             return ""
         of = f" in {spec.publisher}" if spec.publisher else ""
-        return f"{self._topic} has {len(found)} publishers{of}"
+        return f"{self._topic} has {len(own)} publishers{of}"
 
     def names(self) -> str:
         """Return the names of the nodes, as far as they are known."""
-        found = sorted(i.node_name for i in self.lately() if i.node_name != UNKNOWN_NODE)
-        return " and ".join(found)
+        names = sorted(i.node_name for i in self.lately() if i.node_name != UNKNOWN_NODE)
+        return " and ".join(names)
 
 
 def node_of(node: Node, spec: Signal) -> str:

@@ -163,10 +163,10 @@ class FramesReader:
     def __call__(self, heard: Heard, is_static: bool = False) -> Iterator[Stamped]:
         """Yield the value at the latest time of the whole chain, if that is another one now."""
         self._feed.take(heard, is_static)
-        found = self._feed.tree.latest(self._target, self._source)
-        if found is None or found[0] == self._at:
+        latest = self._feed.tree.latest(self._target, self._source)
+        if latest is None or latest[0] == self._at:
             return
-        self._at, pose = found
+        self._at, pose = latest
         for part, values in (("translation", pose.translation), ("rotation", pose.rotation)):
             for name, value in zip("xyzw", values.tolist(), strict=False):
                 setattr(getattr(self._message, part), name, value)

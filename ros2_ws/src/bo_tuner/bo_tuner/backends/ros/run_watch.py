@@ -40,7 +40,7 @@ class RunWatch:
     clock
         The clock of the run.
     goals
-        Goals sent in runs; others may be sent while this looks on.
+        Goals sent in runs; others may be sent during the run.
     topics
         What the steps publish.
     streams
@@ -108,16 +108,16 @@ class RunWatch:
         self.aborted = None
 
     def wait(self, period: float) -> None:
-        """Look on for a time [s]; raises as `judge`."""
+        """Watch the run for a time [s]; raises what `judge` raises."""
         self.wait_until(self._now + period)
 
     def wait_until(self, end: float, held: Callable[[], bool] = lambda: False) -> None:
-        """Look on until `end` [s], or until `held`; raises as `judge`."""
+        """Watch the run until `end` [s], or until `held`; raises what `judge` raises."""
         while (now := self.judge(end)) < end and not held():
             self._tuner.spin_once(min(POLL_PERIOD, end - now))
 
     def wait_for_end(self) -> float:
-        """Look on until the run comes to its end; raises as `judge`.
+        """Watch the run until it comes to its end; raises what `judge` raises.
 
         Returns
         -------
@@ -189,7 +189,7 @@ class RunWatch:
         """
         self._recorder.poll()
         if self.aborted is None:
-            # Whatever its stamp, a message that is here tells how the machine was.
+            # Whatever its stamp, a message that is here shows a state of the machine.
             latest = max(seen, self._recorder.latest)
             self.aborted = self._holds(self._abort, self._since, latest)
         if self.aborted is None and self._holds_late(self._abort, now):
@@ -197,7 +197,7 @@ class RunWatch:
 
     @property
     def reason_of_abort(self) -> str:
-        """Tell why the run was to be aborted; empty if it was not."""
+        """Return why the run was to be aborted; empty if it was not."""
         if self.aborted is None:
             return ""
         return f"aborted at {self.aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
@@ -235,8 +235,8 @@ class RunWatch:
         return float(times[held[0]]) if len(held) else None
 
     def _holds_late(self, condition: Expression | None, now: float) -> bool:
-        """Whether a condition holds by what came last, of late messages by each since the last."""
+        """Whether a condition holds by the latest messages, or a late one since the last call."""
         if condition is None:
             return False
-        found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
-        return any(bool(known(values).any()) for values in found)
+        results = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
+        return any(bool(known(values).any()) for values in results)

@@ -35,8 +35,8 @@ class SafeState:
     suspension
         Watched while the machine is stopped, which no interruption ends.
     look
-        Watch while the nodes are parked: one that has ended keeps no other from that, and is not
-        parked itself.
+        Called while the nodes are parked. A node that has ended does not keep the others from
+        being parked.
     """
 
     def __init__(
@@ -63,20 +63,19 @@ class SafeState:
     def park(self, *, start_anew: bool = True) -> list[str]:
         """Set the safe parameters on all nodes and read them back; returns what went wrong.
 
-        Without `start_anew` a node keeps what it takes only at its start, as one that is ended
-        next.
+        Without `start_anew` a node keeps what it takes only at its start: it is ended next.
         """
         with self._tuner.watched_by(self._look):
             return self._park(start_anew)
 
     def park_after_run(self) -> None:
-        """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
+        """Park the nodes in an evaluation; `take_unfinished` returns what went wrong."""
         self._unfinished += self._park(self._study.park.between_runs)
 
     def stop(self) -> list[str]:
-        """Bring a run to its end at once, whoever asks for what; returns what is not parked.
+        """Bring a run to its end at once, whatever interrupts it; returns what is not parked.
 
-        What else was not possible is for `take_unfinished`.
+        `take_unfinished` returns what else was not possible.
         """
         if self._procedure is None:
             return []
@@ -94,7 +93,7 @@ class SafeState:
         # With the parameters of the trial the machine does not drive home.
         if problems := self.stop():
             return problems
-        # Nor do two at once, of which one may not be parked.
+        # It does not while two nodes of a name run either: one of them may not be parked.
         try:
             twins = self._client.presence.twins(LONGEST_LEASE)
         except LostError as loss:
@@ -105,9 +104,9 @@ class SafeState:
         return problems and problems + self.stop()
 
     def take_unfinished(self) -> list[str]:
-        """Return, and forget, what went wrong in an evaluation that was to be left safe."""
-        found, self._unfinished = self._unfinished, []
-        return found
+        """Return, and forget, what went wrong when an evaluation was left safe."""
+        problems, self._unfinished = self._unfinished, []
+        return problems
 
     def _park(self, start_anew: bool = True) -> list[str]:
         parameters, anew = self._client.parameters, self._client.start_values
@@ -122,7 +121,7 @@ class SafeState:
                 # What stops the machine does not wait until a node has started.
                 self._procedure.publish_stop()
             failed |= anew.bring_each(wanted, due)
-            # Whatever others have changed meanwhile.
+            # What others have changed meanwhile does not matter any more.
             parameters.disturbance()
         return [
             f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()

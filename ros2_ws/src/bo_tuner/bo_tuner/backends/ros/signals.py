@@ -48,13 +48,13 @@ NODE_NAME = f"{TUNER}_signals"
 RECENT = 1_000_000_000
 """Time [ns] ahead of a run in which a topic has a message that is not only published in runs."""
 LISTEN = 1.0
-"""Time [s] to hear a message, which tells the names of items."""
+"""Time [s] to hear a message, which has the names of items."""
 FRAMES = 3.0
 """Time [s] to hear of all frames on the way between two."""
 
 
 class SignalRecorder:
-    """Records the signals of a run, and tells how they are while it lasts.
+    """Records the signals of a run, and monitors them while it lasts.
 
     Messages wait in the middleware, which notes when they came in, until `poll` takes them; none
     of them wakes up the tuner.
@@ -103,9 +103,9 @@ class SignalRecorder:
         Raises
         ------
         StudyError
-            If a topic has no publisher, or such of several nodes and the study does not say which,
-            or other messages than expected, also in that they name the items of an array, or
-            frames, and not the one of the signal.
+            If a topic has no publisher, or several nodes publish it and the study does not say
+            which one counts, or its messages have another type, or not the item of an array or the
+            frame of the signal.
         """
         self._clock = clock
         for name, spec in self._signals.items():
@@ -127,7 +127,7 @@ class SignalRecorder:
 
     @property
     def publishers(self) -> set[str]:
-        """Full names of the nodes that publish the signals, as far as the graph tells."""
+        """Full names of the nodes that publish the signals, as far as the graph has them."""
         return {
             full_name(info.node_namespace, info.node_name)
             for topic in self._topics.values()
@@ -137,7 +137,7 @@ class SignalRecorder:
 
     @property
     def mixed(self) -> str:
-        """Tell in a line of a signal that more than one node publishes; empty if none."""
+        """Return a line on a signal that more than one node publishes; empty if none."""
         for name, spec in self._signals.items():
             topic = self._topic_of(name)
             if topic.publishers > 1 and (mixed := topic.heard.publishers.mixed(spec)):
@@ -146,17 +146,17 @@ class SignalRecorder:
 
     @property
     def mixed_frames(self) -> str:
-        """Tell in a line of a frame that more than one node has placed since `begin`."""
+        """Return a line on a frame that more than one node has placed since `begin`."""
         mixed = next(filter(None, (reader.mixed for reader in self._frames.values())), "")
         return mixed and f"{mixed}, whose messages mix"
 
     @property
     def unpublished(self) -> str:
-        """Tell in a line of a topic that nobody publishes any more; empty if none."""
+        """Return a line on a topic that nobody publishes any more; empty if none."""
         return self.unpublished_of(self._signals)
 
     def unpublished_of(self, names: Iterable[str]) -> str:
-        """Tell as `unpublished`, of the topics of some signals."""
+        """Return a line on a topic of some signals that nobody publishes; empty if none."""
         for name in names:
             spec, topic = self._signals[name], self._topic_of(name)
             if topic.publishers == 0:
@@ -173,10 +173,10 @@ class SignalRecorder:
 
     @property
     def stale(self) -> str:
-        """Tell in a line of a signal whose messages are all late for too long; empty if none.
+        """Return a line on a signal with messages that are all late for too long; empty if none.
 
-        Those that are reordered are late one by one. Several in a row, by long, come after a stamp
-        that was wrong, or of a clock that was set or stands still.
+        Messages that are reordered are late one by one. If several in a row are late for long, a
+        stamp before them was wrong, or the clock of the stamps was set or stands still.
         """
         for name, spec in self._signals.items():
             stale = self._tracks[name].stale * 1e-9
@@ -215,7 +215,7 @@ class SignalRecorder:
         also
             Names of nodes that are there, and of which it does not hold either.
         wait
-            As of `connect`; that of a node which has ended may be gone a moment after it.
+            Waits until a condition holds: a publisher may be gone a moment after its node.
         """
         names = {UNKNOWN_NODE} | {name for name, _ in self.node.get_node_names_and_namespaces()}
         topics = self._topics.values()
@@ -275,8 +275,8 @@ class SignalRecorder:
             raise FailedRunError(problem)
 
     def take(self) -> str:
-        """Take what came in; returns in a line what `poll` would raise, or an empty one."""
-        found = ""
+        """Take what came in; returns what is wrong with it in a line, or an empty one."""
+        problem = ""
         for topic in self._topics.values():
             for heard in topic.heard.take():
                 topic.has_message = True
@@ -287,14 +287,14 @@ class SignalRecorder:
                         for stamp, value in reader(heard):
                             track.add(stamp, value, heard.received)
                     except ItemMissingError as error:
-                        found = f"a message on {topic.heard.name} {error}"
+                        problem = f"a message on {topic.heard.name} {error}"
                     if track.size > maxima.MESSAGES_BYTES:
-                        found = (
+                        problem = (
                             f"signal {name} has {track.size} bytes of messages, expected at most "
                             f"{maxima.MESSAGES_BYTES} in a run"
                         )
-            found, topic.heard.problem = topic.heard.problem or found, ""
-        return found
+            problem, topic.heard.problem = topic.heard.problem or problem, ""
+        return problem
 
     def take_late(self) -> Iterator[dict[str, Array]]:
         """Yield the late messages of a topic that came since the last call, and what came last.
@@ -339,7 +339,7 @@ class SignalRecorder:
         return self._topics[self.node.resolve_topic_name(self._signals[name].topic)]
 
     def _remark(self, name: str) -> str:
-        """Tell why a signal has no message, as far as that is known."""
+        """Say why a signal has no message, as far as that is known."""
         if self._tracks[name].stamps:
             return ""
         if name in self._frames:
@@ -352,8 +352,8 @@ class SignalRecorder:
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
-        found = expected_publishers(self.node, topic, spec, wait)
-        if len(kinds := sorted({info.topic_type for info in found})) > 1:
+        publishers = expected_publishers(self.node, topic, spec, wait)
+        if len(kinds := sorted({info.topic_type for info in publishers})) > 1:
             raise StudyError(f"{topic} carries {' and '.join(kinds)}; expected one", ("topic",))
         (kind,) = kinds
         if spec.type not in ("", kind):
@@ -369,7 +369,7 @@ class SignalRecorder:
             self._frames[name] = reader
             self._topic(f"{topic}{STATIC}", cls).readers[name] = reader.still
         here = self._topic(topic, cls)
-        if spec.publisher and not here.heard.tells_publisher:
+        if spec.publisher and not here.heard.knows_publisher:
             raise StudyError(
                 f"{middleware()} does not tell of which publisher a message is; expected one "
                 "publisher, or merge: true",
@@ -383,7 +383,7 @@ class SignalRecorder:
         if name not in self._topics:
             offered = Publishers(self.node, name).now()
             several = several_on(self.node, name, self._signals.values())
-            heard = HeardTopic(self.node, name, cls, offered, tells_publisher=several)
+            heard = HeardTopic(self.node, name, cls, offered, knows_publisher=several)
             self._topics[name] = _Topic(
                 heard,
                 frozenset(i.node_name for i in offered if i.node_name != UNKNOWN_NODE),
@@ -411,7 +411,7 @@ class SignalRecorder:
             reader = topic.readers[name]
             if self._tracks[name].stamps or not isinstance(reader, FieldReader):
                 continue
-            # Without any name a message tells nothing: it may be filled once the machine runs.
+            # A message without any name decides nothing: it may have them once the machine runs.
             if reader.missing is not None and reader.missing.names:
                 problem = f"a message on {topic.heard.name} {reader.missing}"
                 raise StudyError(problem, ("signals", name, "field"))
@@ -475,8 +475,8 @@ class _Topic:
     @property
     def publishers(self) -> int:
         """How many publishers are known here, without that of a guard."""
-        found: int = self.heard.subscription.handle.get_publisher_count()
+        count: int = self.heard.subscription.handle.get_publisher_count()
         if not self.is_guarded:
-            return found
-        # Whose the only one is takes a look at the graph: it may be the guard that is gone.
-        return found - 1 if found > 1 else len(self.heard.publishers.now())
+            return count
+        # The graph shows whether the only one left is the guard's or not.
+        return count - 1 if count > 1 else len(self.heard.publishers.now())

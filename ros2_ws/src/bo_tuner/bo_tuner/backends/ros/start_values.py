@@ -114,7 +114,7 @@ class StartValues:
         Raises
         ------
         StudyError
-            If it does not look at its file.
+            If it does not read its parameter file.
         RefusedError
             If it has another value of its own accord, or cannot be configured with these.
         LostError
@@ -132,16 +132,16 @@ class StartValues:
             self._targets.pop(key, None)
             # It may have declared some just now.
             self._parameters.forget(key)
-        found = self._parameters.known(key) or self._parameters.read_anew(key)
+        known = self._parameters.known(key) or self._parameters.read_anew(key)
         if node is not None and node.state == UNCONFIGURED:
             # It declares the others when it is configured.
-            given = {name: value for name, value in given.items() if name in found}
-        if wrong := differences(key, found, given):
+            given = {name: value for name, value in given.items() if name in known}
+        if wrong := differences(key, known, given):
             if self._study.nodes[key].reconfigure:
                 self._reconfigure(key, given)
                 return
-            self._refuse(key, given, found, wrong)
-        self._last[key] = given, {name: found[name] for name in given}
+            self._refuse(key, given, known, wrong)
+        self._last[key] = given, {name: known[name] for name in given}
         self._in_force[key] = self._started.values[key]
 
     def started_by(self, starter: str) -> list[str]:
@@ -163,8 +163,8 @@ class StartValues:
     def as_started(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         """Return values for a node that is not to start anew: what is in force stays as it is."""
         names = self._names.get(key, frozenset())
-        found = {name: value for name, value in values.items() if name not in names}
-        return found | dict(self._in_force.get(key, {}))
+        others = {name: value for name, value in values.items() if name not in names}
+        return others | dict(self._in_force.get(key, {}))
 
     def bring(self, wanted: Values, keys: Collection[str] | None = None) -> None:
         """Bring values into force, on nodes that do not run with them.
@@ -181,7 +181,7 @@ class StartValues:
         RefusedError
             If a node does not come up with the values, or has others then.
         StudyError
-            If it does not look at its file.
+            If it does not read its parameter file.
         LostError
             If it does not come back, or does not answer.
         """
@@ -241,11 +241,11 @@ class StartValues:
         return {name: values[name] for name in sorted(self._names[key]) if name in values}
 
     def _is_in_force(self, key: str, wanted: Mapping[str, object]) -> bool:
-        part, found = self._part(key, wanted), self._in_force.get(key)
-        # Somebody else may have set another one, which would be set back, as if that did anything.
+        part, in_force = self._part(key, wanted), self._in_force.get(key)
+        # Somebody else may have set another value: to set it back would not bring it into force.
         known = self._part(key, self._parameters.known(key))
-        return found is not None and not (
-            differences(key, found, part) or (known and differences(key, known, part))
+        return in_force is not None and not (
+            differences(key, in_force, part) or (known and differences(key, known, part))
         )
 
     def _starter(self, key: str) -> str:
@@ -286,17 +286,19 @@ class StartValues:
         self,
         key: str,
         given: Mapping[str, object],
-        found: Mapping[str, object],
+        actual: Mapping[str, object],
         wrong: Collection[Difference],
     ) -> None:
         """Raise that a node has other values than it was started with."""
-        given_before, found_before = self._last.get(key, ({}, {}))
+        given_before, actual_before = self._last.get(key, ({}, {}))
         for item in wrong:
             name = item.name
-            stays = name in given_before and not differences(key, found, {name: found_before[name]})
+            stays = name in given_before and not differences(
+                key, actual, {name: actual_before[name]}
+            )
             changed = stays and bool(differences(key, given_before, {name: given[name]}))
-            if not given_before or changed or name not in found:
-                has = f"has {brief(str(item.found))}" if name in found else "has not declared it"
+            if not given_before or changed or name not in actual:
+                has = f"has {brief(str(item.actual))}" if name in actual else "has not declared it"
                 raise StudyError(
                     f"{key} was started with {name} {item.expected} in its parameter file, and "
                     f"{has}: a program must pass its arguments on to the node, or its line have "

@@ -73,7 +73,7 @@ class StartedNodes:
                 self._start(key, command)
 
     def start_one(self, key: str) -> None:
-        """Start a node; raises as `start`."""
+        """Start a node; raises what `start` raises."""
         command = self._command(key)
         if not command:
             raise StudyError("starts along with another node", ("nodes", key))
@@ -93,7 +93,7 @@ class StartedNodes:
         stop_all(processes)
 
     def check(self) -> None:
-        """Look whether all still run.
+        """Check that all still run.
 
         Raises
         ------
@@ -127,12 +127,12 @@ class StartedNodes:
             command = [*_ros2_launch(spec), *shlex.split(spec.launch)]
         elif spec.command:
             program, *arguments = shlex.split(spec.command)
-            # One with a folder is no name to be searched for, and relative to the study's.
+            # A path is not searched for: it is relative to the study's folder.
             place = str(Path(self._study.folder, program)) if os.sep in program else program
-            found = shutil.which(place, path=search_path())
-            if found is None:
+            executable = shutil.which(place, path=search_path())
+            if executable is None:
                 raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
-            command = [found, *arguments]
+            command = [executable, *arguments]
         else:
             return []
         return self._with_values(key, command)
@@ -149,7 +149,7 @@ class StartedNodes:
         file = (self._log_directory / f"{key}.parameters.yaml").absolute()
         own = [path for other in started if (path := self._own_file(other))]
         if passes_file:
-            # What comes last counts; YAML documents in one file ROS does not take.
+            # The last value counts; ROS does not take several YAML documents in one file.
             texts = [read_text(path, str(path)) for path in dict.fromkeys(own)]
             write_atomically(file, "\n".join([*texts, to_yaml(values)]))
             return [word.replace(PARAMETER_FILE, str(file)) for word in command]

@@ -1,4 +1,4 @@
-"""The steps of a run, found in the graph beforehand so that mistakes show before the first run."""
+"""The steps of a run, resolved in the graph beforehand: mistakes show before the first run."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -177,8 +177,8 @@ class LifecycleChange:
         """
         spec, name = self.spec, self.spec.node
         state = self.current_state
-        found = self._call(self.transitions, GetAvailableTransitions.Request())
-        possible = {d.transition.label: d.transition for d in found.available_transitions}
+        answer = self._call(self.transitions, GetAvailableTransitions.Request())
+        possible = {d.transition.label: d.transition for d in answer.available_transitions}
         if spec.transition not in possible:
             if state in UNDONE.get(spec.transition, ()):
                 return
@@ -206,6 +206,6 @@ def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
 
 
 def _services(tuner: TunerNode) -> dict[str, list[str]]:
-    """Return the types of services by name; the graph also tells those that only clients name."""
-    found = tuner.node.get_service_names_and_types()
-    return {name: types for name, types in found if tuner.node.count_services(name)}
+    """Return the types of services by name, without those that only clients name."""
+    services = tuner.node.get_service_names_and_types()
+    return {name: types for name, types in services if tuner.node.count_services(name)}

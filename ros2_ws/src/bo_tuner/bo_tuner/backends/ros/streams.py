@@ -33,10 +33,10 @@ BLOCK = 256
 """Messages whose values are computed at once."""
 MOST_LEFT_OUT = 0.2
 """Share of the messages that may be left out."""
-TELLING, LEAST_TOLD = 1.0, 20
-"""Time [s] of a stream, and messages due, before a share of them tells anything."""
+LEAST_TIME, LEAST_DUE = 1.0, 20
+"""Time [s] of a stream, and messages due, from which on a share of them is informative."""
 HEARD = 0.2
-"""Time [s] between two looks at who subscribes."""
+"""Time [s] between two checks of who subscribes."""
 LEAST_MOTION = 0.05
 """Share of the motion of a reference by which the signal moves that is to follow it."""
 
@@ -222,7 +222,7 @@ class Stream:
         self._active = list(self._channels)
         self._over.clear()
         self._fault = ""
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         self._tables: dict[int, list[Array]] = {}
         self._began = self._published = self._ticks.now()
         self._number = 0
@@ -281,7 +281,9 @@ class Stream:
             problem = (
                 f"no message for {gap:.3g} s, expected one at least every {self.publish.gap:.3g} s"
             )
-        elif due >= max(LEAST_TOLD, TELLING * self._rate) and jitter.left_out > MOST_LEFT_OUT * due:
+        elif (
+            due >= max(LEAST_DUE, LEAST_TIME * self._rate) and jitter.left_out > MOST_LEFT_OUT * due
+        ):
             problem = f"{jitter.left_out} of {due} messages are left out, as they would be late"
         if problem:
             raise DisturbedError(
@@ -290,9 +292,9 @@ class Stream:
             )
 
     def _expect_heard(self) -> None:
-        if self.is_over or time.monotonic() - self._looked < HEARD:
+        if self.is_over or time.monotonic() - self._checked < HEARD:
             return
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         for channel in self._active:
             if not channel.publication.reaches_any():
                 raise channel.publication.unheard
@@ -429,7 +431,7 @@ class Streams:
             stream.stop()
 
     def check(self) -> None:
-        """Raise as `Stream.check` if one is not as it should be."""
+        """Raise `DisturbedError` or `UnheardError` if one is not as it should be."""
         for stream in self._streams:
             stream.check()
 

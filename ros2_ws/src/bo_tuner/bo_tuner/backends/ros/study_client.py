@@ -42,7 +42,7 @@ class StudyClient:
         What they say of the present evaluation.
     rounded : list of tuple
         Key, name and value of each parameter that a node had in the last evaluation in fewer
-        digits than it was told.
+        digits than were set.
     """
 
     def __init__(self, study: Study, tuner: TunerNode, started: StartedNodes | None) -> None:
@@ -64,17 +64,17 @@ class StudyClient:
     def restarted(self) -> list[str]:
         """Return the keys of nodes that were started anew since this was last asked.
 
-        They are told their parameters again in the next evaluation.
+        Their parameters are set again in the next evaluation.
         """
-        found = self.presence.restarted()
-        for key in found:
+        keys = self.presence.restarted()
+        for key in keys:
             self._renewed.add(key)
             self.parameters.forget(key)
             self.start_values.forget(key)
-        return found
+        return keys
 
     def renew(self, keys: Iterable[str]) -> None:
-        """Read anew what nodes have that were started anew, ahead of all that they are told.
+        """Read the parameters of nodes that were started anew, before any of them is set.
 
         Raises
         ------
@@ -109,12 +109,12 @@ class StudyClient:
         Returns
         -------
         dict
-            By node key what the node said of the evaluation, as in `TriggeredRun.run`.
+            By node key the results that the node reported; none for a run without a trigger.
 
         Raises
         ------
         RefusedError
-            If a node refuses its parameters, or has another value right after it was told one.
+            If a node refuses its parameters, or has another value right after one was set.
         DisturbedError
             If somebody else changed a parameter, a node runs more than once, or two of them report
             the same evaluation.
@@ -140,12 +140,12 @@ class StudyClient:
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise (disturbance or error) from None
-            found = self.parameters.found()
+            readback = self.parameters.read_back()
             leave()
-            # A node that was killed is looked for as long as its lease.
+            # A node that was killed stays in the graph as long as its lease.
             self._refuse_other_nodes()
-            found.check()
-            self.rounded = list(found.rounded())
+            readback.check()
+            self.rounded = list(readback.rounded())
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
@@ -156,8 +156,8 @@ class StudyClient:
         finally:
             self.results.end()
 
-    def tell_again(self, key: str) -> None:
-        """Tell a node that the tuner has started anew what it was told for this evaluation.
+    def assign_again(self, key: str) -> None:
+        """Set the parameters of this evaluation again on a node that the tuner has restarted.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class StudyClient:
     def _refuse_other_nodes(self) -> None:
         """Refuse an evaluation after which the nodes are not those that it began with."""
         anew = self.restarted()
-        # A twin looks like a node that was started anew.
+        # A second node of this name shows in the graph like one that was started anew.
         self._refuse_twins()
         if anew:
             name = self._study.nodes[anew[0]].node

@@ -35,9 +35,9 @@ from bo_tuner.study.seen import (
 )
 
 QUIET = 1.0
-"""Time [s] without anything new after which the graph counts as found."""
+"""Time [s] without anything new after which the graph counts as complete."""
 LISTEN = 1.0
-"""Time [s] to hear a message, which tells the items of arrays."""
+"""Time [s] to hear a message, which has the items of arrays."""
 CHANGES = 2.0
 """Time [s] in which parameters that a node changes by itself are seen to change."""
 GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
@@ -53,7 +53,7 @@ def survey(
     Parameters
     ----------
     tuner
-        The node that looks.
+        The tuner's node.
     is_whole
         Whether nothing is missing that is known to run; else it is looked for, up to `DISCOVERY`.
     named
@@ -113,13 +113,13 @@ def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, l
     unknown += [f"{topic.name}: its joints are unknown" for topic in topics if not topic.fields]
     topics = [topic for topic in topics if topic.fields]
     notes += [f"left out: {text}" for text in unknown]
-    found = sorted(tuner.node.get_service_names_and_types())
-    services = [n for n, types in found if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
-    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(_actions(found))), notes
+    typed = sorted(tuner.node.get_service_names_and_types())
+    services = [n for n, types in typed if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
+    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(_actions(typed))), notes
 
 
 def _values(tuner: TunerNode, node: SeenNode) -> Mapping[str, object]:
-    """Read the parameters of a node; none if it has ended, of which the next command tells."""
+    """Read the parameters of a node; none if it has ended, which the next command reports."""
     try:
         return values_now(tuner, node.name, list(node.parameters))
     except BackendError:
@@ -167,19 +167,19 @@ def _settle(tuner: TunerNode) -> None:
 def _nodes(tuner: TunerNode) -> list[str]:
     """Return the names of the nodes with parameters, relative to the namespace."""
     services = {name for name, _ in tuner.node.get_service_names_and_types()}
-    found = {
+    names = {
         relative(tuner.node, name, namespace)
         for name, namespace in tuner.node.get_node_names_and_namespaces()
         if f"{full_name(namespace, name)}/get_parameters" in services
     }
-    return sorted(name for name in found if name and not is_hidden(name))
+    return sorted(name for name in names if name and not is_hidden(name))
 
 
 def _topics(
     tuner: TunerNode, named: Mapping[str, Sequence[str]]
 ) -> tuple[list[SeenTopic], list[str]]:
     """Return the topics with numbers, or with what is `named`, and why others are left out."""
-    found, notes = [], []
+    topics, notes = [], []
     heard: dict[str, bytes] = {}
     listened = {}
     classes = {}
@@ -230,7 +230,7 @@ def _topics(
         is_trajectory = type_name(cls) == JOINT_TRAJECTORY and listeners and not publishers
         if fields or is_trajectory:
             topic = SeenTopic(name, type_name(cls), fields, publishers, listeners)
-            found.append(replace(topic, is_silent=bool(publishers) and name not in heard))
+            topics.append(replace(topic, is_silent=bool(publishers) and name not in heard))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
         elif (arrays := number_arrays(cls)) and name not in bulky:
@@ -246,7 +246,7 @@ def _topics(
         notes.append(
             f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
         )
-    return found, notes
+    return topics, notes
 
 
 def _named(
@@ -280,14 +280,14 @@ def _named(
     return {path: 0.0}
 
 
-def _ends(tuner: TunerNode, found: Sequence[TopicEndpointInfo]) -> tuple[str, ...]:
+def _ends(tuner: TunerNode, endpoints: Sequence[TopicEndpointInfo]) -> tuple[str, ...]:
     """Return the names of the nodes at one end of a topic, one for each publisher or listener."""
     return tuple(
         sorted(
             # One of another namespace may have the name of a node in this one.
             relative(tuner.node, end.node_name, end.node_namespace)
             or full_name(end.node_namespace, end.node_name)
-            for end in found
+            for end in endpoints
         )
     )
 

@@ -3,12 +3,12 @@
 import time
 
 LONGEST = 5.0
-"""Gap [s] between two looks beyond which this process was suspended: it looks around every 0.1 s
+"""Gap [s] between two checks beyond which this process was suspended: it checks every 0.1 s
 while it waits, and takes less to handle what came."""
 
 
 class Suspension:
-    """The longest gap between two looks at the clock."""
+    """The longest gap between two readings of the clock."""
 
     def __init__(self) -> None:
         self.begin()
@@ -19,13 +19,13 @@ class Suspension:
         self._longest = 0.0
 
     def look(self) -> None:
-        """Look at the clock."""
+        """Read the clock."""
         now = _now()
         self._longest = max(self._longest, now - self._last)
         self._last = now
 
     def skip(self) -> None:
-        """Leave out the time since the last look, in which this process waited without looking."""
+        """Leave out the time since the last reading, in which this process waited without one."""
         self._last = _now()
 
     @property
@@ -35,11 +35,11 @@ class Suspension:
 
     @property
     def longest(self) -> float:
-        """The longest gap between two looks [s], in which this process may have computed, too."""
+        """The longest gap between two readings [s]; this process may have computed in it, too."""
         return self._longest
 
 
 def _now() -> float:
     """Return a steady time [s] that goes on while the machine sleeps."""
-    # Elsewhere than on Linux there is no such clock; the steady one tells of SIGSTOP at least.
+    # Elsewhere than on Linux there is no such clock; the steady one shows SIGSTOP at least.
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))

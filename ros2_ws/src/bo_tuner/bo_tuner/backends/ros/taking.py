@@ -1,7 +1,7 @@
 """Takes messages as they are on the wire, with the publisher that each of them is from.
 
-rclpy leaves the publisher out of what it tells of a message. The C library below it, rcl, has it;
-`PublisherTaker` asks that.
+rclpy does not return the publisher of a message. The C library below it, rcl, does, and
+`PublisherTaker` calls it.
 
 Reference: ``rcl/subscription.h`` and ``rmw/types.h`` of ROS 2 Jazzy.
 """
@@ -78,12 +78,12 @@ class Taker:
 
 
 class PublisherTaker:
-    """The same, which tells of each message who has published it.
+    """Takes the messages of a subscription that is in no executor, each with its publisher.
 
     Parameters
     ----------
     subscription
-        As of `Taker`.
+        A subscription with ``raw=True``.
 
     Raises
     ------
@@ -101,11 +101,11 @@ class PublisherTaker:
     def take(self) -> Taken | None:
         """Take the next message that waits; None if there is none."""
         message, info = self._message, self._info
-        found = self._rcl.rcl_take_serialized_message(
+        status = self._rcl.rcl_take_serialized_message(
             self._subscription.handle.pointer, ctypes.byref(message), ctypes.byref(info), None
         )
-        if found != OK:
-            # As rclpy does, which has no other message then either.
+        if status != OK:
+            # rclpy, too, takes this for no message.
             self._rcutils.rcutils_reset_error()
             return None
         data = ctypes.string_at(message.buffer, message.length)
@@ -129,12 +129,12 @@ def _libraries() -> tuple[Any, Any]:
     return rcl, rcutils
 
 
-def taker(subscription: Subscription, tells_publisher: bool) -> Taker | PublisherTaker:
+def taker(subscription: Subscription, knows_publisher: bool) -> Taker | PublisherTaker:
     """Return what takes the messages of a subscription, with their publishers if that is possible.
 
     Without them each message is of an unknown publisher.
     """
-    if not tells_publisher:
+    if not knows_publisher:
         return Taker(subscription)
     try:
         return PublisherTaker(subscription)

@@ -1,4 +1,4 @@
-"""The time by which references stream, told to a thread of their own."""
+"""The time by which references stream, for a thread of their own."""
 
 import threading
 import time
@@ -12,8 +12,8 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from bo_tuner.backends.ros.clock import TOPIC, RunClock
 from bo_tuner.errors import StudyError
 
-LOOK = 0.0005
-"""Time [s] between two looks at a simulated clock: a callback for each of its messages costs more
+READING = 0.0005
+"""Time [s] between two readings of a simulated clock: a callback for each message costs more
 than that where there are a thousand in a second."""
 
 
@@ -72,7 +72,7 @@ class SimTicks:
     """
 
     def __init__(self, node: Node) -> None:
-        # What a simulation that is faster than this said before its latest time does not matter.
+        # Only the latest time of a fast simulation matters.
         qos = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._subscription = node.create_subscription(ClockMessage, TOPIC, lambda m: None, qos)
         self._lock = threading.Lock()
@@ -107,12 +107,12 @@ class SimTicks:
 
     def wait_until(self, due: int, over: threading.Event) -> None:
         """Wait until a time of `now` [ns], or until `over` is set."""
-        while self.now() < due and not over.wait(LOOK):
+        while self.now() < due and not over.wait(READING):
             pass
 
     @property
     def remark(self) -> str:
-        """By what the clock goes on from message to message."""
+        """The step of the clock from message to message, in words."""
         if not self._messages:
             return ""
         return f"; {TOPIC} goes on by about {self._passed / self._messages * 1e-9:.2g} s a message"

@@ -21,7 +21,7 @@ from bo_tuner.errors import BackendError
 
 NODE_NAME = "bo_tuner"
 LIVE_NODE = "tuner"
-"""Name of the node that tells of a run in progress, and takes requests to pause and end it."""
+"""Name of the node that publishes a run in progress, and takes requests to pause and end it."""
 NAMESPACE = re.compile(r"/|(/[A-Za-z_]\w*)+/?", re.ASCII)
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
@@ -29,7 +29,7 @@ END_OTHERS = "end all but one (one that was killed counts for up to 20 s)"
 CALL_TIMEOUT = 5.0
 SPIN_PERIOD = 0.1
 POLL_PERIOD = 0.01
-"""Time [s] between two looks at a condition that is waited for."""
+"""Time [s] between two checks of a condition that is waited for."""
 LOOK_AROUND = 1.0
 """Time [s] to discover a second node of a name."""
 
@@ -135,15 +135,15 @@ class TunerNode:
             If one has been discovered.
         """
         namespace = self.node.get_namespace()
-        found = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
-        if found > (self.node.get_name() == NODE_NAME):
+        count = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
+        if count > (self.node.get_name() == NODE_NAME):
             raise BackendError(
                 f"another tuner is running as {full_name(namespace, NODE_NAME)}; wait for it, or "
                 "use another namespace or ROS_DOMAIN_ID"
             )
 
     def repeated(self, name: str) -> str:
-        """Tell that several nodes or services have a name."""
+        """Say that several nodes or services have a name."""
         return f"{name} runs more than once in ROS domain {self.domain}"
 
     def warn(self, text: str) -> None:
@@ -236,7 +236,7 @@ class TunerNode:
             Time [s] that all of them have together; `CALL_TIMEOUT` for each call unless given.
         """
         begun = time.monotonic()
-        found: list[Any] = [None] * len(works)
+        results: list[Any] = [None] * len(works)
         pending: dict[int, PendingCall | None] = dict.fromkeys(range(len(works)))
         try:
             while True:
@@ -248,14 +248,14 @@ class TunerNode:
                         since, limit = call.begun, CALL_TIMEOUT
                         if timeout is not None:
                             since, limit = begun, timeout
-                        # A dead server looks ready until its lease ends, and never answers.
+                        # A dead server counts as ready until its lease ends, and never answers.
                         if time.monotonic() > since + limit:
                             pending[index] = works[index].throw(call.silence(limit))
                     except StopIteration as end:
-                        found[index] = end.value
+                        results[index] = end.value
                         del pending[index]
                 if not pending:
-                    return found
+                    return results
                 self.spin_once()
         finally:
             for index in pending:
@@ -266,7 +266,7 @@ def _make_node(name: str, ros_arguments: Sequence[str], domain: int | None) -> N
     """Make a node with a context of its own."""
     namespace = namespace_of(list(ros_arguments))
     if not NAMESPACE.fullmatch(namespace):
-        # Of this rcl tells in three lines, in terms of its own parser.
+        # rcl reports this in three lines, in terms of its own parser.
         raise BackendError(
             f"cannot use --ros-args: __ns:={namespace}: a namespace begins with a slash, "
             "such as /cell; letters, digits and _ follow, no digit first"

@@ -160,18 +160,18 @@ class Certificate:
 
 
 def _check(
-    what: str, found: Mapping[str, object] | Sequence[str], known: Mapping[str, object]
+    what: str, names: Mapping[str, object] | Sequence[str], known: Mapping[str, object]
 ) -> None:
     """Refuse names that are not all that are known, in any order."""
-    if sorted(found) != sorted(known):
-        raise ValueError(f"{what}: expected {_listed(known)}, found {_listed(found)}")
+    if sorted(names) != sorted(known):
+        raise ValueError(f"{what}: expected {_listed(known)}, found {_listed(names)}")
 
 
 def _check_known(
-    what: str, found: Mapping[str, object] | Sequence[str], known: Mapping[str, object]
+    what: str, names: Mapping[str, object] | Sequence[str], known: Mapping[str, object]
 ) -> None:
     """Refuse names that are not among those known."""
-    if unknown := [name for name in found if name not in known]:
+    if unknown := [name for name in names if name not in known]:
         raise ValueError(f"{what}: expected of {_listed(known)}, found {_listed(unknown)}")
 
 

@@ -97,8 +97,8 @@ def _most_places(study: Study, subject: Subject) -> int:
     constraints = len(study.worst_case_constraints)
     if not constraints or not study.contexts:
         return constraints
-    found = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
-    return len(subject.earlier.contexts) + constraints * found
+    per_constraint = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
+    return len(subject.earlier.contexts) + constraints * per_constraint
 
 
 class Certification:
@@ -160,13 +160,13 @@ class Certification:
         case = _Case(self._study, self._confidence, self._attempt, draws)
         drawing = DrawPlan(case, subjects)
         self._complete(drawing)
-        found = [
+        searched = [
             self._look_closely(case, number, subject, drawing.evaluations[number])
             for number, subject in enumerate(subjects)
         ]
         return [
             self._draw_on(case, number, subject, evidence)
-            for number, (subject, evidence) in enumerate(zip(subjects, found, strict=True))
+            for number, (subject, evidence) in enumerate(zip(subjects, searched, strict=True))
         ]
 
     def _look_closely(
@@ -224,7 +224,7 @@ class _Case:
 
     def open_limits(self, evidence: Evidence, place: int) -> list[str] | None:
         """Return the worst-case constraints that are open in a context; None if one is broken."""
-        found = []
+        undecided = []
         for constraint in self.study.worst_case_constraints:
             holds = decide_context(
                 self.study, constraint, evidence, place, self.most, self.confidence
@@ -232,8 +232,8 @@ class _Case:
             if holds is False:
                 return None
             if holds is None:
-                found.append(constraint.name)
-        return found
+                undecided.append(constraint.name)
+        return undecided
 
     def draw(self) -> list[Context]:
         """Return the contexts of all draws."""
@@ -349,7 +349,7 @@ class FurtherDrawPlan(_CertificatePlan):
     Attributes
     ----------
     evidence
-        With what was told.
+        With the runs that have ended.
     """
 
     phase = "more draws"
@@ -387,8 +387,7 @@ class FurtherDrawPlan(_CertificatePlan):
 class _Suspects:
     """Contexts that may be the worst ones.
 
-    By constraint, which of them its search has found, and what a model over the contexts has of
-    them.
+    Each constraint has searched for some of them, and has ranked them by a model over the contexts.
     """
 
     contexts: Sequence[Context]
@@ -413,7 +412,7 @@ class WorstCasePlan(_CertificatePlan):
     Attributes
     ----------
     evidence
-        With what was told.
+        With the runs that have ended.
     """
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
@@ -464,7 +463,7 @@ class WorstCasePlan(_CertificatePlan):
         drawn = self.evidence.drawn
         key = Stream.CERTIFICATE_SEARCH, self._case.attempt, self._number
         rng = generator(study.seed, *key)
-        # They come first: where it failed before, a FAIL is soonest found.
+        # They come first: where it failed before, a FAIL is soonest reached.
         candidates: list[Context] = [*subject.earlier.contexts]
         failed_before = range(len(candidates))
         found_by: dict[str, list[int]] = {}
@@ -498,7 +497,7 @@ class WorstCasePlan(_CertificatePlan):
             return {}
         known = [*self.evidence.search, *self.evidence.drawn]
         complete = [evaluation for evaluation in known if evaluation.outcome.complete]
-        found = {}
+        rankings = {}
         for constraint in study.worst_case_constraints:
             metric, sign = constraint.metric, constraint.sign
             clear, behind = rank(
@@ -508,11 +507,11 @@ class WorstCasePlan(_CertificatePlan):
                 sign * constraint.limit,
                 rng,
             )
-            found[constraint.name] = Ranking(
+            rankings[constraint.name] = Ranking(
                 tuple(context for context in clear if context not in failed_before),
                 tuple(context for context in behind if context not in failed_before),
             )
-        return found
+        return rankings
 
     def _find(
         self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator

@@ -87,10 +87,10 @@ class ContextResponse:
     def mean(self, x: Array) -> Array:
         """Return the posterior mean (m,) at contexts x (m, e) of the unit cube."""
         means = [_covariance(p.hyperparameters, x, self._data.x) @ p.alpha for p in self._mixture]
-        found: Array = self._standardization.shift + self._standardization.scale * np.mean(
+        mean: Array = self._standardization.shift + self._standardization.scale * np.mean(
             means, axis=0
         )
-        return found
+        return mean
 
     def sample(self, x: Array, count: int, rng: np.random.Generator) -> Array:
         """Draw the mean jointly at contexts x (m, e) of the unit cube.
@@ -116,10 +116,10 @@ class ContextResponse:
             factor, _ = jittered_cholesky(_covariance(theta, x, x) - whitened.T @ whitened)
             normal = rng.standard_normal((count, len(x)))
             samples.append(cross.T @ process.alpha + normal @ factor.T)
-        found: Array = self._standardization.shift + self._standardization.scale * np.vstack(
+        means: Array = self._standardization.shift + self._standardization.scale * np.vstack(
             samples
         )
-        return found
+        return means
 
     def _sample(self, phi: Array, rng: np.random.Generator) -> list[_Conditioned]:
         process = self._condition(phi)
@@ -149,9 +149,9 @@ class ContextResponse:
             low -= WIDTH
         while at(high).value > level:
             high += WIDTH
-        while (found := at(place := rng.uniform(low, high))).value <= level:
+        while (moved := at(place := rng.uniform(low, high))).value <= level:
             low, high = (place, high) if place < here else (low, place)
-        return found
+        return moved
 
     def _condition(self, phi: Array) -> _Conditioned:
         lower, upper = self._box

@@ -105,7 +105,7 @@ class VariableTolerance:
     down, up
         Drift with all other variables nominal.
     worst_down, worst_up
-        Drift with all other variables as in the worst context.
+        Drift with all other variables at their values in the worst context.
     """
 
     name: str

@@ -50,22 +50,22 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
         On which it is to be certified.
     """
     study = record.study
-    own = [e for e in evaluations_of(record.evaluations, parameters) if not e.outcome.spoilt]
+    own = [e for e in evaluations_of(record.evaluations, parameters) if not e.outcome.unusable]
     refutations = [*_of_run(study, own)]
     evaluations = own if record.backend == backend else []
     certified, unread = False, []
     for path in reversed(certificate_paths(record.path)):
         try:
-            found = _of_certificate(study, path, parameters)
+            certificate = _of_certificate(study, path, parameters)
         except RunRecordError as error:
             unread.append(str(error))
             continue
-        if found is None:
+        if certificate is None:
             continue
         certified = True
-        refutations += [found.refutation] if found.refutation is not None else []
-        evaluations = [*evaluations, *(found.runs if found.backend == backend else [])]
-        unread += [found.unread] if found.unread else []
+        refutations += [certificate.refutation] if certificate.refutation is not None else []
+        evaluations = [*evaluations, *(certificate.runs if certificate.backend == backend else [])]
+        unread += [certificate.unread] if certificate.unread else []
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
@@ -75,30 +75,30 @@ def refutation(told: str, findings: Findings, evaluations: Iterable[Evaluation])
     Parameters
     ----------
     told
-        As in `Refutation`.
+        Where, as a clause, such as ``certificate 0001 was a FAIL``.
     findings
         The findings of the certificate.
     evaluations
         Its evaluations.
     """
-    found: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
+    contexts: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
     for constraint in findings.constraints:
         if not constraint.passed:
-            found += [worst.context for worst in constraint.worst if not worst.shown]
-    return Refutation(told, findings.reasons, tuple(_each_once(found)))
+            contexts += [worst.context for worst in constraint.worst if not worst.shown]
+    return Refutation(told, findings.reasons, tuple(_each_once(contexts)))
 
 
 def earlier_in_words(certificate: Certificate) -> Iterator[str]:
     """Yield sentences on what had failed before a certificate, and that a PASS covers it."""
-    for found in certificate.earlier.refutations:
-        said = f"{found.told[:1].upper()}{found.told[1:]} ({'; '.join(found.reasons)})"
+    for failure in certificate.earlier.refutations:
+        sentence = f"{failure.told[:1].upper()}{failure.told[1:]} ({'; '.join(failure.reasons)})"
         if not certificate.passed:
-            yield f"{said}."
+            yield f"{sentence}."
             continue
-        contexts = " and ".join(f"({text.values(c)})" for c in found.contexts if c)
+        contexts = " and ".join(f"({text.values(c)})" for c in failure.contexts if c)
         where = f"in the context {contexts}" if contexts else "by fresh evaluations"
         yield (
-            f"{said}. This PASS covers it: the limits were shown anew {where}, and the earlier "
+            f"{sentence}. This PASS covers it: the limits were shown anew {where}, and the earlier "
             "runs, which count against a PASS only, do not contradict."
         )
     for reason in certificate.earlier.unread:
@@ -109,7 +109,7 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
     """Yield what the tuning run itself has refuted, for each constraint."""
     contexts = _each_once(e.context for e in evaluations)
     for constraint in study.worst_case_constraints:
-        found = [
+        refuting = [
             context
             for context in contexts
             if is_refuted_by(
@@ -118,15 +118,15 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
                 study.certificate.confidence,
             )
         ]
-        if found:
-            runs = text.counted(sum(e.context in found for e in evaluations), "run")
-            reason = f"{constraint.name}: {runs} in {text.counted(len(found), 'context')}"
-            yield Refutation("the tuning run itself refuted a limit", (reason,), tuple(found))
+        if refuting:
+            runs = text.counted(sum(e.context in refuting for e in evaluations), "run")
+            reason = f"{constraint.name}: {runs} in {text.counted(len(refuting), 'context')}"
+            yield Refutation("the tuning run itself refuted a limit", (reason,), tuple(refuting))
 
 
 @dataclass(frozen=True)
 class _Certified:
-    """What a certificate failed on, if it did, its backend and runs, or why there are none."""
+    """What a certificate failed on, its backend and its runs, or why these are not read."""
 
     refutation: Refutation | None
     backend: str
@@ -153,9 +153,9 @@ def _of_certificate(study: Study, path: Path, parameters: Mapping[str, Value]) -
             for row in read_evaluations(path)
             if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
         ]
-    told = f"certificate {path.stem} was a FAIL"
+    source = f"certificate {path.stem} was a FAIL"
     return _Certified(
-        None if sides[side].passed else refutation(told, sides[side], runs),
+        None if sides[side].passed else refutation(source, sides[side], runs),
         certificate.provenance.get("backend", ""),
         runs,
         f"{path}: {unread}" if unread else "",
@@ -167,8 +167,8 @@ def _evaluation(row: Row, parameters: Mapping[str, Value]) -> Evaluation:
 
 
 def _each_once(contexts: Iterable[Context]) -> list[Context]:
-    found: list[Context] = []
+    unique: list[Context] = []
     for context in contexts:
-        if context not in found:
-            found.append(context)
-    return found
+        if context not in unique:
+            unique.append(context)
+    return unique

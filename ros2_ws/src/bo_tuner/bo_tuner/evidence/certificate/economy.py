@@ -5,10 +5,10 @@ are spent on what nobody doubts: a time that is a tenth of its limit, a context 
 is far from it. Three rules save them. Each rests on more than the runs that are counted, as the
 certificate says, and neither applies with ``certificate: {distribution_free: true}``.
 
-- *A chance constraint* that every run keeps, and the draws by so many of their standard deviations
-  that even at twice the deviation any law keeps it as often as asked (Cantelli's inequality): the
-  other runs of the parameter set count with the draws. They are in contexts that were chosen for
-  their large values.
+- *A chance constraint* that every run keeps, the draws with such a margin that at twice their
+  standard deviation any law keeps it as often as asked (Cantelli's inequality): the other runs of
+  the parameter set count with the draws. They are in contexts that were chosen for their large
+  values.
 - *A context* that is not the worst one of a limit, and in which by a Gaussian process over the
   contexts a single run is `CLEAR` standard deviations within the limit: `FEW` runs must confirm it.
 - *Another context behind the worst one*, by the same process: its runs must show the limit with the
@@ -56,7 +56,7 @@ def is_far_from(constraint: Constraint, draws: Array, others: Array) -> bool:
 
 
 def is_far(constraint: Constraint, draws: Array) -> bool:
-    """Return whether the limit is so many standard deviations away from the mean of draws (n,)."""
+    """Return whether the limit is far from the mean of draws (n,), by their deviation."""
     deviations = TWICE * sqrt(1.0 / constraint.allowed - 1.0)
     return len(draws) > 1 and _margin(constraint, draws) >= deviations * float(draws.std(ddof=1))
 

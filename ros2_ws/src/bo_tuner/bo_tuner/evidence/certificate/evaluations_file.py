@@ -66,13 +66,13 @@ def evaluations_csv(
     rows: list[list[object]] = [
         ["parameter_set", "stage", "index", "seed", "state", *columns, "reason"]
     ]
-    for name, found in evidence.items():
-        for evaluation in found.evaluations:
+    for name, side in evidence.items():
+        for evaluation in side.evaluations:
             outcome = evaluation.outcome
             rows.append(
                 [
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
-                    # As JSON, a text is told from a number.
+                    # JSON keeps a text apart from a number.
                     *(json.dumps(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
                     outcome.reason,

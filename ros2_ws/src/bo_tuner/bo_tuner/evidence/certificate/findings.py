@@ -37,7 +37,7 @@ class Refutation:
     reasons
         Why.
     contexts
-        The contexts in which it failed; empty if only the draws as a whole tell.
+        The contexts in which it failed; empty if only the draws as a whole show it.
     """
 
     told: str
@@ -71,10 +71,10 @@ class Earlier:
     @cached_property
     def contexts(self) -> list[Context]:
         """The contexts in which it failed, each once."""
-        found: list[Context] = []
+        contexts: list[Context] = []
         for refutation in self.refutations:
-            found += [context for context in refutation.contexts if context not in found]
-        return found
+            contexts += [context for context in refutation.contexts if context not in contexts]
+        return contexts
 
     @cached_property
     def drawn(self) -> tuple[Evaluation, ...]:
@@ -84,11 +84,11 @@ class Earlier:
     @cached_property
     def extremes(self) -> Mapping[str, tuple[float, float]]:
         """The smallest and the largest value of each metric in all runs."""
-        found: dict[str, list[float]] = {}
+        by_metric: dict[str, list[float]] = {}
         for evaluation in self.evaluations:
             for name, value in evaluation.outcome.metrics.items():
-                found.setdefault(name, []).append(value)
-        return {name: (min(values), max(values)) for name, values in found.items()}
+                by_metric.setdefault(name, []).append(value)
+        return {name: (min(values), max(values)) for name, values in by_metric.items()}
 
     def at(self, context: Context) -> list[Evaluation]:
         """Return the runs in exactly this context."""
@@ -101,10 +101,10 @@ class Earlier:
 
     @cached_property
     def _by_context(self) -> Mapping[frozenset[tuple[str, Value]], list[Evaluation]]:
-        found: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
+        by_context: dict[frozenset[tuple[str, Value]], list[Evaluation]] = {}
         for evaluation in self.evaluations:
-            found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
-        return found
+            by_context.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
+        return by_context
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class EarlierInBrief:
     Attributes
     ----------
     refutations
-        What the parameter set failed on, as in `Earlier`.
+        What the parameter set failed on.
     evaluations
         Number of all runs.
     unread
@@ -161,10 +161,10 @@ class Evidence:
     repeated
         For each context that the search found, evaluations there with fresh noise.
     unvisited
-        By the constraint whose search found them, numbers of more contexts in which nothing was
-        run, as another one had decided.
+        By constraint, how many contexts of its search were not run, because another context had
+        decided the verdict.
     unseen
-        Names of the constraints of whose own contexts none was run for that reason.
+        Names of the constraints that have no run in any context of their search for that reason.
     ranking
         By constraint, what a model over the contexts has of those in `repeated`; empty if each of
         them must show each limit by its own runs.
@@ -243,7 +243,7 @@ class ConstraintVerdict:
     Attributes
     ----------
     name, kind, metric, unit, limit
-        As in the study; the limit in `unit`.
+        Of the constraint in the study; the limit in `unit`.
     side
         Which limit it is: ``upper`` or ``lower``.
     allowed

@@ -221,13 +221,13 @@ def worst_of_all(
     places, which = np.unique(points, axis=0, return_index=True)
     means = model.means(np.empty((1, 0)), places)[0]
     known = list(space.cube_of(candidates))
-    found: list[Context] = []
+    largest: list[Context] = []
     for index in np.argsort(-means, kind="stable"):
-        if len(found) < CARRIED and _is_distinct(places[index], known):
+        if len(largest) < CARRIED and _is_distinct(places[index], known):
             known.append(places[index])
             # The very same context, and not its way to the cube and back.
-            found.append(dict(contexts[which[index]]))
-    return found
+            largest.append(dict(contexts[which[index]]))
+    return largest
 
 
 class _Tried:
@@ -314,7 +314,7 @@ def _local_maxima(
     """Distinct local maxima (m, e) of a function on the unit cube, the largest first."""
     starts = _all_over(space, model, rng)
     best = starts[np.argsort(-function(starts), kind="stable")]
-    found = [
+    ends = [
         minimize(
             lambda x: -float(function(x[None])[0]),
             start,
@@ -324,7 +324,7 @@ def _local_maxima(
         for start in _distinct(best)[:STARTS]
     ]
     # Moves a discrete variable to its nearest possible value.
-    maxima = space.to_cube(space.to_contexts(np.clip(np.array(found), 0.0, 1.0)))
+    maxima = space.to_cube(space.to_contexts(np.clip(np.array(ends), 0.0, 1.0)))
     return _distinct(maxima[np.argsort(-function(maxima), kind="stable")])
 
 

@@ -145,7 +145,7 @@ def decide_draws(
     most
         Largest number of draws.
     confidence
-        As in `judge`.
+        Of all bounds, between 0 and 1.
     earlier
         What was known of the parameter set before.
     others
@@ -227,8 +227,10 @@ def decide_context(
         The evaluations so far, with one at least in the context.
     place
         Index of the context among those of ``evidence.repeated``.
-    most, confidence
-        As in `decide_draws`.
+    most
+        Largest number of draws.
+    confidence
+        Of all bounds, between 0 and 1.
 
     Returns
     -------
@@ -278,7 +280,7 @@ def is_failed(evaluations: Sequence[Evaluation]) -> bool:
 
     Those lost or disturbed at the end can be followed by more, which end it without a verdict.
     """
-    return bool(_failed(evaluations)) and not evaluations[-1].outcome.spoilt
+    return bool(_failed(evaluations)) and not evaluations[-1].outcome.unusable
 
 
 def is_refuted_by(
@@ -318,8 +320,8 @@ def _judge(
             elsewhere = _values(others, constraint.metric)
             assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
         passed = shown and not against
-        said = rule.said_of_draws(counted, unit, confidence, passed=passed)
-        reason = against if shown and against else said
+        reason_of_draws = rule.said_of_draws(counted, unit, confidence, passed=passed)
+        reason = against if shown and against else reason_of_draws
     values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
         name=constraint.name,
@@ -360,18 +362,18 @@ def _in_every_context(
         _worst_context(study, place, constraint, evidence, confidence)
         for place in range(len(evidence.repeated))
     ]
-    found = [context for context, by_model in everywhere if not by_model]
+    by_runs = [context for context, by_model in everywhere if not by_model]
     modelled = tuple(context for context, by_model in everywhere if by_model)
     # A context without a complete evaluation has no mean, and counts as the worst.
     sign = constraint.sign
-    worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+    worst = tuple(sorted(by_runs, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
     refuting = [
         context
         for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
         if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
     ]
-    told = refuting or _failed(evidence.evaluations)
-    if constraint.name in evidence.unseen and not told:
+    decided = refuting or _failed(evidence.evaluations)
+    if constraint.name in evidence.unseen and not decided:
         # Those that were run are the worst ones of other limits.
         worst = ()
     passed, reason = _worst_case(
@@ -450,11 +452,11 @@ def _worst_context(
 def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
     rule = constraint.rule
-    found = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
+    mean = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
     if not isinstance(rule, OnMean) or len(runs.values) < 2:
-        return found
+        return mean
     bound = rule.bound(runs, confidence)
-    return replace(found, upper=bound) if constraint.sign > 0.0 else replace(found, lower=bound)
+    return replace(mean, upper=bound) if constraint.sign > 0.0 else replace(mean, lower=bound)
 
 
 def _said_of_ranking(
@@ -464,19 +466,19 @@ def _said_of_ranking(
     clear = evidence.ranking.get(constraint.name, Ranking()).clear
     far = [w for w in modelled if w.context in clear]
     behind = [w for w in modelled if w.context not in clear]
-    said = []
+    sentences = []
     if far:
-        said.append(
+        sentences.append(
             f"in {text.counted(len(far), 'context')} the limit is kept by far by a model over the "
             f"contexts, which {sum(w.evaluations for w in far)} runs confirm"
         )
     if behind:
-        said.append(
+        sentences.append(
             f"in {text.counted(len(behind), 'context')}, by a model over the contexts not the "
             f"worst, {sum(w.evaluations for w in behind)} runs show the limit with a confidence of "
             f"{100.0 * BEHIND:g} %"
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _contradicted(

@@ -70,7 +70,7 @@ def make_certificate(
     trials = record.method.checked(study, record.trials, record.evaluations)
     surrogates = ranking.models(study, trials)
     in_training = evaluations_of(record.evaluations, trial.parameters)
-    # Draws come last: beyond the most that the model takes they tell the least.
+    # Draws come last: beyond the most that the model takes they add the least.
     fresh = [
         evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION
     ]
@@ -157,10 +157,10 @@ def _busy(study: Study, findings: Findings, backend: str) -> Iterator[str]:
 
 
 def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:
-    """Yield what a device holds in fewer digits than it was told, which is what was measured."""
+    """Yield what a device holds in fewer digits than it was set to; that was measured."""
     for name, value in held.items():
-        told = findings.parameters[name]
-        yield f"{name}: the device holds {value}, in 32 bits, of the {told} that it is told"
+        wanted = findings.parameters[name]
+        yield f"{name}: the device holds {value}, in 32 bits, of the {wanted} that it is told"
 
 
 def _widths(study: Study, evidence: Evidence) -> tuple[SearchWidth, ...]:
@@ -178,9 +178,9 @@ def _held(study: Study, evidence: Evidence) -> dict[str, float]:
     held = {}
     for name, item in study.parameters.items():
         if text := details.get(f"{HOLDS}{item.node}.{item.array or item.parameter}", ""):
-            # Of an array the items stand in brackets, as in JSON.
-            found = json.loads(text)
-            held[name] = found[item.item] if item.array else found
+            # The text of an array is a JSON list.
+            reported = json.loads(text)
+            held[name] = reported[item.item] if item.array else reported
     return {
         name: value
         for name, value in held.items()

@@ -181,7 +181,7 @@ class _Simulation:
                 evidence[: (FEW if few_agree else LEAST_RUNS) - 1] = 0.0
             else:
                 ends = sorted(constraint.sign * (end - constraint.limit) for end in declared)
-                evidence = log_wealth(np.clip(beyond, *ends), 0.0, ends[1])
+                evidence = log_wealth(np.clip(beyond, ends[0], ends[1]), 0.0, ends[1])
         reached = evidence >= log(1.0 / (1.0 - confidence))
         return int(np.argmax(reached)) + 1 if reached.any() else None
 

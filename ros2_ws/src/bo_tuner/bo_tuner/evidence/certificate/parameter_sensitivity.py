@@ -6,7 +6,7 @@ change or a move to a slightly different machine such an optimum may no longer b
 example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a horizon decides whether
 the limits are kept (Table 3).
 
-The ranking steps integers alone. Here real parameters have steps as well: they tell a reader more
+The ranking steps integers alone. Here real parameters have steps as well: they say more to a reader
 than they could decide.
 """
 

@@ -52,7 +52,7 @@ def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) 
     confidence
         Of each bound, between 0 and 1.
     least
-        As in `sequential.mean_bounds`.
+        Values of the first bound that counts; earlier bounds are infinite.
     """
     sample = np.asarray(values, dtype=np.float64)
     count = len(sample)

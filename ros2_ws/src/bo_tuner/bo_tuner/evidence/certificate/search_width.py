@@ -24,7 +24,7 @@ from bo_tuner.study.distributions import Discrete
 from bo_tuner.trials import Context
 
 PROBABILITIES = (0.9, 0.5)
-"""Of meeting the violations whose widths are given."""
+"""Probabilities of meeting a violation for which a width is given."""
 
 PLACES = 20_000
 """Places of a violation that are tried, so that the standard error of a probability is 0.4 %."""
@@ -42,8 +42,8 @@ class SearchWidth:
     probability
         Of meeting it.
     width
-        Smallest width that is met so probably, as a share of the edges of the context box; above 1
-        if none is, infinite if discrete values were not evaluated.
+        Smallest width that is met with this probability, as a share of the edges of the context
+        box; above 1 if none is, infinite if discrete values were not evaluated.
     """
 
     probability: float
@@ -90,16 +90,16 @@ def distances(space: ContextSpace, contexts: Sequence[Context]) -> Array:
 
 def widths_in_words(widths: Iterable[SearchWidth]) -> str:
     """Say what the search would have found; empty if there is nothing to say."""
-    said = [
+    chances = [
         (w.width, f"with a probability of {100.0 * w.probability:.0f} %")
         for w in widths
         if w.width <= 1
     ]
-    if not said:
+    if not chances:
         return ""
-    (width, found), *others = said
+    (width, probability), *others = chances
     rest = "".join(f", one of {other:.2g} {probably}" for other, probably in others)
     return (
         f"a violation of at least {width:.2g} of the box's edges in width would have been found "
-        f"{found}{rest}"
+        f"{probability}{rest}"
     )

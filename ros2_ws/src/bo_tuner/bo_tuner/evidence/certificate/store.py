@@ -1,7 +1,7 @@
 """The certificates of a run, ``RUN/certificates/``: none is ever overwritten.
 
 Each is a pair of files, ``0001.json`` and ``0001_evaluations.csv``; the first has the digest of the
-second. The number tells the order.
+second. The numbers are in the order of making.
 """
 
 import hashlib
@@ -44,8 +44,8 @@ def certificate_paths(folder: Path) -> list[Path]:
     directory = folder / CERTIFICATES
     if not directory.is_dir():
         return []
-    found = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
-    return sorted(found, key=_number, reverse=True)
+    paths = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
+    return sorted(paths, key=_number, reverse=True)
 
 
 def evaluations_path(certificate: Path) -> Path:
@@ -100,7 +100,7 @@ def read_certificate(path: Path, study: Study) -> Certificate:
     Raises
     ------
     RunRecordError
-        If it is none that `validate` has written for a study with these names. One line.
+        If it is not a certificate of `validate` for a study with these names. One line.
     """
     try:
         content = json.loads(read_text(path))
@@ -117,10 +117,10 @@ def read_certificate(path: Path, study: Study) -> Certificate:
     if certificate.parameters_sha256 != parameters_sha256(certificate.parameters):
         raise RunRecordError(f"{path}: its parameters do not match its digest; run validate")
     if content.get("verdict") != certificate.verdict:
-        found = checks.show(content.get("verdict"))
+        recorded = checks.show(content.get("verdict"))
         raise RunRecordError(
-            f"{path}: verdict: expected {certificate.verdict} by its findings, found {found}; run "
-            "validate"
+            f"{path}: verdict: expected {certificate.verdict} by its findings, found {recorded}; "
+            "run validate"
         )
     return certificate
 

@@ -32,7 +32,7 @@ class Row:
     Attributes
     ----------
     label, unit
-        What it is; indented if it tells more of the row above.
+        What it is; indented if it is a detail of the row above.
     values
         Its value for each parameter set.
     """

@@ -54,8 +54,8 @@ def trial_begun(folder: Path, study: Study, trials: Iterable[Trial], backend: st
 def attempt_for(folder: Path, study: Study, parameters: Mapping[str, Value], backend: str) -> int:
     """Return the number of the attempt to certify a parameter set, from 1.
 
-    An unfinished one of the same goes on. One of anything else was given up, and counts if it has
-    an evaluation: whoever gives up what looks undecided, and tries another, would pass too often.
+    An unfinished one of the same parameter set goes on. One of another was given up, and counts if
+    it has an evaluation: giving up undecided attempts and trying others would pass too often.
     """
     begun, following = _begun(folder), next_attempt(folder)
     if begun is None:
@@ -83,8 +83,8 @@ class _Begun:
 def _begun(folder: Path) -> _Begun | None:
     try:
         head, *lines = (folder / CERTIFICATES / UNFINISHED).read_text("utf-8").splitlines()
-        told = json.loads(head)
-        return _Begun(head, str(told["backend"]), int(told["attempt"]), len(lines))
+        header = json.loads(head)
+        return _Begun(head, str(header["backend"]), int(header["attempt"]), len(lines))
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
 
@@ -136,7 +136,7 @@ class Unfinished(RunObserver):
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""
-        if evaluation.recorded or evaluation.outcome.spoilt:
+        if evaluation.recorded or evaluation.outcome.unusable:
             return
         row = dict(zip(COLUMNS["evaluation"], evaluation_row(evaluation), strict=True))
         with writing(self._path):
@@ -162,15 +162,15 @@ class Unfinished(RunObserver):
             first, *lines = self._path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError):
             return []
-        found: list[tuple[Evaluation, str]] = []
+        kept: list[tuple[Evaluation, str]] = []
         if first != head:
-            return found
+            return kept
         for line in lines:
             try:
-                found.append((evaluation_of(json.loads(line)), line))
+                kept.append((evaluation_of(json.loads(line)), line))
             except (ValueError, KeyError, TypeError, RecursionError):
                 break
-        return found
+        return kept
 
 
 def _head(study: Study, parameters: Mapping[str, Value], backend: str, attempt: int) -> str:

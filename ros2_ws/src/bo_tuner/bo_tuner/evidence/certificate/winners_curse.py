@@ -26,8 +26,8 @@ class Gap:
     name, unit
         Name and unit of the quantity.
     observed, observed_error
-        Observed in the trial itself, and its standard error; NaN if not known, as of a worst case,
-        whose largest observation would exceed its mean over noise.
+        Observed in the trial itself, and its standard error; NaN if not known, which is so for a
+        worst case: its largest observation would exceed its mean over noise.
     predicted
         Predicted by the surrogates of all trials, or by the model of the trial's own search.
     validated, validated_error

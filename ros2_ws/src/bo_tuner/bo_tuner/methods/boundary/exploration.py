@@ -1,15 +1,15 @@
-"""When a trial looks elsewhere than where improvement is expected, and where.
+"""When and where a trial explores, instead of following the expected improvement.
 
 Where no limit binds, the search ends at the bottom of the basin that it knows: what further trials
-can gain there is below what their noise lets anyone tell, and a model whose length scales were
-learnt in a wide basin is sure that there is no other. Its own uncertainty cannot say where to look,
-so such a trial goes to the middle of the largest gap between all tried ones, of those places that
-are expected to keep the limits and not to fail. If it finds another basin, the expected gain there
-is large, and the next trials follow it up. The end of the budget refines what was found.
+can gain there is lost in their noise, and a model that has learnt its length scales in a wide basin
+is sure that there is no other. Its own uncertainty cannot say where to look, so such a trial goes
+to the middle of the largest gap between all tried ones, among places that are expected to keep the
+limits and not to fail. If it finds another basin, the expected gain there is large, and the next
+trials follow it up. The end of the budget refines what was found.
 
 Where a limit binds, trials at its boundary are not lost, however small the gain: they show which
-side of it a parameter set is on. That is told by the costs: beyond a limit that binds they are
-lower than within all of them.
+side of it a parameter set is on. Whether one binds is seen in the costs: beyond it they are lower
+than within all limits.
 """
 
 from collections.abc import Sequence
@@ -34,13 +34,13 @@ class Exploration:
     Attributes
     ----------
     until
-        Part of the budget after which none may; 0 for none at all.
+        Part of the budget after which no trial explores; with 0 none does.
     """
 
     until: float = 0.8
 
     def is_due(self, study: Study, trials: int, evaluations: int) -> bool:
-        """Return whether the trial after so many, with so many evaluations, may look elsewhere."""
+        """Return whether the next trial, after those of these numbers, may explore."""
         return study.budget.part_spent(trials, evaluations) < self.until
 
 
@@ -51,7 +51,7 @@ def ends_in_a_basin(
     avoid: float,
     rng: np.random.Generator,
 ) -> bool:
-    """Return whether no limit binds, and the expected gain is below what can be told from noise.
+    """Return whether no limit binds, and the expected gain is lost in the noise.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ def elsewhere(
 ) -> Array | None:
     """Return the middle (d,) of the largest gap between all trials, among random points.
 
-    It is the point with the largest distance to the trials, and to the faces of the cube, lest
-    nearly all of them are at the faces: a place there is half empty. Distances to trials grow with
-    √d, and those to faces count as many times as much.
+    It is the point with the largest distance to the trials, and to the faces of the cube. Else
+    nearly all of them would be at the faces: a place there is half empty. Distances to trials grow
+    with √d, and those to faces count as many times as much.
 
-    None if all of them are expected to fail or to violate a limit. Arguments as in
-    `ends_in_a_basin`.
+    None if all of them are expected to fail or to violate a limit, by the models of all trials;
+    `avoid` is the largest probability of a failure.
     """
     candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
     kept = surrogates.log_feasibility(candidates) >= np.log(BELIEVED_FEASIBLE)

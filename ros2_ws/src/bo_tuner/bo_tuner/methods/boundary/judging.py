@@ -27,17 +27,17 @@ class PooledRanking(Ranking[PooledSurrogates]):
         return latest_hyperparameters(trials)
 
 
-def looks(trial: Trial) -> int:
+def judgements(trial: Trial) -> int:
     """Return how often a parameter set was judged anew after it had been run again.
 
-    It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: whoever
-    looks after each run and stops when it looks well finds a limit kept that is not.
+    It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: judged
+    after each run, until it passes, it would pass too often with a limit that is not kept.
     """
     return max(_repetitions(trial).bit_length() - 1, 0)
 
 
 def runs_until(trial: Trial, judged: int) -> int:
-    """Return after how many further runs a trial has been judged so often, see `looks`."""
+    """Return after how many further runs a trial has been judged anew `judged` times."""
     return int(2**judged) - _repetitions(trial)
 
 
@@ -49,11 +49,11 @@ def required_of(trial: Trial) -> float:
     """Return the probability with which a parameter set counts as feasible if runs are pooled.
 
     What is lacking to 1 is divided by the number of judgements, each as if it were the last: with
-    1, 2, 3 of them the shares are 1, 1/2, 1/3, whose sum is not bounded.
+    1, 2, 3 of them the shares are 1, 1/2, 1/3. Their sum is not bounded.
     """
-    return required_after(looks(trial))
+    return required_after(judgements(trial))
 
 
 def required_after(judged: int) -> float:
-    """Return `required_of` a parameter set that was judged so often."""
+    """Return `required_of` a parameter set that was judged anew `judged` times."""
     return 1.0 - (1.0 - CONFIDENT) / (1 + judged)

@@ -1,4 +1,4 @@
-"""The method `boundary`, whose parts are arguments."""
+"""The method `boundary`; its parts are arguments."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,7 +47,7 @@ from bo_tuner.trials import (
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 MOST_TO_SETTLE = 25
-"""It is settled what the answer is after so many repetitions, or when all are used up.
+"""Repetitions after which the answer is settled, if they are not used up before.
 
 How many it takes differs widely between runs, and hardly depends on how many are allowed.
 """
@@ -82,7 +82,7 @@ class Boundary(Method):
     repetitions
         How many there are.
     own_runs
-        Those that the answer must have.
+        Runs of its own that the answer must have.
     """
 
     title: str
@@ -156,14 +156,14 @@ class Boundary(Method):
             return None
         search = AcquisitionSearch(provable(models, self.ahead), space, self.acquisition, rng)
         search.incumbent = float(study.objective.to_cost(best.objective))
-        found = search.maximize()
-        if found.log_gain is None:
+        maximum = search.maximize()
+        if maximum.log_gain is None:
             return None
         x = space.to_cube(best.trial.parameters)[None]
         complete = EvaluationState.COMPLETE
         evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
         noise = float(np.sqrt(model.variance_of_run(x)[0] / evaluations))
-        return Outlook(search.incumbent, float(np.exp(found.log_gain)), noise)
+        return Outlook(search.incumbent, float(np.exp(maximum.log_gain)), noise)
 
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None

@@ -3,11 +3,11 @@
 A posterior that chooses among many parameter sets is too optimistic of the one that it chooses: the
 errors of the data and of the fit are part of the choice. So the answer must have runs of its own
 where its limits are most doubtful, made after it was chosen or while it was searched. Where the
-worst context is another one than of all parameter sets before, the posterior knows nothing of it:
-the answer must have been run in the corners of the contexts, too, if they are few. What is worth
-further runs is a parameter set that is better than the answer but not shown to be feasible: the one
-with the largest expected gain for each of the runs that are likely to show it. The gain alone would
-prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
+worst context differs from that of all earlier parameter sets, the posterior knows nothing of it:
+the answer must also have been run in the corners of the contexts, if they are few. Further runs go
+to a parameter set that is better than the answer but not shown to be feasible, the one with the
+largest expected gain for each of the runs that are likely to show it. The gain alone would prefer
+one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
 
 Challengers come before the own runs of the answer, which would be lost on one that is then
 replaced. As many runs as the answer lacks are kept in reserve, and no challenger is run that could
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.methods.boundary.judging import looks, required_after, runs_until
+from bo_tuner.methods.boundary.judging import judgements, required_after, runs_until
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.models.pooled_responses import PooledResponse, bound_after
 from bo_tuner.numerics.arrays import Array
@@ -51,7 +51,7 @@ class OwnRuns:
     ----------
     doubtful
         Runs where each limit is most doubtful. Far from a limit that context moves with each run;
-        so many repetitions in such contexts are enough, too.
+        then as many repetitions in all such contexts together are enough.
     corners
         Largest number of corners of the contexts in all of which it must have been run. With more
         of them, the runs that they take are better spent where a limit is doubtful.
@@ -87,7 +87,7 @@ def next_repetition(
     left: int,
     required: OwnRuns,
 ) -> Repetition | None:
-    """Return the runs that tell most of what the answer is; None if that is settled.
+    """Return the runs that do most to settle the answer; None if it is settled.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def next_repetition(
     challenger = _challenger(study, surrogates, candidates, best, left - len(own))
     if challenger is not None:
         doubtful = _doubtful(study, surrogates, challenger.trial)[0]
-        runs = runs_until(challenger.trial, looks(challenger.trial) + 1)
+        runs = runs_until(challenger.trial, judgements(challenger.trial) + 1)
         # These runs are some of its own.
         its_own = len(lacking(study, surrogates, challenger.trial, required))
         if best is None or max(runs + len(own), its_own) <= left:
@@ -121,8 +121,8 @@ def lacking(
     """Return the contexts of the runs of its own that a parameter set lacks to be the answer.
 
     They are made one at a time, since the first of them may show that another one is the answer,
-    and each may move the most doubtful context; so the number is an estimate. Arguments as in
-    `next_repetition`.
+    and each may move the most doubtful context; so the number is an estimate. `required` says how
+    many runs of its own the answer must have.
     """
     doubtful = _doubtful(study, surrogates, trial)
     contexts = [context for context in doubtful if context is not None]
@@ -130,8 +130,8 @@ def lacking(
     made = sum(e.stage is Stage.CHECK_WORST for e in trial.evaluations)
     most = required.doubtful * len(contexts) + int(corners.seen.sum())
     missing = (required.doubtful - _own_runs(study, trial, context) for context in contexts)
-    there = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
-    return there[: max(0, most - made)] + corners.unseen(surrogates, required.corners)
+    missing_contexts = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
+    return missing_contexts[: max(0, most - made)] + corners.unseen(surrogates, required.corners)
 
 
 def _challenger(
@@ -181,12 +181,12 @@ def _plan(
     Returns
     -------
     int
-        Number of runs until one of the next times that it is judged, see `looks`.
+        Number of runs until one of the next times that it is judged, see `judgements`.
     float
         Log probability that it is shown to be feasible then.
     """
     plans: list[tuple[int, float]] = []
-    judged = looks(candidate.trial) + 1
+    judged = judgements(candidate.trial) + 1
     while not plans or runs_until(candidate.trial, judged) <= left:
         runs, required = runs_until(candidate.trial, judged), required_after(judged)
         shown = [
@@ -205,14 +205,14 @@ def _doubtful(study: Study, surrogates: PooledSurrogates, trial: Trial) -> list[
     """
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
-    found: list[tuple[float, Context | None]] = []
+    doubtful: list[tuple[float, Context | None]] = []
     for limit in surrogates.limits:
         point, log_probability = limit.doubtful_context(x)
         context = None
         if point is not None:
             context = contexts.to_dict(contexts.to_contexts(point[None])[0])
-        found.append((log_probability, context))
-    return [context for _, context in sorted(found, key=lambda pair: pair[0])]
+        doubtful.append((log_probability, context))
+    return [context for _, context in sorted(doubtful, key=lambda pair: pair[0])]
 
 
 class _Corners:
@@ -233,8 +233,10 @@ class _Corners:
         """
         if self.seen.all() or len(self.seen) > most:
             return []
-        found = [limit.log_kept_in(self._point[None], self._cube) for limit in surrogates.limits]
-        kept = [log_kept for log_kept in found if log_kept is not None]
+        log_probabilities = [
+            limit.log_kept_in(self._point[None], self._cube) for limit in surrogates.limits
+        ]
+        kept = [log_kept for log_kept in log_probabilities if log_kept is not None]
         if not kept:
             return []
         order = np.argsort(np.sum(kept, axis=0), kind="stable")

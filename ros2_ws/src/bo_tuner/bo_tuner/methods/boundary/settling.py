@@ -42,9 +42,9 @@ class Repetitions:
     share: float = 1.0 / 6.0
 
     def most(self, study: Study, evaluations: int, made: int = 0) -> int:
-        """Return the largest number of repetitions after trials with so many evaluations.
+        """Return the largest number of repetitions after trials with these evaluations.
 
-        They are the share of them, less those that were made already, and at least as many as the
+        It is a share of the evaluations less the repetitions `made` already, and at least what the
         check of one candidate takes.
         """
         if not self.share:
@@ -204,7 +204,7 @@ def with_known_repetitions(
 
 
 def with_all_repetitions(trials: Sequence[Trial], evaluations: Iterable[Evaluation]) -> list[Trial]:
-    """Give trials their repetitions on record; as `Method.checked`.
+    """Give trials their repetitions on record, see `Method.checked`.
 
     A trial that failed when it was run again is no candidate. Worst cases are as they were
     estimated when the trials were run.
@@ -217,7 +217,7 @@ def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
     """Add repetitions to a trial, which has failed if one of them did for its parameters."""
     extended = replace(trial, evaluations=(*trial.evaluations, *repetitions))
     for outcome in (evaluation.outcome for evaluation in repetitions):
-        if not outcome.complete and not outcome.spoilt:
+        if not outcome.complete and not outcome.unusable:
             return replace(extended, state=TrialState.FAILED, reason=outcome.reason)
     return extended
 

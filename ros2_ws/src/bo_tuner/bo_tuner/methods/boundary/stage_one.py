@@ -53,15 +53,14 @@ class AdaptedAvoidance:
 
     A model of crashes is too sure of itself where proposals go, to the edge of the region where
     runs fail, and far from all trials. So each failure lowers the largest probability, which is
-    `failing` at first, and each that ends without one raises it, as much as keeps the share of
-    failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021, on the
-    logarithm).
+    `failing` at first, and each success raises it, by steps that keep the share of failures at
+    `failing` (adaptive conformal inference, Gibbs and Candès, 2021, on the logarithm).
 
     Attributes
     ----------
     failing
-        Share of the proposals that may fail, since a crash can cost a machine more than a run
-        tells.
+        Share of the proposals that may fail, since a crash can cost a machine more than a run is
+        worth.
     adaptation
         Halvings of the largest probability by each failure. A run has some tens of trials, in which
         the bound must be able to find its level: ten in a row that do not fail open almost every
@@ -75,7 +74,7 @@ class AdaptedAvoidance:
         """Return the largest probability of a failure of the next proposal."""
         level, highest = 0.0, np.log2(DOOMED / self.failing)
         for trial in trials[study.budget.initial_trials :]:
-            if trial.spoilt:
+            if trial.unusable:
                 continue
             failed = trial.state is TrialState.FAILED
             level += self.adaptation * (-1.0 if failed else self.failing / (1.0 - self.failing))
@@ -96,13 +95,13 @@ class Schedule:
     searching: float = 0.5
 
     def searches(self, study: Study, trials: int, evaluations: int) -> bool:
-        """Return whether a trial is one of the search, after so many with so many evaluations."""
+        """Return whether the next trial, after these numbers, is one of the search."""
         return study.budget.part_spent(trials, evaluations) < self.searching
 
     def evaluations_ahead(
         self, study: Study, trials: int, evaluations: float, searched: float
     ) -> Iterator[float]:
-        """Yield the evaluations of each trial to come; one of the search has `searched` of them."""
+        """Yield the evaluations of each trial to come: `searched` in one of the search."""
         while study.budget.remaining(trials, round(evaluations)):
             searching = self.searches(study, trials, round(evaluations))
             count = searched if searching else sum(new_point(study))
@@ -167,12 +166,12 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         return self._avoidance(self.study, self.trials)
 
     def _elsewhere_before(self, points: PointRule[PooledSurrogates]) -> PointRule[PooledSurrogates]:
-        """Return a rule that looks elsewhere where `points` have nothing to tell."""
+        """Return a rule that first explores if the search ends in a basin, before `points`."""
 
         def rule(
             surrogates: PooledSurrogates, rng: np.random.Generator
         ) -> Iterator[tuple[Array, str]]:
-            # Of its own, so that the search goes on as without this question.
+            # A generator of its own, so that the search draws the same with and without this check.
             (own,) = rng.spawn(1)
             if ends_in_a_basin(surrogates, self.space, self._acquisition, self.avoid, own):
                 tried = [*self.trials, *self.pending]
@@ -197,7 +196,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
 
 
 def provable(surrogates: PooledSurrogates, ahead: int) -> Surrogates:
-    """Return surrogates with the probability that so many runs show a limit kept for its own."""
+    """Return surrogates that predict whether `ahead` runs would show each limit kept."""
     constraints = {
         name: FutureBound(response, ahead, CONFIDENT)
         for name, response in surrogates.constraints.items()

@@ -28,7 +28,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial, WorstCase
 
 EXPECTED_CHECKS = 2
-"""Candidates that are checked, as if every other one passed."""
+"""Candidates that are expected to be checked: as if every other one passed."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class CandidateCheck:
         return self.most * most_check_evaluations(study)
 
     def expected_evaluations(self, study: Study, made: int) -> int:
-        """Return how many are to come after so many: up to the end of the second check and on."""
+        """Return how many evaluations are expected after those `made`: two checks or more."""
         size = most_check_evaluations(study)
         ended = made // size
         expected = min(max(EXPECTED_CHECKS, ended + 1), self.most)
@@ -65,9 +65,8 @@ class CheckedAnswer(AnswerSearch):
     """The search for the answer by checks of candidates.
 
     The trials are ranked again after each check, until the first in rank has passed its check. An
-    evaluation that tells nothing of the parameters, since its nodes were lost or others disturbed
-    it, is asked for again. Those of one check are independent of each other, but none follows one
-    that failed.
+    unusable evaluation, lost with its nodes or disturbed by others, is asked for again. Those of
+    one check are independent of each other, but none follows one that failed.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ class CheckedAnswer(AnswerSearch):
         if trial is None:
             return False
         self._awaited -= 1
-        if not evaluation.outcome.spoilt:
+        if not evaluation.outcome.unusable:
             self._check[evaluation.index - len(trial.evaluations)] = evaluation
         if self._awaited or not (self._failed or len(self._check) == len(self._plan)):
             return False
@@ -146,7 +145,7 @@ class CheckedAnswer(AnswerSearch):
         ranked = self._ranking.rank(self._study, list(self._latest.values()))
         if not ranked:
             return None
-        # In a space smaller than the budget trials repeat a set, which has one check all the same.
+        # In a space smaller than the budget trials repeat a set; each set is checked once.
         sets = {self._latest[number].parameter_set for number in self._checked}
         open_ones = [
             candidate
@@ -197,7 +196,7 @@ class CheckedAnswer(AnswerSearch):
 def with_checks(
     study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
 ) -> list[Trial]:
-    """Give trials their checks on record; as `Method.checked`."""
+    """Give trials their checks on record, see `Method.checked`."""
     known = repetitions_of(evaluations)
     return [with_check(study, trial, known.get(trial.number, ()))[0] for trial in trials]
 
@@ -233,19 +232,19 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
     )
     samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
     repeated = [e for e in check if e.stage is Stage.CHECK_WORST]
-    found: dict[str, WorstCase] = {}
+    worst_cases: dict[str, WorstCase] = {}
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases.get(constraint.name)
         if worst is None:
             continue
-        there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
-        holds = holds and not refuted(constraint, there) and samples[constraint.name].agrees
-        found[constraint.name] = replace(
+        values = _values([e for e in repeated if e.context == worst.context], constraint.metric)
+        holds = holds and not refuted(constraint, values) and samples[constraint.name].agrees
+        worst_cases[constraint.name] = replace(
             worst,
-            value=float(np.mean(there)),
-            observed=constraint.farthest([worst.observed, *there]),
+            value=float(np.mean(values)),
+            observed=constraint.farthest([worst.observed, *values]),
         )
-    return replace(extended, worst_cases=found), holds
+    return replace(extended, worst_cases=worst_cases), holds
 
 
 def _size(trial: Trial) -> int:
@@ -255,11 +254,11 @@ def _size(trial: Trial) -> int:
 
 def _worst_contexts(trial: Trial) -> list[Context]:
     """Return the different worst contexts of a trial, in the order of the constraints."""
-    found: list[Context] = []
+    contexts: list[Context] = []
     for worst in trial.worst_cases.values():
-        if dict(worst.context) not in found:
-            found.append(dict(worst.context))
-    return found
+        if dict(worst.context) not in contexts:
+            contexts.append(dict(worst.context))
+    return contexts
 
 
 def _values(evaluations: Sequence[Evaluation], metric: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""The stages of the paper, as a method whose parts are arguments."""
+"""The stages of the paper as a method; its parts are arguments."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -106,15 +106,15 @@ class PaperMethod(Method):
             search = AcquisitionSearch(surrogates, study.search_space(), self.acquisition, rng)
             if search.incumbent is None:
                 return None
-            found = search.maximize()
+            maximum = search.maximize()
         except (ArithmeticError, np.linalg.LinAlgError, ValueError):
             return None
-        if found.log_gain is None:
+        if maximum.log_gain is None:
             return None
         means = model.predict_mean(model.points)
         row = int(np.flatnonzero(search.feasible)[np.argmin(means[search.feasible])])
         noise = float(np.sqrt(model.noise_variance / model.counts[row]))
-        return Outlook(search.incumbent, float(np.exp(found.log_gain)), noise)
+        return Outlook(search.incumbent, float(np.exp(maximum.log_gain)), noise)
 
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None

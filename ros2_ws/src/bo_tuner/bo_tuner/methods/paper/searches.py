@@ -24,7 +24,8 @@ class EachTrial(SearchRule):
     Attributes
     ----------
     estimate
-        Of the worst case: ``posterior`` or ``observed``, as in `ReinterpolationSearch`.
+        Of the worst case: ``posterior``, the largest posterior mean over all contexts, or
+        ``observed``, the largest observation.
     neighbour_starts
         Largest number of starting contexts, which are the worst contexts of neighbouring trials.
     """

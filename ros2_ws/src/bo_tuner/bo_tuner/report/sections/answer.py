@@ -177,8 +177,8 @@ def _limits(analysis: Analysis) -> list[Tile]:
 
 def _limit(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
-    found = "" if quantity.found is None else quantity.found.words
-    return f"{quantity.label} {tuned} (default {default}), limit {quantity.limit_in_words}: {found}"
+    words = "" if quantity.found is None else quantity.found.words
+    return f"{quantity.label} {tuned} (default {default}), limit {quantity.limit_in_words}: {words}"
 
 
 def _details(verdict: Verdict) -> Iterator[str]:
@@ -190,20 +190,20 @@ def _details(verdict: Verdict) -> Iterator[str]:
 
 def _status(quantity: Quantity) -> Status:
     """Return the mark of a limit: good only for one that is shown to be kept."""
-    if (found := quantity.found) is None or found.standing is Standing.OPEN:
-        return Status.WARNING if found is not None and found.exceeds else Status.OPEN
-    return Status.GOOD if found.standing is Standing.SHOWN else Status.BAD
+    if (limit := quantity.found) is None or limit.standing is Standing.OPEN:
+        return Status.WARNING if limit is not None and limit.exceeds else Status.OPEN
+    return Status.GOOD if limit.standing is Standing.SHOWN else Status.BAD
 
 
 def _trust(analysis: Analysis) -> Tile:
     """Return the tile of the certificate."""
     verdict = analysis.verdict
-    found, result = analysis.certificate, analysis.answer
-    if found is not None and result is not None and found.is_of(result):
-        return Tile("trust", verdict.certificate, "", [found.scope], verdict.status)
-    if found is not None:
-        scope = f"of trial {found.trial}, which is not the result"
-        value = PASS if found.passed else FAIL
+    certificate, result = analysis.certificate, analysis.answer
+    if certificate is not None and result is not None and certificate.is_of(result):
+        return Tile("trust", verdict.certificate, "", [certificate.scope], verdict.status)
+    if certificate is not None:
+        scope = f"of trial {certificate.trial}, which is not the result"
+        value = PASS if certificate.passed else FAIL
         return Tile("trust", value, "", [scope], Status.WARNING)
     if analysis.certificate_problem:
         return Tile("trust", "certificate not readable", "", ["run validate again"], Status.WARNING)

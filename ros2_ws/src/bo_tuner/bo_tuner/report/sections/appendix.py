@@ -27,8 +27,8 @@ def all_trials(analysis: Analysis) -> Section:
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
         row += [number(trial.mean(metric.name)) for metric in metrics]
-        found = [trial.worst_cases.get(constraint.name) for constraint in worst]
-        row += [number(None if item is None else item.value) for item in found]
+        worst_cases = [trial.worst_cases.get(constraint.name) for constraint in worst]
+        row += [number(None if item is None else item.value) for item in worst_cases]
         row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]
         rows.append(row)
     return Section(

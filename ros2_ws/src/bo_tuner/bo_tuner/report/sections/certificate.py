@@ -37,8 +37,8 @@ def certificate(record: RunRecord, answer: Trial | None) -> tuple[Certificate, S
         return None
     path = None if answer is None else latest_certificate(record, answer)
     path = path or next((path for path in paths if _is_readable(path, record.study)), paths[0])
-    found = read_certificate(path, record.study)
-    return found, _section(record.study, found, path.relative_to(record.path))
+    latest = read_certificate(path, record.study)
+    return latest, _section(record.study, latest, path.relative_to(record.path))
 
 
 def _is_readable(path: Path, study: Study) -> bool:

@@ -67,7 +67,7 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
     """Name the worst evaluation of each side, and how many violate the limit."""
     metric = _metric(study, constraint)
     sign = study.objective.sign if constraint is None else constraint.sign
-    found = "; ".join(
+    worst_of_sides = "; ".join(
         f"{name}: {quantity(worst.outcome.metrics[metric.name], metric.unit)} at "
         f"{values(worst.context)}"
         for name, evaluations in sides
@@ -75,7 +75,7 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
     )
     extreme = "Largest" if sign > 0.0 else "Smallest"
     where = "in the tuning run (without those of certificates)"
-    text = f"{extreme} {metric.name} {where}: {found}."
+    text = f"{extreme} {metric.name} {where}: {worst_of_sides}."
     if constraint is None:
         return text
     limit = quantity(constraint.limit, metric.unit)
@@ -241,6 +241,6 @@ def _summary(side: Side, metric: Metric) -> str:
 
 
 def _describe(evaluation: Evaluation, metric: Metric) -> str:
-    found = quantity(evaluation.outcome.metrics[metric.name], metric.unit)
+    value = quantity(evaluation.outcome.metrics[metric.name], metric.unit)
     origin = f"stage {evaluation.stage}, seed {evaluation.seed}"
-    return f"{metric.name} {found}\n{values(evaluation.context)}\n{origin}"
+    return f"{metric.name} {value}\n{values(evaluation.context)}\n{origin}"

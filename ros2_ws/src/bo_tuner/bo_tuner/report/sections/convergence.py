@@ -43,14 +43,14 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.summary import continued
 
 MOST_INCUMBENTS = 40
-"""The incumbent of a run of up to `FITTED_EACH` trials is computed at about so many points."""
+"""Points at which the incumbent of a run of up to `FITTED_EACH` trials is computed, about."""
 GROWTH = 1.2
 """Ratio of the numbers of trials between two points of a longer run.
 
 At even distances, the models of hundreds of trials would take most of the time of the report.
 """
 
-LOOKS = {
+STYLES = {
     TrialOutcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
     TrialOutcome.UNCERTAIN: (Color.SKY, Marker.CIRCLE, False),
     TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
@@ -73,8 +73,8 @@ def convergence(analysis: Analysis) -> Section:
             _worst_case(analysis, constraint, numbered("worst-cases", k))
             for k, constraint in enumerate(study.worst_case_constraints)
         ]
-    counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
-    outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
+    counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in STYLES]
+    outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, STYLES, strict=True) if n)
     lead = f"{count_trials(trials)} of {study.budget.trials} trials, in {_test_runs(analysis)}"
     return Section(
         name="convergence",
@@ -106,8 +106,8 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     lines.append(f"mean {study.objective.metric} {quantity(mean, unit)}")
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases[constraint.name]
-        found = quantity(worst.value, study.metrics[constraint.metric].unit)
-        lines.append(f"worst {constraint.metric} {found} at {values(worst.context)}")
+        estimate = quantity(worst.value, study.metrics[constraint.metric].unit)
+        lines.append(f"worst {constraint.metric} {estimate} at {values(worst.context)}")
     return "\n".join(lines)
 
 
@@ -115,7 +115,7 @@ def _objective(analysis: Analysis) -> Figure:
     study, trials = analysis.study, analysis.trials
     y, sign = mean_axis(study, study.objective), study.objective.sign
     means = np.array([analysis.mean_objective(trial) for trial in trials])
-    found = incumbents(analysis)
+    best_by_trial = incumbents(analysis)
     line = "predicted by the models, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:
         line = "the mean of its test runs; it may rise where another objective gains more"
@@ -129,13 +129,13 @@ def _objective(analysis: Analysis) -> Figure:
         f"Mean {study.objective.metric} of each trial, and of the best so far",
         caption="The best so far is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. {_edge_in_words(sign)}",
-        alternative=_summary(analysis, found),
+        alternative=_summary(analysis, best_by_trial),
         panels=[
             Panel(
                 x=Axis(label="trial"),
                 y=y,
                 elements=[
-                    *_incumbent_lines(found, places, edge, study),
+                    *_incumbent_lines(best_by_trial, places, edge, study),
                     *default,
                     *trial_points(analysis, trials, places, _on_scale(means, edge, sign)),
                     *far,
@@ -150,22 +150,22 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     """Show what the limit is held against: the mean in the worst context, or a quantile there."""
     sign, metric = constraint.sign, analysis.study.metrics[constraint.metric]
     estimates = [t.worst_cases.get(constraint.name) for t in analysis.trials]
-    found = np.array(
+    decisive_values = np.array(
         [math.nan if worst is None else decisive(constraint, worst) for worst in estimates]
     )
-    edge = _edge(analysis, found, Scale.LINEAR, sign, [constraint.limit])
+    edge = _edge(analysis, decisive_values, Scale.LINEAR, sign, [constraint.limit])
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
     label, side = f"worst {metric.name}", "below" if sign > 0.0 else "above"
     if constraint.rule.on_runs:
         level = constraint.level if sign > 0.0 else constraint.allowed
         label = f"worst {level:.4g} quantile of {metric.name}"
-    places = np.arange(len(found), dtype=float)
+    places = np.arange(len(decisive_values), dtype=float)
     return Figure(
         name=name,
         title=f"Which trials stay within the limit of {metric.name} in their worst context?",
         caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. "
         f"{_edge_in_words(sign)}",
-        alternative=f"{within} of {len(found)} trials stay within the limit of "
+        alternative=f"{within} of {len(decisive_values)} trials stay within the limit of "
         f"{quantity(constraint.limit, metric.unit)}.",
         panels=[
             Panel(
@@ -173,8 +173,10 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
                 y=Axis(label=label, unit=metric.unit),
                 elements=[
                     Limit(value=constraint.limit, name="limit"),
-                    *trial_points(analysis, analysis.trials, places, _on_scale(found, edge, sign)),
-                    *_off_scale(analysis, places, found, edge, sign),
+                    *trial_points(
+                        analysis, analysis.trials, places, _on_scale(decisive_values, edge, sign)
+                    ),
+                    *_off_scale(analysis, places, decisive_values, edge, sign),
                 ],
             )
         ],
@@ -212,7 +214,7 @@ def outcome_points(
     """Return a point for each trial at (x, y), by its outcome."""
     drawn: list[Element] = []
     outcomes = np.array([analysis.outcome(trial) for trial in trials])
-    for kind, (color, marker, filled) in LOOKS.items():
+    for kind, (color, marker, filled) in STYLES.items():
         chosen = np.flatnonzero(outcomes == kind)
         if len(chosen):
             drawn.append(
@@ -254,11 +256,11 @@ def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
     counts = _counts(len(analysis.record.trials))
     known = analysis.known.incumbents
-    found = [(n - 1, remembered(known, n, partial(_incumbent, analysis, n))) for n in counts]
-    return [(k, candidate) for k, candidate in found if candidate is not None]
+    candidates = [(n - 1, remembered(known, n, partial(_incumbent, analysis, n))) for n in counts]
+    return [(k, candidate) for k, candidate in candidates if candidate is not None]
 
 
-def known_incumbents(found: Mapping[int, Candidate | None]) -> Known:
+def known_incumbents(incumbents_by_count: Mapping[int, Candidate | None]) -> Known:
     """Return what an `Analysis` may know of the incumbents that a run has found.
 
     Those of more than `FITTED_EACH` trials are left out: where a run has recorded no
@@ -266,10 +268,12 @@ def known_incumbents(found: Mapping[int, Candidate | None]) -> Known:
 
     Parameters
     ----------
-    found
+    incumbents_by_count
         By the number of trials known then.
     """
-    return Known({count: best for count, best in found.items() if count <= FITTED_EACH})
+    return Known(
+        {count: best for count, best in incumbents_by_count.items() if count <= FITTED_EACH}
+    )
 
 
 def _counts(total: int) -> list[int]:
@@ -309,19 +313,19 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
 
 
 def _incumbent_lines(
-    found: Sequence[tuple[int, Candidate]], x: Array, worst: float, study: Study
+    best_by_trial: Sequence[tuple[int, Candidate]], x: Array, worst: float, study: Study
 ) -> list[Element]:
     """Return two lines up to the worst value shown: feasible and least violating incumbents."""
     within = min if study.objective.sign > 0 else max
     lines: list[Element] = []
-    places = [x[k] for k, _ in found]
+    places = [x[k] for k, _ in best_by_trial]
     for feasible, name, color, dash in (
         (True, "best so far", Color.BLUE, Dash.SOLID),
         (False, "best so far, not likely within limits", Color.GRAY, Dash.DOTTED),
     ):
         y = [
             within(c.objective, worst) if c.believed_feasible is feasible else math.nan
-            for _, c in found
+            for _, c in best_by_trial
         ]
         if not np.all(np.isnan(y)):
             lines.append(
@@ -332,7 +336,7 @@ def _incumbent_lines(
                     color=color,
                     dash=dash,
                     step=True,
-                    hover=[f"{name}: trial {c.trial.number}" for _, c in found],
+                    hover=[f"{name}: trial {c.trial.number}" for _, c in best_by_trial],
                 )
             )
     return lines
@@ -340,8 +344,8 @@ def _incumbent_lines(
 
 def _default_line(analysis: Analysis) -> list[Limit]:
     metric = analysis.study.objective.metric
-    found = analysis.verdict.quantities
-    values = [q.default for q in found if q.objective and q.metric == metric]
+    quantities = analysis.verdict.quantities
+    values = [q.default for q in quantities if q.objective and q.metric == metric]
     if not values or math.isnan(values[0]):
         return []
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
@@ -389,8 +393,8 @@ def _edge(
 
 def _beyond(values: Array, edge: float, sign: float) -> NDArray[np.bool_]:
     """Return which values (n,) are off the scale."""
-    found: NDArray[np.bool_] = sign * values > sign * edge
-    return found
+    beyond: NDArray[np.bool_] = sign * values > sign * edge
+    return beyond
 
 
 def _on_scale(values: Array, edge: float, sign: float) -> Array:
@@ -403,7 +407,7 @@ def _on_scale(values: Array, edge: float, sign: float) -> Array:
 def _off_scale(
     analysis: Analysis, places: Array, values: Array, edge: float, sign: float
 ) -> list[Element]:
-    """Return a mark at the edge for each trial whose value is beyond, named with the farthest."""
+    """Return a mark at the edge for each trial with a value beyond, named with the farthest."""
     far = np.flatnonzero(_beyond(values, edge, sign))
     if not len(far):
         return []
@@ -425,9 +429,9 @@ def _off_scale(
     ]
 
 
-def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
+def _summary(analysis: Analysis, best_by_trial: Sequence[tuple[int, Candidate]]) -> str:
     unit = analysis.study.metrics[analysis.study.objective.metric].unit
-    feasible = [(k, c) for k, c in found if c.believed_feasible]
+    feasible = [(k, c) for k, c in best_by_trial if c.believed_feasible]
     if not feasible:
         return "No trial is likely within limits."
     (_, first), (_, last) = feasible[0], feasible[-1]

@@ -8,7 +8,7 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, Line, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
-from bo_tuner.report.sections.trajectories import LOOKS
+from bo_tuner.report.sections.trajectories import STYLES
 from bo_tuner.study.constraint import Constraint
 
 
@@ -61,12 +61,12 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
                     dash=Dash.DOTTED,
                 )
             )
-    for (name, (color, dash)), found in zip(LOOKS.items(), verdict.observed or (), strict=True):
-        values = np.sort([m[metric.name] for m in found.drawn.values() if metric.name in m])
+    for (name, (color, dash)), side in zip(STYLES.items(), verdict.observed or (), strict=True):
+        values = np.sort([m[metric.name] for m in side.drawn.values() if metric.name in m])
         if not len(values) or isnan(values[0]):
             continue
         # A failed draw has no value, so the line ends below 100 %.
-        shares = 100.0 * np.arange(1, len(values) + 1) / max(found.draws, len(values))
+        shares = 100.0 * np.arange(1, len(values) + 1) / max(side.draws, len(values))
         elements.append(
             Line(
                 x=np.concatenate([values[:1], values]),

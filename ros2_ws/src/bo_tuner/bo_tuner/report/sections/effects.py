@@ -40,15 +40,15 @@ def effects(analysis: Analysis) -> Section | None:
     study, answer = analysis.study, analysis.answer
     steps = parameter_sensitivity(study, answer.parameters, analysis.models)
     shares = {} if analysis.quick else _shares(analysis)
-    found = {item.parameter: item for item in analysis.verdict.effects}
-    if steps is None and not shares and not found:
+    by_parameter = {item.parameter: item for item in analysis.verdict.effects}
+    if steps is None and not shares and not by_parameter:
         return None
     names = study.search_space().names
     header = ["parameter", analysis.answer_name]
     if steps is not None:
         header += ["one step down", "one step up"]
     header += [f"share of {response}" for response in shares]
-    if found:
+    if by_parameter:
         header.append("seen to move")
     rows = []
     for k, name in enumerate(names):
@@ -56,8 +56,8 @@ def effects(analysis: Analysis) -> Section | None:
         if steps is not None:
             row += _steps(analysis, steps, name)
         row += [_share(totals[k]) for totals in shares.values()]
-        if found:
-            row.append(_moved(found.get(name)))
+        if by_parameter:
+            row.append(_moved(by_parameter.get(name)))
         rows.append(row)
     count = 0 if steps is None else 2
     return Section(
@@ -72,7 +72,7 @@ def effects(analysis: Analysis) -> Section | None:
                 numeric=[1, *range(2 + count, 2 + count + len(shares))],
             )
         ],
-        notes=_notes(analysis, steps, shares, bool(found)),
+        notes=_notes(analysis, steps, shares, bool(by_parameter)),
     )
 
 
@@ -90,10 +90,10 @@ def _lead(steps: ParameterSensitivity | None) -> list[str]:
 
 def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
     """Name the parameter that matters most for each response."""
-    names, found = analysis.study.search_space().names, analysis.verdict.effects
-    moved = {e.metric for item in found for e in item.effects if e.seen}
-    # Of a response that none was seen to move, the model has explained noise.
-    still = {_mean(name) for name in analysis.study.metrics if found and name not in moved}
+    names, parameters = analysis.study.search_space().names, analysis.verdict.effects
+    moved = {e.metric for item in parameters for e in item.effects if e.seen}
+    # Where no parameter was seen to move a response, the model has explained noise.
+    still = {_mean(name) for name in analysis.study.metrics if parameters and name not in moved}
     return [
         f"{response}: no effect was seen."
         if response in still
@@ -138,14 +138,14 @@ def _change(name: str, old: Value, new: Value, *, alone: bool) -> str:
     return f"{of}{difference:+d}" if isinstance(difference, int) else f"{of}{difference:+.3g}"
 
 
-def _moved(found: ParameterEffects | None) -> str:
+def _moved(parameter: ParameterEffects | None) -> str:
     """Return the metrics that a parameter was seen to move, with the largest differences."""
-    if found is None:
+    if parameter is None:
         return "–"
-    seen = [f"{e.metric} ({amount(abs(e.change), e)})" for e in found.effects if e.seen]
+    seen = [f"{e.metric} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
     if seen:
         return ", ".join(seen)
-    visible = [_visible(e) for e in found.effects if not isinf(e.visible)]
+    visible = [_visible(e) for e in parameter.effects if not isinf(e.visible)]
     return f"nothing; visible would have been {', '.join(visible)}" if visible else "nothing"
 
 
@@ -183,7 +183,7 @@ def _mean(metric: str) -> str:
 def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
     """Return each response by its name, with its value (N,) in each of the trials."""
     study = analysis.study
-    found = [
+    means = [
         (_mean(name), np.array([np.mean(trial.observations(name)) for trial in trials]))
         for name in study.metrics
     ]
@@ -195,7 +195,7 @@ def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array
         for item in study.worst_case_constraints
         if all(item.name in trial.worst_cases for trial in trials)
     ]
-    return worst + found
+    return worst + means
 
 
 def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:

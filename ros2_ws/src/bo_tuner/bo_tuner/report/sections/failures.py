@@ -10,7 +10,7 @@ from bo_tuner.text import values, with_unit
 from bo_tuner.trials import Evaluation, Trial
 
 MOST_NOTES = 10
-"""Evaluations whose gaps in signals are told one by one."""
+"""Evaluations with gaps in signals that are listed one by one."""
 
 
 def failures(analysis: Analysis) -> Section:
@@ -40,7 +40,7 @@ def failures(analysis: Analysis) -> Section:
 
 
 def _gaps(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Name the evaluations whose signals have gaps, as of the first few what these are."""
+    """Name the evaluations with gaps in their signals, and the gaps of the first few."""
     marked = [e for e in evaluations if e.outcome.complete and e.outcome.note]
     notes = [f"Gaps in signals, {e.place}: {e.outcome.note}." for e in marked[:MOST_NOTES]]
     if rest := len(marked) - len(notes):

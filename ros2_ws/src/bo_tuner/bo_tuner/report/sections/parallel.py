@@ -11,7 +11,7 @@ from bo_tuner.trials import Trial
 FEWEST = 4
 """Number of tuned parameters from which on two at a time no longer show a run."""
 
-LOOKS = {
+STYLES = {
     TrialOutcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
     TrialOutcome.UNCERTAIN: (Color.SKY, Dash.DOTTED, 1.2),
     TrialOutcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
@@ -25,7 +25,7 @@ def parallel(analysis: Analysis) -> Section | None:
     if space.dimension < FEWEST or not analysis.trials:
         return None
     elements: list[Element] = []
-    for kind, (color, dash, width) in LOOKS.items():
+    for kind, (color, dash, width) in STYLES.items():
         chosen = [trial for trial in analysis.trials if analysis.outcome(trial) == kind]
         if chosen:
             elements.append(_lines(analysis, chosen, kind, color, dash, width))

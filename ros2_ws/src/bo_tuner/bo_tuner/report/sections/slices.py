@@ -73,7 +73,7 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
         for cost in (mean, mean - sigma, mean + sigma)
     )
     blind = analysis.blind(points)
-    # Trials have no cost of the compromise that their own evaluations would tell.
+    # The cost of the compromise cannot be computed from a trial's own evaluations.
     near = _near(analysis, answer, grid) if len(study.objectives) == 1 else []
     y = [analysis.mean_objective(trial) for trial in near]
     return Panel(

@@ -23,37 +23,37 @@ def tolerance(analysis: Analysis) -> Section | None:
         tolerances = context_tolerances(study, analysis.evaluations_of(answer.parameters))
     if not tolerances:
         return None
-    limited = [_limited(study, found) for found in tolerances]
+    limited = [_limited(study, item) for item in tolerances]
     return Section(
         name="tolerance",
         title="How far may the machine drift?",
         lead=" ".join(map(_lead, tolerances, limited)),
-        tables=[_table(found) for found in tolerances],
+        tables=[_table(item) for item in tolerances],
         notes=[
-            *(_note(found, analysis.answer_set) for found in tolerances),
+            *(_note(item, analysis.answer_set) for item in tolerances),
             "There are no predictions outside the ranges of the study.",
         ],
     )
 
 
-def _limited(study: Study, found: ContextTolerance) -> str:
-    constraint = study.constraints[found.constraint]
+def _limited(study: Study, item: ContextTolerance) -> str:
+    constraint = study.constraints[item.constraint]
     return study.titled(constraint, constraint.limited)
 
 
-def _lead(found: ContextTolerance, limited: str) -> str:
-    first = found.variables[0]
+def _lead(item: ContextTolerance, limited: str) -> str:
+    first = item.variables[0]
     return (
         f"{limited} is most sensitive to {first.name}: at its nominal value the worst "
-        f"case would be {found.relieved} by {quantity(first.relief.median, found.unit)} "
+        f"case would be {item.relieved} by {quantity(first.relief.median, item.unit)} "
         f"({number(first.relief.low)} to {number(first.relief.high)})."
     )
 
 
-def _table(found: ContextTolerance) -> Table:
+def _table(item: ContextTolerance) -> Table:
     return Table(
         caption=f"Tolerated ranges, with {100.0 * CREDIBLE:g} % credible bands where the limit "
-        f"{found.constraint} is violated within the range of the study",
+        f"{item.constraint} is violated within the range of the study",
         header=["", "unit", "nominal", "alone", "others as in the worst context"],
         rows=[
             [
@@ -63,17 +63,17 @@ def _table(found: ContextTolerance) -> Table:
                 f"{v.down.in_words} to {v.up.in_words}",
                 f"{v.worst_down.in_words} to {v.worst_up.in_words}",
             ]
-            for v in found.variables
+            for v in item.variables
         ],
         numeric=[2],
     )
 
 
-def _note(found: ContextTolerance, subject: str) -> str:
+def _note(item: ContextTolerance, subject: str) -> str:
     return (
-        f"From {found.evaluations} test runs of the {subject}. The mean "
-        f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
-        f"nominal context and {quantity(found.worst.median, found.unit)} "
-        f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "
-        f"({values(found.worst_context)}); the limit is {quantity(found.limit, found.unit)}."
+        f"From {item.evaluations} test runs of the {subject}. The mean "
+        f"{item.metric} over noise is {quantity(item.nominal.median, item.unit)} in the "
+        f"nominal context and {quantity(item.worst.median, item.unit)} "
+        f"({number(item.worst.low)} to {number(item.worst.high)}) in the worst one "
+        f"({values(item.worst_context)}); the limit is {quantity(item.limit, item.unit)}."
     )

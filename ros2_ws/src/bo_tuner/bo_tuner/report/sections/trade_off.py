@@ -189,13 +189,13 @@ def _moved_limits(
 ) -> dict[int, list[float]]:
     """Return the limits that lead to the same best trial, by its index; `NONE` if none keeps them.
 
-    A trial is within a limit as the verdicts of trials have it. Trials whose means differ by no
-    more than their noise are the same. A limit outside the declared range of its metric is none.
+    A trial is within a limit if its verdict says so. Trials with means that differ by no more than
+    their noise are the same. A limit outside the declared range of its metric is none.
     """
     study = analysis.study
     low, high = study.metrics[constraint.metric].range or (-np.inf, np.inf)
     cost = study.objective.sign * means
-    found: dict[int, list[float]] = {}
+    limits_by_trial: dict[int, list[float]] = {}
     # Those of a limit of 0 are all the same.
     for limit in dict.fromkeys(sorted(factor * constraint.limit for factor in LIMITS)):
         if not low < limit < high:
@@ -205,9 +205,9 @@ def _moved_limits(
         other = replace(study, constraints={**study.constraints, constraint.name: moved})
         within = np.flatnonzero([outcome_in_words(other, trial) == WITHIN for trial in trials])
         best = int(within[np.argmin(cost[within])]) if len(within) else NONE
-        alike = [k for k in found if _alike(analysis, trials, k, best)]
-        found.setdefault(alike[0] if alike else best, []).append(limit)
-    return found
+        alike = [k for k in limits_by_trial if _alike(analysis, trials, k, best)]
+        limits_by_trial.setdefault(alike[0] if alike else best, []).append(limit)
+    return limits_by_trial
 
 
 def _alike(analysis: Analysis, trials: list[Trial], one: int, other: int) -> bool:
@@ -224,10 +224,10 @@ def _alike(analysis: Analysis, trials: list[Trial], one: int, other: int) -> boo
 
 def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
     """Return the default as the verdict has it; nothing before a verdict compares it."""
-    study, found = analysis.study, analysis.verdict.quantities
+    study, quantities = analysis.study, analysis.verdict.quantities
     objective = study.objective.metric
-    means = [q.default for q in found if q.metric == objective and q.difference is not None]
-    largest = [q for q in found if q.constraint == constraint.name]
+    means = [q.default for q in quantities if q.metric == objective and q.difference is not None]
+    largest = [q for q in quantities if q.constraint == constraint.name]
     if not means or not largest or not np.isfinite([means[0], largest[0].default]).all():
         return []
     return [

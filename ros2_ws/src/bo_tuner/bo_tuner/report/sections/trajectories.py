@@ -32,8 +32,8 @@ from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Trial, Value
 
 TIME = "time"
-Look = tuple[Color, Dash]
-LOOKS = {DEFAULT: (Color.ORANGE, Dash.SOLID), TUNED: (Color.BLUE, Dash.SOLID)}
+Style = tuple[Color, Dash]
+STYLES = {DEFAULT: (Color.ORANGE, Dash.SOLID), TUNED: (Color.BLUE, Dash.SOLID)}
 MOST_SAMPLES = 2000
 """Largest number of samples of a signal in the page; longer signals are decimated."""
 
@@ -101,41 +101,41 @@ def trajectories(analysis: Analysis) -> Section | None:
     """Show the signals; None while there is no answer."""
     if analysis.answer is None:
         return None
-    found = responses(analysis)
+    signals = responses(analysis)
     figures: tuple[Figure, ...] = ()
-    if found.panels:
+    if signals.panels:
         figures = (
             Figure(
                 name="trajectories",
                 title="What does it do? Each signal of default and "
                 f"{analysis.answer_name}, over time",
-                caption=f"{found.caption} Drag across a panel to zoom in; double-click to zoom "
+                caption=f"{signals.caption} Drag across a panel to zoom in; double-click to zoom "
                 "out.",
-                alternative=f"Signals over time of both parameter sets. {found.lead}",
-                panels=found.panels,
-                columns=found.columns,
+                alternative=f"Signals over time of both parameter sets. {signals.lead}",
+                panels=signals.panels,
+                columns=signals.columns,
                 panel_height=260,
             ),
         )
-    return Section(name="trajectories", title="", lead=found.lead, figures=figures)
+    return Section(name="trajectories", title="", lead=signals.lead, figures=figures)
 
 
 def response(analysis: Analysis) -> Figure | None:
     """Show the signal that matters most; None if there is none."""
     if analysis.answer is None:
         return None
-    found = responses(analysis)
-    if not found.panels:
+    signals = responses(analysis)
+    if not signals.panels:
         return None
-    label = _main(found.panels)
-    panels = [panel for panel in found.panels if panel.y.label == label][:2]
-    # Of a reference and what follows it, such as "setpoint and angle".
+    label = _main(signals.panels)
+    panels = [panel for panel in signals.panels if panel.y.label == label][:2]
+    # A reference and what follows it share a panel, such as "setpoint and angle".
     verb = "do" if " and " in label else "does"
     return Figure(
         name="response",
         title=f"How {verb} the {label} follow, default and {analysis.answer_name}?",
-        caption=found.caption,
-        alternative=f"{label} over time of both parameter sets. {found.lead}",
+        caption=signals.caption,
+        alternative=f"{label} over time of both parameter sets. {signals.lead}",
         panels=panels,
         columns=len(panels),
         panel_height=280,
@@ -191,10 +191,10 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Responses:
     """Return the worst run of default and answer that a bag has."""
     sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
     try:
-        found = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
+        by_side = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
     except RunRecordError as error:
         return Responses((), 1, f"No signals: {error}.")
-    runs = {name: item for name, item in found.items() if item is not None}
+    runs = {name: item for name, item in by_side.items() if item is not None}
     if not runs:
         return Responses(
             (),
@@ -211,7 +211,7 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Responses:
     drawn = signal_panels(
         analysis.study,
         {name: run for name, (_, run) in runs.items()},
-        side_looks(analysis.answer_name),
+        side_styles(analysis.answer_name),
     )
     return Responses(
         drawn,
@@ -245,7 +245,7 @@ def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
 
 def panels(
     columns: Mapping[str, Mapping[str, Trace]],
-    looks: Mapping[str, Look],
+    styles: Mapping[str, Style],
     constraints: Mapping[str, Constraint],
 ) -> list[Panel]:
     """Return a panel for each group of signals and each column.
@@ -254,7 +254,7 @@ def panels(
     ----------
     columns
         By the title of a column, its traces by the names of their lines.
-    looks
+    styles
         Colour and dash of the lines by these names.
     constraints
         The limits, which are drawn where a trace says how.
@@ -265,7 +265,7 @@ def panels(
         panel
         for group in groups
         for title, sides in columns.items()
-        if (panel := _panel(title, sides, group, looks, constraints)) is not None
+        if (panel := _panel(title, sides, group, styles, constraints)) is not None
     ]
 
 
@@ -281,14 +281,14 @@ def _simulated(
         for context in contexts.values()
         for parameters in sides.values()
     ]
-    found = iter(simulate(study, planned))
-    columns = {title: {name: next(found) for name in sides} for title in contexts}
-    return panels(columns, side_looks(analysis.answer_name), study.constraints)
+    traces = iter(simulate(study, planned))
+    columns = {title: {name: next(traces) for name in sides} for title in contexts}
+    return panels(columns, side_styles(analysis.answer_name), study.constraints)
 
 
-def side_looks(name: str) -> dict[str, Look]:
+def side_styles(name: str) -> dict[str, Style]:
     """Return the colour and dash of the default and of another parameter set of this name."""
-    return {DEFAULT: LOOKS[DEFAULT], name: LOOKS[TUNED]}
+    return {DEFAULT: STYLES[DEFAULT], name: STYLES[TUNED]}
 
 
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
@@ -302,7 +302,7 @@ def _panel(
     title: str,
     sides: Mapping[str, Trace],
     group: str,
-    looks: Mapping[str, Look],
+    styles: Mapping[str, Style],
     constraints: Mapping[str, Constraint],
 ) -> Panel | None:
     """Return the panel of a group of signals; None if no side has one of them."""
@@ -314,8 +314,10 @@ def _panel(
     bounds: list[Bound] = []
     for name in [name for name in names if is_zero_of(name)]:
         del names[name]
-        some = next(trace for trace in sides.values() if name in trace)
-        bounds += bounds_beside(constraints, is_zero_of(name), some[TIME].values, some[name].values)
+        sample = next(trace for trace in sides.values() if name in trace)
+        bounds += bounds_beside(
+            constraints, is_zero_of(name), sample[TIME].values, sample[name].values
+        )
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:
@@ -326,15 +328,15 @@ def _panel(
             continue
         label = f", {short}" if len(names) - len(common) > 1 else ""
         lines += [
-            _line(trace, name, f"{side}{label}", *looks[side])
+            _line(trace, name, f"{side}{label}", *styles[side])
             for side, trace in sides.items()
             if name in trace
         ]
-    some = next(trace for trace in sides.values() if names.keys() & trace.keys())
-    unit = next(some[name].unit for name in names if name in some)
+    sample = next(trace for trace in sides.values() if names.keys() & trace.keys())
+    unit = next(sample[name].unit for name in names if name in sample)
     panel = Panel(
         title=title,
-        x=Axis(label=TIME, unit=some[TIME].unit),
+        x=Axis(label=TIME, unit=sample[TIME].unit),
         y=Axis(label=group, unit=unit),
         elements=lines,
     )

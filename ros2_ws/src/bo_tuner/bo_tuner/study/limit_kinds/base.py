@@ -1,4 +1,4 @@
-"""What each kind of limit must say."""
+"""The interface of a kind of limit."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Responses(Protocol[R_co]):
-    """What models can predict of a metric and hold against its limit."""
+    """Makes of a limit what models can predict and compare with it."""
 
     def over_contexts(self, limited: Limited, level: float) -> R_co:
         """Return the limit on the quantile `level` of runs over contexts and noise."""
@@ -51,7 +51,7 @@ class Runs:
     declared: tuple[float, float] | None = None
 
 
-class MeanFound(Protocol):
+class BoundedMean(Protocol):
     """A mean over noise with its confidence bounds."""
 
     @property
@@ -66,7 +66,7 @@ class InContext(Protocol):
     """What runs in one context have shown."""
 
     @property
-    def mean(self) -> MeanFound:
+    def mean(self) -> BoundedMean:
         """Mean over noise."""
 
     @property
@@ -87,7 +87,7 @@ class InContext(Protocol):
 
 
 class LimitKind(ABC):
-    """One limit, by its kind.
+    """One limit, with the rules of its kind.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class LimitKind(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Refuse a limit that is none of this kind.
+        """Refuse a limit that does not have the fields of this kind.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class LimitKind(ABC):
     def level(self) -> float:
         """Probability with which a run must keep the limit; one half for one on the mean.
 
-        A run keeps a limit at the mean of symmetric noise just as often.
+        With symmetric noise a run keeps a limit at its mean with this probability.
         """
 
     @property
@@ -129,12 +129,12 @@ class LimitKind(ABC):
 
     @abstractmethod
     def response(self, models: Responses[R]) -> R:
-        """Return the limit as models predict it."""
+        """Return the limit in the form in which `models` predict it."""
 
     def is_estimated(self, *, alone: bool) -> bool:
-        """Return whether draws estimate what is limited, and need not only refute the limit.
+        """Return whether draws estimate the limited quantity, and do not only refute the limit.
 
-        With `alone` there is no context but that of the draws.
+        With `alone` all draws are in one context, the only one that there is.
         """
         return alone or not self.in_every_context
 
@@ -148,7 +148,7 @@ class LimitKind(ABC):
 
     @abstractmethod
     def is_shown_by(self, violations: int, count: int, confidence: float) -> bool:
-        """Return whether so many violations in independent runs show that the limit is kept."""
+        """Return whether `violations` in `count` independent runs show that the limit is kept."""
 
     @abstractmethod
     def runs_needed(self, confidence: float) -> int:
@@ -156,35 +156,35 @@ class LimitKind(ABC):
 
     @abstractmethod
     def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
-        """Return how many runs show it in one context at least, with the range of the metric."""
+        """Return the least number of runs in a context that show it, by the range of the metric."""
 
     def assumption(self, declared: tuple[float, float] | None) -> str:
-        """Return on what it rests that runs show it, besides their number; empty if on nothing."""
+        """Return the assumption under which runs show the limit; empty if there is none."""
         return ""
 
     @abstractmethod
     def is_shown(self, runs: Runs, confidence: float) -> bool:
-        """Return whether runs of a certificate show the limit, whenever one looks."""
+        """Return whether runs of a certificate show the limit; valid however often it is asked."""
 
     @abstractmethod
     def is_refuted(self, runs: Runs, confidence: float) -> bool:
-        """Return whether they refute it."""
+        """Return whether the runs refute the limit."""
 
     @abstractmethod
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
-        """Return whether they cannot show it any more, up to `most` of them."""
+        """Return whether the runs, continued to `most` of them, cannot show the limit any more."""
 
     @abstractmethod
     def runs_behind_bound(self, runs: Runs) -> int:
-        """Return the number of runs, of those in a context, that bound their mean first."""
+        """Return the number of runs in a context from which on their mean has a bound."""
 
     @abstractmethod
     def together(self, runs: Runs) -> float:
-        """Return what is limited in all runs taken together; NaN of none."""
+        """Return the limited quantity of all runs taken together; NaN of none."""
 
     @abstractmethod
     def contradicts(self, together: float) -> bool:
-        """Return whether what all runs have together is beyond the limit."""
+        """Return whether the quantity that `together` returned is beyond the limit."""
 
     @abstractmethod
     def asked(self, *, everywhere: bool) -> str:
@@ -232,7 +232,7 @@ class LimitKind(ABC):
     @property
     @abstractmethod
     def decisive(self) -> str:
-        """What is held against the limit in a figure of the worst contexts, in words."""
+        """What is compared with the limit in a figure of the worst contexts, in words."""
 
 
 def place_of(top: InContext, worst: Sequence[InContext]) -> str:

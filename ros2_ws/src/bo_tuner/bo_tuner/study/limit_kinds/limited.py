@@ -10,7 +10,7 @@ UPPER, LOWER = "upper", "lower"
 
 @dataclass(frozen=True, kw_only=True)
 class Limited:
-    """A limit of a study, without what its kind makes of it.
+    """A limit of a study, without the rules of its kind.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Limited:
 
     @property
     def extreme(self) -> str:
-        """What the value farthest on the side of the limit is: the ``largest`` or ``smallest``."""
+        """Which value is farthest on the side of the limit: the ``largest`` or ``smallest``."""
         return "largest" if self.sign > 0.0 else "smallest"
 
     @property
@@ -70,8 +70,8 @@ class Limited:
 
     def violations(self, values: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each of the values (...) of its metric violates the limit."""
-        found: NDArray[np.bool_] = self.sign * np.asarray(values) > self.sign * self.limit
-        return found
+        violated: NDArray[np.bool_] = self.sign * np.asarray(values) > self.sign * self.limit
+        return violated
 
     def excess(self, value: float) -> float:
         """Return how far a value of its metric is beyond the limit, relative to the limit's size.
@@ -82,5 +82,5 @@ class Limited:
 
     def farthest(self, values: ArrayLike) -> float:
         """Return the extreme of the values (n,) of its metric, in its unit; NaN of none."""
-        found = self.sign * np.asarray(values, dtype=np.float64)
-        return self.sign * float(found.max()) if found.size else float("nan")
+        signed = self.sign * np.asarray(values, dtype=np.float64)
+        return self.sign * float(signed.max()) if signed.size else float("nan")

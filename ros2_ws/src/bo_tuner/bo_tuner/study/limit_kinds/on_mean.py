@@ -20,16 +20,16 @@ from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 from bo_tuner.study.limit_kinds.on_runs import COINCIDENCE
 
 LEAST_RUNS = 30
-"""Runs behind a mean that counts as shown. The bound of a mean takes the noise for normal: a few
-runs that agree tell nothing of rare large values."""
+"""Least number of runs behind a mean that counts as shown. The bound of a mean takes the noise for
+normal: a few runs that agree do not exclude rare large values."""
 
 TAIL = (
     "the noise is taken for normal or log-normal; of such laws with a mean just beyond the limit "
     "about 1 in 100 passes within five certificates, of rare large values that no run has shown "
     "far more: give the metric a range, or limit single runs (probability)"
 )
-"""On what a limit on a mean rests if its metric has no range; benchmarks/repeated_certificates.py
-measures the level."""
+"""Assumption of a certificate of a mean if its metric has no range; the level is measured by
+benchmarks/repeated_certificates.py."""
 
 
 class OnMean(LimitKind):
@@ -50,13 +50,13 @@ class OnMean(LimitKind):
 
     def agrees(self, values: Array, *, alone: bool) -> bool:
         """Return whether the mean of the values (n,), or its lower end, keeps the limit."""
-        # From the limit, as the mean of equal values may differ from them by rounding.
+        # Subtracted before the mean: the mean of equal values may differ from them by rounding.
         beyond = self.limited.sign * (values - self.limited.limit)
         estimated = self.is_estimated(alone=alone)
         return (float(beyond.mean()) if estimated else _lowest_mean(beyond)) <= 0.0
 
     def is_shown_by(self, violations: int, count: int, confidence: float) -> bool:
-        """Return False: how many runs are beyond the limit bounds no mean."""
+        """Return False: a number of violations does not bound the mean."""
         return False
 
     def runs_needed(self, confidence: float) -> int:  # noqa: D102
@@ -74,7 +74,7 @@ class OnMean(LimitKind):
         sign, test = self.limited.sign, self._test(runs.declared)
         limit, least = sign * self.limited.limit, self.runs_behind_bound(runs)
         shown = is_mean_shown(sign * runs.values, limit, confidence, test, least)
-        # A range bounds rare values, too.
+        # A declared range bounds rare values; without it the runs must exclude them.
         return shown and (runs.declared is not None or self._excludes_rare(runs, confidence))
 
     def bound(self, runs: Runs, confidence: float) -> float:
@@ -84,7 +84,7 @@ class OnMean(LimitKind):
         return sign * mean_bound(sign * runs.values, confidence, test, least)
 
     def _test(self, declared: tuple[float, float] | None) -> MeanTest:
-        """Return how the mean is shown to be within an upper limit; a lower one is mirrored."""
+        """Return the test that a mean is within an upper limit; a lower limit is mirrored."""
         if declared is None:
             return NormalOrSkewed()
         low, high = declared
@@ -95,15 +95,16 @@ class OnMean(LimitKind):
         return is_mean_refuted(sign * runs.values, sign * self.limited.limit, confidence)
 
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
-        """Return whether they refute it: further runs may take the mean anywhere else."""
+        """Return whether the runs refute it: otherwise further runs can move the mean anywhere."""
         return self.is_refuted(runs, confidence)
 
     def runs_behind_bound(self, runs: Runs) -> int:
-        """Return the number of runs that bound the mean first.
+        """Return the number of runs from which on the mean has a bound.
 
-        They are `LEAST_RUNS` once any run of the parameter set is beyond the limit, and the first
-        one that differs is among them. Before, all its runs count; where those in a context are
-        equal, only runs in other contexts where they are, too.
+        Once any run of the parameter set is beyond the limit, they are `LEAST_RUNS` in the context,
+        or more, so that one of them differs from the first. Before that, runs elsewhere count as
+        well: all of the parameter set or, if those in this context are equal, those in contexts in
+        which they are equal, too.
         """
         values = runs.values
         if self.limited.violations(runs.farthest):
@@ -127,8 +128,8 @@ class OnMean(LimitKind):
         beyond = self.limited.beyond
         if not agrees:
             return f"the mean over {runs} is {beyond} the limit"
-        found = f"{violations} of {runs} {beyond} the limit"
-        return f"{found}, which is on the mean" if violations else found
+        text = f"{violations} of {runs} {beyond} the limit"
+        return f"{text}, which is on the mean" if violations else text
 
     def said_of_draws(  # noqa: D102
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
@@ -149,11 +150,11 @@ class OnMean(LimitKind):
     ) -> str:
         limit = f"limit {self.limited.limit:g} {unit}".rstrip()
         sign, side = self.limited.sign, self.limited.side
-        # The context with the largest mean need not have the largest bound.
+        # The bound decides: the context with the largest mean need not have the largest bound.
         top = max(worst, key=lambda w: sign * w.mean.bound(side))
         bound = top.mean.bound(side)
         if refuting and not np.isfinite(bound):
-            # It ends the evaluations before the bound of a mean has its runs.
+            # A refutation ends the evaluations before there are enough runs for a bound.
             by = refuting[0]
             return (
                 f"mean over noise {f'in a context ({by.place}) ' if by.place else ''}is "
@@ -190,11 +191,11 @@ class OnMean(LimitKind):
         return f"{says} {text.shown_beside(bound, self.limited.limit)}, {limit}"
 
     def _excludes_rare(self, runs: Runs, confidence: float) -> bool:
-        """Return whether runs in a context exclude that rare others take its mean beyond the limit.
+        """Return whether runs in a context exclude that rare values take its mean beyond the limit.
 
-        If all runs are equal, their mean bounds nothing that does not occur among them. A mean
-        beyond the limit needs runs as far as the worst one known with the probability that is
-        tested here.
+        Equal runs say nothing of values that do not occur among them. If other runs have the worst
+        known value, the mean is beyond the limit only if they have at least the probability
+        that is tested here.
         """
         values, worst = runs.values, runs.farthest
         if not _are_equal(values) or not self.limited.violations(worst):
@@ -208,7 +209,7 @@ def _are_equal(values: Array) -> bool:
 
 
 def _lowest_mean(values: Array) -> float:
-    """Return the mean (Student's t) below which that of values (n,) is by `COINCIDENCE` only."""
+    """Return the lower bound (Student's t) of the mean of values (n,), of level `COINCIDENCE`."""
     count = len(values)
     if count < 2:
         return -math.inf

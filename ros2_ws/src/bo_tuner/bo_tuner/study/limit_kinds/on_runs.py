@@ -47,8 +47,8 @@ class OnRuns(LimitKind):
     def most_violations(self, count: int, *, alone: bool) -> int:
         """Return how many of `count` draws may violate the limit before they refute it.
 
-        They are the `permitted` ones if draws estimate how many do. Otherwise it is the largest k
-        with P(X >= k) >= `COINCIDENCE` for X ~ Binomial(count, allowed).
+        It is the `permitted` number if draws estimate the share of violations, and otherwise the
+        largest k with P(X >= k) >= `COINCIDENCE` for X ~ Binomial(count, allowed).
         """
         if self.is_estimated(alone=alone):
             return self.permitted(count)
@@ -56,7 +56,7 @@ class OnRuns(LimitKind):
         return int(np.sum(bdtrc(above - 1, count, self.allowed) >= COINCIDENCE))
 
     def agrees(self, values: Array, *, alone: bool) -> bool:
-        """Return whether no more of the values (n,) than may be are beyond the limit."""
+        """Return whether no more of the values (n,) are beyond the limit than `most_violations`."""
         most = self.most_violations(len(values), alone=alone)
         return int(np.sum(self.limited.violations(values))) <= most
 
@@ -85,7 +85,7 @@ class OnRuns(LimitKind):
         return is_hopeless(runs.events, most, self.allowed, confidence)
 
     def runs_behind_bound(self, runs: Runs) -> int:
-        """Return 1: the mean decides nothing, and its bound is there for information."""
+        """Return 1: the bound of the mean is for information only, and needs no least number."""
         return 1
 
     def together(self, runs: Runs) -> float:

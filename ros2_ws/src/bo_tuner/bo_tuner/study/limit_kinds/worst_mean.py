@@ -10,7 +10,7 @@ class WorstMean(OnMean):
     in_every_context = True
 
     def check(self) -> None:
-        """Accept any."""
+        """Accept the limit: this kind needs no further field."""
 
     def response(self, models: Responses[R]) -> R:
         """Return the limit on the mean in every context."""

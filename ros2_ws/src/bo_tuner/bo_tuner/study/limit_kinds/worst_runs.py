@@ -13,7 +13,7 @@ class WorstRuns(OnRuns):
     in_every_context = True
 
     def check(self) -> None:
-        """Refuse a probability below one half, whose quantile is on the other side of the mean."""
+        """Refuse a probability below one half: its quantile is on the other side of the mean."""
         if self.level < 0.5:
             raise StudyError(
                 f"expected at least 0.5 of a worst_case constraint, found {self.level:g}",

@@ -20,8 +20,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.signals import STATIC, TIME, Signal, expression
 
-LOOK = 0.5
-"""Time [s] between two looks for a topic that nobody publishes yet."""
+SEARCH = 0.5
+"""Time [s] between two searches for a topic that nobody publishes yet."""
 
 
 @dataclass
@@ -53,7 +53,7 @@ class AbortCondition:
         self._topics: dict[str, _Topic] = {}
         self._feeds: dict[str, TransformFeed] = {}
         self._newest: dict[str, Value] = dict.fromkeys(self._wanted, np.nan)
-        self._looked = -np.inf
+        self._searched = -np.inf
 
     @property
     def missing(self) -> list[str]:
@@ -71,17 +71,17 @@ class AbortCondition:
         """
         if self._condition is None:
             return False
-        if self.missing and time.monotonic() - self._looked > LOOK:
-            self._looked = time.monotonic()
+        if self.missing and time.monotonic() - self._searched > SEARCH:
+            self._searched = time.monotonic()
             self._subscribe()
-        # In the order in which they came: else the newest of one topic would meet old ones of
-        # another, and their difference be what it never was.
+        # In the order in which they came: else the newest value of one topic would be compared
+        # with old ones of another.
         heard = [item for topic in self._topics.values() for item in _take(topic)]
         rows = [self._newest]
         for _, values in sorted(heard, key=itemgetter(0)):
             rows.append(rows[-1] | values)
         self._newest = rows[-1]
-        # What came last is judged once more: time alone may decide, too.
+        # The latest values are judged once more: the condition may depend on time alone.
         arrays: dict[str, Array] = {
             name: np.array([row[name] for row in rows]) for name in self._wanted
         }
@@ -110,10 +110,10 @@ class AbortCondition:
 
     def _hear(self, topic: str, cls: type) -> _Topic:
         if topic not in self._topics:
-            # Of whom a message is has to be known of a topic from its beginning.
+            # Whether publishers must be known is decided when a topic is first heard.
             several = several_on(self._node, topic, self._wanted.values())
             offered = Publishers(self._node, topic).now()
-            heard = HeardTopic(self._node, topic, cls, offered, tells_publisher=several)
+            heard = HeardTopic(self._node, topic, cls, offered, knows_publisher=several)
             self._topics[topic] = _Topic(heard)
         return self._topics[topic]
 
@@ -121,13 +121,13 @@ class AbortCondition:
 def _take(topic: _Topic) -> Iterator[tuple[int, dict[str, Value]]]:
     """Yield when [ns] what waits on a topic came, and its values by the names of signals."""
     for heard in topic.heard.take():
-        found: dict[str, list[Value]] = {}
+        values_of: dict[str, list[Value]] = {}
         for name, reader in topic.readers.items():
             # The tuner fails the run for what is missing.
             with contextlib.suppress(ItemMissingError):
-                found[name] = [value for _, value in reader(heard)]
-        for index in range(max(map(len, found.values()), default=0)):
+                values_of[name] = [value for _, value in reader(heard)]
+        for index in range(max(map(len, values_of.values()), default=0)):
             yield (
                 heard.received,
-                {name: values[index] for name, values in found.items() if index < len(values)},
+                {name: values[index] for name, values in values_of.items() if index < len(values)},
             )

@@ -52,14 +52,14 @@ CONNECT = 10.0
 ANSWER = 2.0
 """Time [s] that all nodes have to take the safe values."""
 AGAIN = 0.5
-"""Time [s] after which what the nodes have is looked at again while they are held safe."""
+"""Time [s] after which what the nodes have is checked again while they are held safe."""
 GIVE_UP, GONE = 600.0, 3.0
 """Time [s] for which a guard whose tuner has ended tries to leave the nodes safe, and the same of
 nodes that end with it."""
 ACKNOWLEDGED = 1
 """Time [s] for the tuner to hear of the last act."""
 ASLEEP = 0.3
-"""Gap [s] between two looks beyond which this process did not run."""
+"""Gap [s] between two cycles beyond which this process did not run."""
 
 
 class Beats(Protocol):
@@ -159,8 +159,8 @@ class Guard:
         self._watch = Watch(timeout)
         self._ending = False
         self._held = 0.0
-        # Who waits for it is to know that it is there, also while it waits for a node.
-        self._tuner = TunerNode(None, ros_arguments, self._tell_again, GUARD)
+        # It publishes its state also while it waits for a node: its tuner awaits it.
+        self._tuner = TunerNode(None, ros_arguments, self._publish_state_if_due, GUARD)
         self._state = State(
             self._name,
             plan.digest,
@@ -171,7 +171,7 @@ class Guard:
         )
         self._listener: Node | None = None
         self._publisher: Publisher | None = None
-        self._told = -1.0
+        self._published = -1.0
         self._was_in_run = False
 
     @property
@@ -203,7 +203,7 @@ class Guard:
         if alone:
             self._refuse_others()
         self._state = replace(self._state, settled=True)
-        self._tell()
+        self._publish_state()
         self._parameters = NodeParameters(tuner, plan.nodes, plan.safe)
         clients = self._parameters.clients
 
@@ -285,29 +285,29 @@ class Guard:
         self._tuner.close()
 
     def _refuse_others(self) -> None:
-        """Refuse nodes that another guard has; one whose tuner has just ended is waited for.
+        """Refuse nodes that another guard has; if its tuner has just ended, its end is awaited.
 
         Of two that start at the same time one stays.
         """
-        found: dict[str, State] = {}
+        rivals: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
             if state is None or not set(state.nodes) & set(self._state.nodes):
                 return
             if state.guard != self._name and (state.settled or state.guard < self._name):
-                found[state.guard] = state
+                rivals[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
         deadline = time.monotonic() + CONNECT
         while True:
-            found.clear()
+            rivals.clear()
             self._tuner.spin_for(LOOK_AROUND)
-            stand = any(state.stands for state in found.values())
-            if not found or stand or time.monotonic() > deadline:
+            stand = any(state.stands for state in rivals.values())
+            if not rivals or stand or time.monotonic() > deadline:
                 break
         self._tuner.node.destroy_subscription(subscription)
-        for state in found.values():
+        for state in rivals.values():
             shared = sorted(set(state.nodes) & set(self._state.nodes))
             raise BackendError(
                 f"{shared[0]} has a guard already, of study {state.study}; end that one first"
@@ -335,7 +335,7 @@ class Guard:
         self._clock.update()
         if in_run and not self._was_in_run:
             self._in_run = Stopwatch(self._clock)
-        # What came between two runs is taken, and tells nothing.
+        # What came between two runs is taken, and does not count.
         if self._abort.holds(self._in_run.seconds) and in_run and self._was_in_run:
             self._watch.held(now)
         self._was_in_run = in_run
@@ -355,7 +355,7 @@ class Guard:
             on_condition=cause.on_condition,
             ends=is_last,
         )
-        self._tell()
+        self._publish_state()
         self._say(f"acts: {cause.reason}")
         problems = self._set_safe() or self._configure_anew()
         patience = GIVE_UP if self._attached else GONE
@@ -374,13 +374,13 @@ class Guard:
             else f"safe values set and read back after {safe * 1e3:.0f} ms"
         )
         self._state = replace(self._state, outcome=outcome)
-        self._tell()
+        self._publish_state()
         self._say(outcome)
         self._note(cause.reason, stopped, safe, problems)
         self._held = time.monotonic()
 
     def _hold(self) -> None:
-        """Look again at what the nodes have: a tuner that lives again may be in the midst of it."""
+        """Check what the nodes have again: a tuner that lives again may be setting others."""
         if time.monotonic() - self._held < AGAIN:
             return
         self._set_safe()
@@ -415,16 +415,16 @@ class Guard:
                 problems.append(f"{name} is not safe: {error}")
         return problems
 
-    def _tell(self) -> None:
+    def _publish_state(self) -> None:
         if self._publisher is None:
             return
         watches = self._watch.is_watching and self._watch.is_known
         self._publisher.publish(String(data=str(replace(self._state, watches=watches))))
-        self._told = time.monotonic()
+        self._published = time.monotonic()
 
-    def _tell_again(self) -> None:
-        if time.monotonic() - self._told >= PERIOD:
-            self._tell()
+    def _publish_state_if_due(self) -> None:
+        if time.monotonic() - self._published >= PERIOD:
+            self._publish_state()
 
     def _say(self, text: str) -> None:
         """Say something; a full disk, or a terminal that is gone, keeps it from nothing."""

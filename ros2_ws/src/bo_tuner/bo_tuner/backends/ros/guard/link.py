@@ -42,7 +42,7 @@ FRESH = 0.35
 """Age [s] of a state from which on a newer one is waited for: this process may have been stopped,
 and a guard have acted meanwhile."""
 STOPPED = 1.0
-"""Time [s] between two looks after which this process may have been stopped, or have computed."""
+"""Time [s] between two checks after which this process may have been stopped, or have computed."""
 DEAD, FORGOTTEN = 3.0, 25.0
 """Time [s] without a state after which a guard counts as dead, and the same for a process that was
 stopped itself for so long that the middleware has to discover all others anew."""
@@ -51,7 +51,7 @@ HEARD = 3.0
 ANSWER = 10.0
 """Time [s] that one which somebody has started has to hear the first heartbeat."""
 AWAKE = 0.25
-"""Time [s] between two looks within which no guard has taken this process for stopped."""
+"""Time [s] between two checks within which no guard has taken this process for stopped."""
 LEAVE = 5.0
 """Time [s] that a guard has to end."""
 LOG = "guard.log"
@@ -63,7 +63,7 @@ class GuardActedError(LostError):
     Attributes
     ----------
     takes_over
-        Whether the tuner was not in control, so that somebody is to look before it goes on.
+        Whether the tuner was not in control: somebody must see to the machine before it goes on.
     on_condition
         Whether the abort condition was the reason.
     ends
@@ -86,7 +86,7 @@ class _Wire(Protocol):
         """Why the guard is known to have ended; empty if it is not."""
 
     def close(self) -> None:
-        """Let go of the guard, which has been told that no beat comes any more."""
+        """Let go of the guard, which knows that no beat comes any more."""
 
     def kill(self) -> None:
         """Let go of a guard that does nothing any more, without waiting for it."""
@@ -173,7 +173,7 @@ class _Topic:
 
 
 class GuardLink:
-    """The guard of a study's nodes: found, or started, told of every run, and heard.
+    """The connection to the guard of a study's nodes, which is joined or started.
 
     Parameters
     ----------
@@ -189,8 +189,8 @@ class GuardLink:
     Attributes
     ----------
     unheeded : GuardActedError or None
-        The last act that was told, until whoever draws the consequences takes it off: some who
-        wait take it for one of many reasons why a node is not there.
+        The last act that `look` raised, until it is handled: a wait for a node may have caught it
+        as one of many reasons why the node is not there.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class GuardLink:
         self.unheeded: GuardActedError | None = None
         self._is_begun = False
         self._ended = ""
-        self._looked = self._waited = 0.0
+        self._checked = self._waited = 0.0
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
         # rclpy passes on what it knows of a message to whoever takes two arguments.
@@ -267,7 +267,7 @@ class GuardLink:
 
     @contextlib.contextmanager
     def run(self) -> Iterator[None]:
-        """Let the abort condition count within, and the tuner be hung if it does not look."""
+        """Let the abort condition count within, and the tuner count as hung if it is not served."""
         self._run += 1
         self._turn(RUN)
         try:
@@ -291,8 +291,8 @@ class GuardLink:
             return
         self._take()
         now = time.monotonic()
-        gap, self._looked = now - self._looked, now
-        # Then nothing was missed, and the machine is looked after while the guard is waited for.
+        gap, self._checked = now - self._checked, now
+        # Then nothing was missed, and the machine is watched while the guard is waited for.
         is_awake = gap < AWAKE
         if not is_awake:
             self._waited = now + DEAD
@@ -314,7 +314,7 @@ class GuardLink:
                 return
             time.sleep(POLL_PERIOD)
             now = time.monotonic()
-            gap, self._looked = now - self._looked, now
+            gap, self._checked = now - self._checked, now
             self._take()
         self._waited = time.monotonic() + DEAD
         state = self._states[self._name]
@@ -337,7 +337,7 @@ class GuardLink:
             raise self.unheeded
 
     def end(self) -> None:
-        """Tell the guard that the nodes are left as they are to be, and let go of it."""
+        """Report to the guard that the nodes are left as they are to be, and let go of it."""
         wire = self._wire
         self._over.set()
         if self._thread is not None:
@@ -418,12 +418,12 @@ class GuardLink:
 
     def _go_on(self) -> None:
         while not self._over.wait(PERIOD):
-            # In a run this process is alive only if somebody looks at the machine.
+            # In a run this process counts as alive only while it watches the machine.
             if self._phase != RUN or time.monotonic() - self._tuner.served < FRESH:
                 self._beat()
 
     def _hear(self, data: bytes, info: Any) -> None:
-        """Take a state: here in the executor, or whenever one is looked for."""
+        """Take a state: called by the executor, and by `_take`."""
         with contextlib.suppress(UnreadableError):
             state = State.read(decode(data, String).data)
             if state is not None:

@@ -1,4 +1,4 @@
-"""What tuner and guard tell each other, as lines of JSON in a pipe or a ``std_msgs/String``."""
+"""The messages of tuner and guard, as lines of JSON in a pipe or a ``std_msgs/String``."""
 
 import json
 from dataclasses import asdict, dataclass, fields
@@ -17,7 +17,7 @@ BEATS = QoSProfile(depth=10)
 PERIOD = 0.1
 """Time [s] between two heartbeats, and between two states."""
 TIMEOUT = 0.5
-"""Time [s] without a heartbeat after which a guard acts, unless told otherwise."""
+"""Time [s] without a heartbeat after which a guard acts, by default."""
 
 IDLE, RUN, END = "idle", "run", "end"
 """Phases: between runs; in a run, in which the abort condition counts; no further beat comes."""
@@ -88,7 +88,7 @@ class State(_Message):
     outcome : str
         What came of that, in words; empty while it acts.
     takes_over : bool
-        Whether the tuner was not in control, so that somebody is to look before it goes on.
+        Whether the tuner was not in control: somebody must see to the machine before it goes on.
     on_condition : bool
         Whether it acted on the abort condition.
     ends : bool
@@ -96,7 +96,7 @@ class State(_Message):
     stands : bool
         Whether it outlives a tuner, and takes heartbeats from any.
     settled : bool
-        Whether it has found no other guard of its nodes, and stays.
+        Whether no other guard has its nodes, so that it stays.
     watches : bool
         Whether it hears a tuner, and acts if that falls silent.
     """

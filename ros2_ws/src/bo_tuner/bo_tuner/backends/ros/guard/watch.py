@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from bo_tuner.backends.ros.guard.messages import END, RUN, Beat
 
 CYCLE = 0.1
-"""Time [s] that the tuner has to act on a condition: it looks every 0.01 s."""
+"""Time [s] that the tuner has to act on a condition: it checks it every 0.01 s."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Cause:
 
 
 class Watch:
-    """Watches the tuner by its heartbeats and the machine by what is told of it.
+    """Watches the tuner by its heartbeats, and the machine by what the guard hears of it.
 
     It watches from the first beat to the one that says that no further one comes. Times [s] are of
     a steady clock, and given by the caller.

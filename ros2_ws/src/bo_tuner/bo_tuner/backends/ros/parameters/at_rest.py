@@ -49,17 +49,17 @@ class InitialParameters:
             except RefusedError as refusal:
                 raise self._named(key, refusal, ("nodes", key, "parameters")) from refusal
 
-    def set_undeclared(self, found: Mapping[str, Mapping[str, object]]) -> None:
-        """Set safe values of what nodes have not declared: what is never taken costs all trials.
+    def set_undeclared(self, declared: Mapping[str, Mapping[str, object]]) -> None:
+        """Set safe values of undeclared parameters: one that is never taken costs all trials.
 
         Parameters
         ----------
-        found
+        declared
             What the nodes have declared, by key.
         """
         safe = self._study.nominal_assignments(self._study.safe_parameters)
         for key, values in safe.items():
-            undeclared = {name: v for name, v in values.items() if name not in found[key]}
+            undeclared = {name: v for name, v in values.items() if name not in declared[key]}
             try:
                 self._parameters.assign(key, undeclared)
             except RefusedError as refusal:
@@ -84,13 +84,13 @@ class InitialParameters:
         self, key: str, refusal: RefusedError, path: KeyPath, prefix: str = ""
     ) -> StudyError:
         """Return what the study sets that the node cannot take, or the node's refusal itself."""
-        found = self._problems(key, declared=False)
-        return found[0] if found else StudyError(f"{prefix}{refusal}", path)
+        problems = self._problems(key, declared=False)
+        return problems[0] if problems else StudyError(f"{prefix}{refusal}", path)
 
     def _problems(self, key: str, *, declared: bool) -> list[StudyError]:
-        """Return as `node_problems`; none of a node that does not describe its parameters."""
+        """Return what a node says it does not take; nothing if it does not describe parameters."""
         try:
-            # The tuner has told it something by now, and has noted that down.
+            # The tuner has set something on it by now, and has noted that down.
             own = self._study.own_parameters[key]
             known = describe_now(self._tuner, self._study.nodes[key].node, own)
         except BackendError:
@@ -149,15 +149,15 @@ def take_over(
     StudyError
         If a node does not take its parameters.
     """
-    found = {key: parameters.read_anew(key) for key in study.nodes}
+    current = {key: parameters.read_anew(key) for key in study.nodes}
     if previous is not None:
-        previous.undo_killed(found)
-    own, others = _divide(study, found)
+        previous.undo_killed(current)
+    own, others = _divide(study, current)
     safe = safe_values(study)
     steps = set_by_steps(study)
     for key, names in steps.items():
         # What the study does not say of them is what the node has.
-        had = {name: value for name, value in found[key].items() if name in names}
+        had = {name: value for name, value in current[key].items() if name in names}
         safe[key] = had | safe.get(key, {})
     if previous is not None:
         previous.begin(own, safe)
@@ -170,11 +170,11 @@ def take_over(
     )
     if is_first:
         initial.refuse_ranges()
-    initial.set_undeclared(found)
+    initial.set_undeclared(current)
     if study.run is not None:
         # The nodes run by themselves, and from now on as they will between two runs.
         initial.set_safe(safe)
-    held = {key: found[key] | dict(spec.parameters) for key, spec in study.nodes.items()}
+    held = {key: current[key] | dict(spec.parameters) for key, spec in study.nodes.items()}
     for key, names in steps.items():
         held[key] |= {name: safe[key][name] for name in names if name in safe[key]}
     return TakenOver(safe, held)
@@ -187,9 +187,9 @@ def _divide(
     own: dict[str, dict[str, object]] = {}
     others: dict[str, dict[str, object]] = {}
     for key, names in study.own_parameters.items():
-        found = values[key]
-        own[key] = {name: value for name, value in found.items() if name in names}
-        others[key] = {name: value for name, value in found.items() if name not in names}
+        of_node = values[key]
+        own[key] = {name: value for name, value in of_node.items() if name in names}
+        others[key] = {name: value for name, value in of_node.items() if name not in names}
     return own, others
 
 

@@ -1,4 +1,4 @@
-"""Values that nodes have and should not: as they answer, and as they tell by themselves."""
+"""Values that nodes have and should not: by their answers, and by their parameter events."""
 
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -16,8 +16,8 @@ from bo_tuner.study.checks import holds, same_value
 from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
-MOST_TOLD = 100
-"""Sets of values told to a node whose events are awaited: it need not publish any."""
+MOST_AWAITED = 100
+"""Requests to a node whose events are awaited: it need not publish any."""
 
 
 Values = Mapping[str, Mapping[str, object]]
@@ -30,22 +30,22 @@ class Difference:
 
     node: str
     name: str
-    found: object
+    actual: object
     expected: object
 
     def __str__(self) -> str:
-        found = "not set" if self.found is None else brief(str(self.found))
-        return f"{self.node}: parameter {self.name} is {found}, expected {self.expected}"
+        actual = "not set" if self.actual is None else brief(str(self.actual))
+        return f"{self.node}: parameter {self.name} is {actual}, expected {self.expected}"
 
 
 def differences(
-    node: str, found: Mapping[str, object], expected: Mapping[str, object]
+    node: str, actual: Mapping[str, object], expected: Mapping[str, object]
 ) -> list[Difference]:
     """Compare what a node has with what it was given."""
     return [
-        Difference(node, name, found.get(name), value)
+        Difference(node, name, actual.get(name), value)
         for name, value in expected.items()
-        if not holds(found.get(name), value)
+        if not holds(actual.get(name), value)
     ]
 
 
@@ -55,7 +55,7 @@ def offer_unwatched(difference: Difference) -> str:
 
 
 def not_taken(difference: Difference) -> RefusedError:
-    """Make the error that a node has another value right after it was told one."""
+    """Make the error that a node has another value right after one was set."""
     return RefusedError(f"{difference} (not taken by the node)")
 
 
@@ -69,8 +69,8 @@ def disturbed(difference: Difference, own: Mapping[str, Collection[str]]) -> Dis
 
 
 @dataclass(frozen=True)
-class Found:
-    """What nodes were found to have.
+class Readback:
+    """What nodes have, as read back from them, beside what they are to have.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Found:
     seen : sequence of Difference
         What else they were seen to have meanwhile.
     problem : str
-        What cannot be read of that.
+        What cannot be read of the nodes' events.
     own : mapping
         By node key the names of the parameters that are set.
     """
@@ -90,38 +90,38 @@ class Found:
     problem: str
     own: Mapping[str, Collection[str]]
 
-    def check(self, told: Mapping[str, Collection[str]] | None = None) -> None:
+    def check(self, assigned: Mapping[str, Collection[str]] | None = None) -> None:
         """Compare what the nodes had with what they are held at.
 
         Parameters
         ----------
-        told
-            By node key the names of what it was told right before.
+        assigned
+            By node key the names of what was set right before.
 
         Raises
         ------
         RefusedError
-            If it is the node that has not taken what it was told.
+            If it is the node that has not taken what was set.
         DisturbedError
-            If somebody else changed one, or what was told of one cannot be read.
+            If somebody else changed one, or an event cannot be read.
         """
         if self.problem:
             raise DisturbedError(self.problem)
         for key, values in self.held.items():
             for difference in differences(key, self.values[key], values):
-                if difference.name in (told or {}).get(key, ()):
+                if difference.name in (assigned or {}).get(key, ()):
                     raise not_taken(difference)
                 raise disturbed(difference, self.own)
         if self.seen:
             raise disturbed(self.seen[0], self.own)
 
     def rounded(self) -> Iterator[tuple[str, str, object]]:
-        """Yield node key, name and value of what a node holds in fewer digits than it was told."""
+        """Yield node key, name and value of what a node holds in fewer digits than were set."""
         for key, values in self.held.items():
             for name, value in values.items():
-                found = self.values[key].get(name)
-                if holds(found, value) and not same_value(found, value):
-                    yield key, name, found
+                actual = self.values[key].get(name)
+                if holds(actual, value) and not same_value(actual, value):
+                    yield key, name, actual
 
 
 class ParameterWatch:
@@ -143,11 +143,11 @@ class ParameterWatch:
         self._expected: Mapping[str, Mapping[str, object]] = {}
         self._seen: list[Difference] = []
         self._declaring: set[str] = set()
-        self._told: dict[str, deque[Mapping[str, object]]] = {
-            key: deque(maxlen=MOST_TOLD) for key in nodes
+        self._awaited: dict[str, deque[Mapping[str, object]]] = {
+            key: deque(maxlen=MOST_AWAITED) for key in nodes
         }
         self.problem = ""
-        """What came since `expect` and cannot be read: it may tell of any parameter."""
+        """An event since `expect` that cannot be read: it may be of any parameter."""
         self._subscription = node.create_subscription(
             ParameterEvent,
             PARAMETER_EVENTS,
@@ -166,30 +166,30 @@ class ParameterWatch:
         self._take_all()
         self._expected = expected
 
-    def tell(self, key: str, values: Mapping[str, object]) -> None:
+    def expect_event(self, key: str, values: Mapping[str, object]) -> None:
         """Take note of what the tuner is about to set: its event is no change by others.
 
         As a rule a node publishes it ahead of its answer, but it may come long after that, when
         other values are expected.
         """
-        self._told[key].append(values)
+        self._awaited[key].append(values)
 
     def take_back(self, key: str, values: Mapping[str, object]) -> None:
-        """Take back what was told: the node has refused it, and publishes no event."""
+        """Expect no event of values after all: the node has refused them, and publishes none."""
         # Unless somebody else has set the same meanwhile.
-        if values in self._told[key]:
-            self._told[key].remove(values)
+        if values in self._awaited[key]:
+            self._awaited[key].remove(values)
 
     def forget(self, key: str) -> None:
         """Forget what was seen of a node: it was started anew, and has declared its parameters.
 
-        That it has may become known late. Its events arrive in their order, so until the first
-        change all that it tells of new parameters is what it has declared.
+        This may become known late. Its events arrive in their order, so all new parameters up to
+        the first change are those that it has declared.
         """
         self._take_all()
         self._seen = [difference for difference in self._seen if difference.node != key]
         self._declaring.add(key)
-        self._told[key].clear()
+        self._awaited[key].clear()
 
     def take_seen(self) -> list[Difference]:
         """Return what was not as expected since this was last asked."""
@@ -222,12 +222,12 @@ class ParameterWatch:
             self._seen += differences(key, now, watched)
 
     def _own(self, key: str, now: Mapping[str, object]) -> Mapping[str, object]:
-        """Return what the tuner has told, if this is the event of it; it is no longer awaited."""
-        told = self._told[key]
-        for place, values in enumerate(told):
+        """Return what the tuner has set, if this is its event; that is no longer awaited."""
+        awaited = self._awaited[key]
+        for place, values in enumerate(awaited):
             if values.keys() <= now.keys() and not differences(key, now, values):
-                # A node's events come in their order: those of what it was told before are lost.
+                # A node's events come in their order: those of earlier requests are lost.
                 for _ in range(place + 1):
-                    told.popleft()
+                    awaited.popleft()
                 return values
         return {}

@@ -49,7 +49,7 @@ def to_messages(
     values
         Values by name.
     types
-        What `ParameterType` the node's own have, by name: an empty array tells of none.
+        `ParameterType` of the node's own values, by name: an empty array does not show its type.
     """
     messages = []
     for name, value in values.items():

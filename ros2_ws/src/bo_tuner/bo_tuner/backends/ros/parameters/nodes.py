@@ -7,8 +7,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomi
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.parameters.events import (
-    Found,
     ParameterWatch,
+    Readback,
     Values,
     differences,
     disturbed,
@@ -24,7 +24,7 @@ Unset = RefusedError | LostError
 
 
 class NodeParameters:
-    """The parameters of some nodes: each is told only what it does not have already.
+    """The parameters of some nodes: only what a node does not have already is set.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class NodeParameters:
     nodes
         Names of the nodes by their keys in the study.
     own
-        By the same keys the names of the parameters that are set; nodes may not tell which they
-        have.
+        By the same keys the names of the parameters that are set; nodes need not list those that
+        they have.
     is_unwatched
         Whether a parameter, by the key of its node and its name, is none of the tuner's business.
 
@@ -64,11 +64,11 @@ class NodeParameters:
         services = (SetParametersAtomically, GetParameters, ListParameters)
         self.clients = {key: ParameterClient(tuner, node, *services) for key, node in nodes.items()}
         for key, client in self.clients.items():
-            client.on_telling = partial(self._watch.tell, key)
+            client.on_request = partial(self._watch.expect_event, key)
             client.on_refusal = partial(self._watch.take_back, key)
 
     def forget(self, key: str) -> None:
-        """Forget what a node has, so that it is asked, and told, again."""
+        """Forget what a node has, so that it is read, and set, again."""
         self._known.pop(key, None)
         self._taken.pop(key, None)
 
@@ -78,14 +78,14 @@ class NodeParameters:
         self._taken.clear()
 
     def read_anew(self, key: str) -> dict[str, object]:
-        """Read what a node has that was started anew, and forget what it said of it meanwhile."""
-        (found,) = self._tuner.complete([self._reading_all(key)])
-        self._known[key] = dict(found)
+        """Read the parameters of a node that was started anew, and forget its events up to now."""
+        (values,) = self._tuner.complete([self._reading_all(key)])
+        self._known[key] = dict(values)
         self._watch.forget(key)
-        return dict(found)
+        return dict(values)
 
     def known(self, key: str) -> Mapping[str, object]:
-        """Return what a node has for sure; it may have more, of what it was told or had before."""
+        """Return the values that a node is known to have, without any that is just being set."""
         return self._known.get(key, {})
 
     def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
@@ -184,16 +184,18 @@ class NodeParameters:
     def park(
         self, values: Values, held: Values, timeout: float, later: Collection[str] = ()
     ) -> dict[str, Unset]:
-        """Set safe values as `assign_side_by_side` does, whoever else has changed something.
+        """Set safe values on all nodes at the same time, whatever somebody else has changed.
 
         Parameters
         ----------
-        values, timeout
-            As of `assign_side_by_side`.
+        values
+            By node key.
+        timeout
+            Time [s] that all of them have together.
         held
             By node key all that the node must have besides.
         later
-            Keys of nodes that are started anew next, and told then.
+            Keys of nodes that are started anew next, and get their values then.
         """
         self._changed, self._before = {}, {}
         self.expect({key: {**held.get(key, {}), **values[key]} for key in values})
@@ -216,7 +218,7 @@ class NodeParameters:
         Raises
         ------
         RefusedError
-            If a node refuses them, or has another value right after it was told one.
+            If a node refuses them, or has another value right after one was set.
         DisturbedError
             If somebody else changed one, which may be why it refuses others.
         LostError
@@ -224,8 +226,10 @@ class NodeParameters:
         """
         changed = {key: {**v, **self._changed.get(key, {})} for key, v in wanted.items()}
         self.expect(changed)
-        told = {key: self._tell(key, values, kept[key]) for key, values in changed.items()}
-        self.found().check(told)
+        assigned = {
+            key: self._assign_held(key, values, kept[key]) for key, values in changed.items()
+        }
+        self.read_back().check(assigned)
 
     def hold_again(self, key: str) -> None:
         """Set what a node that was started anew must have, and read it back.
@@ -238,9 +242,7 @@ class NodeParameters:
         self.assign_and_read_back(key, self._expected.get(key, {}))
 
     def change(self, key: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a node that is held, which is held at these from now on.
-
-        Until `give_back` or `park`, also by `hold`.
+        """Set parameters of a node that is held, and hold it at these until `give_back` or `park`.
 
         Raises
         ------
@@ -254,13 +256,13 @@ class NodeParameters:
         self._change(key, values)
 
     def give_back(self) -> None:
-        """Set again, and hold, what nodes had that was changed; raises as `change`."""
+        """Set again, and hold, what nodes had before `change`; raises what that raises."""
         before, self._before, self._changed = self._before, {}, {}
         for key, values in before.items():
             self._change(key, {name: v for name, v in values.items() if v is not None})
 
-    def found(self) -> Found:
-        """Find out what nodes have that are held, and had since this was last asked.
+    def read_back(self) -> Readback:
+        """Read what nodes have that are held, and what they had since this was last called.
 
         Raises
         ------
@@ -268,21 +270,21 @@ class NodeParameters:
             If one does not answer.
         """
         values = self._read(self._expected)
-        self._known |= {key: dict(found) for key, found in values.items()}
+        self._known |= {key: dict(of_node) for key, of_node in values.items()}
         seen, problem = self._watch.take_seen(), self._watch.problem
-        return Found(self._expected, values, seen, problem, self._own)
+        return Readback(self._expected, values, seen, problem, self._own)
 
     def disturbance(self) -> DisturbedError | None:
-        """Return what somebody else changed, as far as the nodes told since this was last asked."""
+        """Return what somebody else changed, by the nodes' events since this was last called."""
         seen = self._watch.take_seen()
         return disturbed(seen[0], self._own) if seen else None
 
     def take_remarks(self) -> list[str]:
-        """Tell in lines, each of them once, what nodes do not offer and is done instead."""
+        """Return lines, each of them once, on what nodes lack and what is done instead."""
         return [text for client in self.clients.values() for text in client.take_remarks()]
 
     def undeclared(self, key: str) -> set[str]:
-        """Return the names of what is set on a node, and which it had not when it was read anew."""
+        """Return the names of parameters that are set on a node and that it had not declared."""
         return set(self._own[key]) - set(self._names[key])
 
     def expect_answer(self, key: str) -> None:
@@ -301,19 +303,21 @@ class NodeParameters:
         self.assign_and_read_back(key, values)
 
     def expect(self, values: Values) -> None:
-        """Expect of nodes what they are to `hold`, ahead of telling them."""
+        """Expect nodes to have the values that they are to `hold`, which are not set yet."""
         self._expected = values
         self._watch.expect(values)
 
-    def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
+    def _assign_held(
+        self, key: str, values: Mapping[str, object], kept: Collection[str]
+    ) -> list[str]:
         before = dict(self._known.get(key, {}))
         try:
             return self.assign(key, values)
         except RefusedError:
-            # What was changed by somebody else may be what the values do not go with.
+            # A value that somebody else has changed may be why these are refused.
             self._known[key] = self._read([key])[key]
             now = self._known[key]
-            # What it was told, and could not take back, is no change by others.
+            # What was set, and could not be taken back, is no change by others.
             others = {n: v for n, v in before.items() if _differs(values, n, now.get(n))}
             changed = differences(key, now, others) + self._watch.take_seen()
             # It may have been changed long ago, and the node not take it back.
@@ -331,7 +335,7 @@ class NodeParameters:
         changes = {
             name: value
             for name, value in values.items()
-            # What a device has rounded, it need not be told again.
+            # What a device has rounded need not be set again.
             if _differs(known, name, value)
             and (_differs(taken, name, value) or not checks.holds(known.get(name), value))
         }
@@ -353,7 +357,7 @@ class NodeParameters:
         return list(changes)
 
     def _assigning_and_reading_back(self, key: str, values: Mapping[str, object]) -> Calls:
-        # Once more if somebody else has changed what the node was told before.
+        # Once more if somebody else has changed what was set before.
         for _ in range(2):
             yield from self._assigning(key, values)
             self._known[key] = yield from self._reading(key)
@@ -384,14 +388,14 @@ class NodeParameters:
         return (yield from self._reading(key))
 
     def _reading(self, key: str) -> Calls:
-        found = yield from self.clients[key].values(self._names[key])
-        return {name: value for name, value in found.items() if value is not None}
+        values = yield from self.clients[key].values(self._names[key])
+        return {name: value for name, value in values.items() if value is not None}
 
     def _read(self, keys: Iterable[str]) -> dict[str, dict[str, object]]:
         """Read the parameters of nodes side by side, by key."""
         keys = list(keys)
-        found = self._tuner.complete([self._reading(key) for key in keys])
-        return dict(zip(keys, found, strict=True))
+        readings = self._tuner.complete([self._reading(key) for key in keys])
+        return dict(zip(keys, readings, strict=True))
 
 
 def _differs(known: Mapping[str, object], name: str, value: object) -> bool:

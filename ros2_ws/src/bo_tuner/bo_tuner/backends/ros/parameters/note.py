@@ -22,7 +22,7 @@ from bo_tuner.text import brief
 
 
 def said_of_killed(node: str, name: str, value: object) -> str:
-    """Tell that a parameter of a node has a value of a run that was killed."""
+    """Say that a parameter of a node has a value of a run that was killed."""
     return f"{node}: {name} is {brief(str(value))}, which a run that was killed has left"
 
 
@@ -30,7 +30,7 @@ class ParameterNote:
     """The file of one domain and namespace, in which one tuner works at a time.
 
     It has by the nodes' names what they had when the last tuner came and must have again
-    (``previous``, null for no value), by parameter the values that a tuner has told them last
+    (``previous``, null for no value), by parameter the values that a tuner has set last
     (``told``), and what of that they had before the first of several tuners that left it parked
     (``original``), and which they had not declared (``undeclared``). Nodes of other studies stay in
     it.
@@ -63,64 +63,64 @@ class ParameterNote:
         """Whether there is something of a node."""
         return bool(self._of(node))
 
-    def told(self, node: str) -> Mapping[str, list[object]]:
-        """Return what a node was told last, by parameter."""
-        found: Mapping[str, list[object]] = self._of(node).get("told", {})
-        return found
+    def assigned(self, node: str) -> Mapping[str, list[object]]:
+        """Return the values that were set on a node last, by parameter."""
+        values: Mapping[str, list[object]] = self._of(node).get("told", {})
+        return values
 
     def note(
         self,
         node: str,
         previous: Mapping[str, object],
-        told: Mapping[str, list[object]],
+        assigned: Mapping[str, list[object]],
         original: Mapping[str, object],
         undeclared: Iterable[str] = (),
     ) -> None:
-        """Note all of a node, in place of what there was; of one that was told nothing, nothing."""
+        """Replace the note on a node; there is none on a node on which nothing was set."""
         name = full_name(self._namespace, node)
         self._content.pop(name, None)
-        if told or previous:
+        if assigned or previous:
             self._content[name] = {
                 "previous": previous,
-                "told": told,
+                "told": assigned,
                 "original": original,
                 "undeclared": sorted(undeclared),
             }
 
     def left_behind(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before, of what it still has as a tuner has told it.
+        """Return what a node had before, of parameters that still have a tuner's value.
 
         A parameter that has another value by now, since the node was started anew or somebody has
         set it, is not among it.
         """
-        found = self._told(node, "previous", now)
-        return {name: value for name, value in found.items() if value is not None}
+        previous = self._still_assigned(node, "previous", now)
+        return {name: value for name, value in previous.items() if value is not None}
 
     def left_set(self, node: str, now: Mapping[str, object]) -> set[str]:
-        """Return the parameters that a node has as a tuner has told it, and that had no value."""
-        found = self._told(node, "previous", now)
-        return {name for name, value in found.items() if value is None}
+        """Return the parameters that still have a tuner's value, and that had none before."""
+        previous = self._still_assigned(node, "previous", now)
+        return {name for name, value in previous.items() if value is None}
 
     def undeclared(self, node: str) -> set[str]:
         """Return the parameters that a node had not declared when the last tuner came."""
         return set(self._of(node).get("undeclared", []))
 
     def original(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
-        """Return what a node had before any tuner, of what it still has as one has left it parked.
+        """Return what a node had before any tuner, of parameters that are still left parked.
 
-        As in `left_behind`, what has been set since then is not among it.
+        A parameter that has been set since then is not among it.
         """
-        return self._told(node, "original", now)
+        return self._still_assigned(node, "original", now)
 
-    def _told(self, node: str, part: str, now: Mapping[str, object]) -> dict[str, object]:
+    def _still_assigned(self, node: str, part: str, now: Mapping[str, object]) -> dict[str, object]:
         noted = self._of(node)
-        found = {}
+        unchanged = {}
         for name, value in noted.get(part, {}).items():
-            told = [*noted["told"].get(name, []), noted["previous"].get(name)]
-            is_told = name in now and any(holds(now[name], item) for item in told)
-            if is_told and not same_value(now[name], value):
-                found[name] = value
-        return found
+            assigned = [*noted["told"].get(name, []), noted["previous"].get(name)]
+            is_assigned = name in now and any(holds(now[name], item) for item in assigned)
+            if is_assigned and not same_value(now[name], value):
+                unchanged[name] = value
+        return unchanged
 
     def settle(self, node: str) -> None:
         """Take note that a node has again what it had; if that was parked, it still is."""
@@ -165,8 +165,8 @@ class ParameterNote:
         write_atomically(path, json.dumps(self._content, default=str))
 
     def _of(self, node: str) -> dict[str, Any]:
-        found: dict[str, Any] = self._content.get(full_name(self._namespace, node), {})
-        return found
+        entry: dict[str, Any] = self._content.get(full_name(self._namespace, node), {})
+        return entry
 
     def _path(self) -> Path:
         return state_folder() / "attached" / self._name

@@ -22,7 +22,7 @@ PAUSE = 0.25
 
 
 class PreviousParameters:
-    """Notes what the nodes of a study have, tells what they are told, and sets them back.
+    """Notes what the nodes of a study have and what is set on them, and sets them back.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class PreviousParameters:
         self._undeclared: dict[str, set[str]] = {}
         self._safe: Values = {}
 
-    def undo_killed(self, found: dict[str, dict[str, object]]) -> None:
+    def undo_killed(self, current: dict[str, dict[str, object]]) -> None:
         """Set back what a killed tuner has left on the nodes.
 
         A parameter that has another value by now, since the node was started anew or somebody has
@@ -53,7 +53,7 @@ class PreviousParameters:
 
         Parameters
         ----------
-        found
+        current
             What nodes have, by key; changed along with them.
 
         Raises
@@ -63,14 +63,14 @@ class PreviousParameters:
         LostError
             If it does not answer.
         """
-        for key in found:
+        for key in current:
             spec = self._study.nodes[key]
-            left = self._note.left_behind(spec.node, found[key])
-            unset = self._note.left_set(spec.node, found[key])
+            left = self._note.left_behind(spec.node, current[key])
+            unset = self._note.left_set(spec.node, current[key])
             if not left and not unset:
                 continue
             changes = ", ".join(
-                f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
+                f"{name} {brief(str(current[key][name]))} -> {brief(str(value))}"
                 for name, value in (left | dict.fromkeys(unset, "not set")).items()
             )
             self._tuner.warn(f"{spec.node} is restored after a killed run: {changes}")
@@ -81,7 +81,7 @@ class PreviousParameters:
             undeclared = self._note.undeclared(spec.node)
             safe = safe_values(self._study).get(key, {})
             self._unset_again({key: unset}, {key: undeclared}, {key: safe}, CALL_TIMEOUT)
-            found[key] = self._parameters.read_anew(key)
+            current[key] = self._parameters.read_anew(key)
             self._note.settle(spec.node)
             self._write()
 
@@ -98,26 +98,26 @@ class PreviousParameters:
         self._undeclared = {key: self._parameters.undeclared(key) for key in previous}
         self._safe = safe
         # The constants are set next.
-        self.tell({key: spec.parameters for key, spec in self._study.nodes.items()})
+        self.announce({key: spec.parameters for key, spec in self._study.nodes.items()})
 
     @property
     def before_tuning(self) -> Values:
         """What nodes had, by key, before this tuner, or an earlier one that left them parked."""
         return {key: values | self._original[key] for key, values in self._previous.items()}
 
-    def tell(self, told: Values) -> None:
-        """Note what nodes, by key, are about to have, ahead of telling them.
+    def announce(self, wanted: Values) -> None:
+        """Note what is about to be set on nodes, by key.
 
-        What a node was told before stays noted until it is known what it has.
+        Values that were set before stay noted until it is known what the node has.
         """
         steps = set_by_steps(self._study)
         for key, values in self._previous.items():
             node, known = self._study.nodes[key].node, self._parameters.known(key)
-            earlier = self._note.told(node)
+            earlier = self._note.assigned(node)
             by_name = {}
             had = values | dict.fromkeys(self._unset[key])
             for name in had:
-                sets = (self._safe.get(key, {}), known, told.get(key, {}))
+                sets = (self._safe.get(key, {}), known, wanted.get(key, {}))
                 by_name[name] = [s[name] for s in sets if name in s]
                 # A step may set it at any time.
                 by_name[name] += steps.get(key, {}).get(name, [])
@@ -129,7 +129,7 @@ class PreviousParameters:
     def restore(self, timeout: float) -> list[str]:
         """Give the nodes back what they had, but for safe parameters that the study names.
 
-        What had no value has none again, as far as a node allows that; a line tells of the rest.
+        What had no value has none again, as far as a node allows that; the rest is returned.
 
         A node may refuse these beside the others. It gets back all that it had then.
 
@@ -193,7 +193,7 @@ class PreviousParameters:
         safe: Values,
         timeout: float,
     ) -> None:
-        """Take back what had no value, by node key, and tell where that is not possible.
+        """Take back what had no value, by node key, and warn where that is not possible.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class PreviousParameters:
 def undo_killed(study: Study, tuner: TunerNode) -> None:
     """Set back what a killed tuner has left on the nodes of a study that are there.
 
-    One that does not take it is told, and stays for the next tuner.
+    A warning names a node that does not take it, which stays noted for the next tuner.
     """
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
     nodes = {

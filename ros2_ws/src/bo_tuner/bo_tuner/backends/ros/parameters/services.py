@@ -54,7 +54,7 @@ NOT_OFFERED = re.compile(r"atomic|support|implement|^\s*$", re.IGNORECASE)
 INCOMPLETE = 2.0
 """Time [s] without a further service after which those that are missing are done without."""
 ATTEMPT = 1.0
-"""Time [s] after which a request that changes nothing is repeated: a node that was killed looks
+"""Time [s] after which a request that changes nothing is repeated: a node that was killed stays
 discovered until its lease ends, and one may receive a request before it has discovered who asks."""
 
 
@@ -69,20 +69,20 @@ class ParameterClient:
     tuner
         The tuner's node.
     node
-        Name of the other one, as in a study.
+        Name of the other one, relative to the namespace or in full.
     services
         Those that are used beside that which reads; of the two that set parameters the atomic one
         stands for both.
 
     Attributes
     ----------
-    on_telling, on_refusal : callable
+    on_request, on_refusal : callable
         Called with the values of each request to set some, ahead of it, and if it is refused.
     """
 
     def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
         self.node = node
-        self.on_telling: Callable[[Values], None] = lambda values: None
+        self.on_request: Callable[[Values], None] = lambda values: None
         self.on_refusal: Callable[[Values], None] = lambda values: None
         self._tuner = tuner
         self._types: dict[str, int] = {}
@@ -91,7 +91,7 @@ class ParameterClient:
         self._ready: set[Any] = set()
         self._remarked: list[str] = []
         self._since = 0.0
-        # A node that answers a later client knows the earlier ones (see `meet`).
+        # A node that answers a later client knows the earlier ones.
         setting = SETTING if SetParametersAtomically in services else ()
         kinds = (*setting, GetParameters, *(kind for kind in services if kind not in SETTING))
         self._clients = {
@@ -125,12 +125,12 @@ class ParameterClient:
         return self._tuner.node.count_services(self._clients[GetParameters].srv_name)
 
     def take_remarks(self) -> list[str]:
-        """Tell in lines, each of them once, what the node does not offer and is done instead."""
+        """Return lines, each of them once, on what the node lacks and what is done instead."""
         missing = self._clients.keys() - self._ready
-        found = [text for kind, text in WITHOUT.items() if kind in missing]
+        remarks = [text for kind, text in WITHOUT.items() if kind in missing]
         if self._is_atomic is False and SetParametersAtomically not in missing:
-            found.append(NOT_ATOMIC)
-        new = [text for text in found if text not in self._remarked]
+            remarks.append(NOT_ATOMIC)
+        new = [text for text in remarks if text not in self._remarked]
         self._remarked += new
         return [f"{self.node}: {text}" for text in new]
 
@@ -152,30 +152,32 @@ class ParameterClient:
                         raise
 
     def names(self) -> Calls:
-        """List the parameters; none if the node does not tell them."""
+        """List the parameters; none if the node does not list them."""
         if not self.offers(ListParameters):
             return []
         request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
         return list((yield from self._calling(ListParameters, request)).result.names)
 
     def descriptors(self, names: Sequence[str]) -> Calls:
-        """Describe parameters; without a word where the node does not."""
+        """Describe parameters; empty descriptors where the node does not."""
         if not self.offers(DescribeParameters):
             return [ParameterDescriptor(name=name) for name in names]
-        found = yield from self._asking(DescribeParameters, names)
-        return [item or ParameterDescriptor(name=n) for n, item in zip(names, found, strict=True)]
+        descriptors = yield from self._asking(DescribeParameters, names)
+        return [
+            item or ParameterDescriptor(name=n) for n, item in zip(names, descriptors, strict=True)
+        ]
 
     def messages(self, names: Sequence[str]) -> Calls:
         """Read parameters as messages, not set where the node does not have one."""
-        found = yield from self._asking(GetParameters, names)
-        found = [item or ParameterValue() for item in found]
-        self._types |= {name: item.type for name, item in zip(names, found, strict=True)}
-        return found
+        messages = yield from self._asking(GetParameters, names)
+        messages = [item or ParameterValue() for item in messages]
+        self._types |= {name: item.type for name, item in zip(names, messages, strict=True)}
+        return messages
 
     def values(self, names: Sequence[str]) -> Calls:
         """Read parameters, by name; None where the node does not have one."""
-        found = yield from self.messages(names)
-        return dict(zip(names, map(to_value, found), strict=True))
+        messages = yield from self.messages(names)
+        return dict(zip(names, map(to_value, messages), strict=True))
 
     def set(self, values: Values) -> Calls:
         """Set parameters, all of them or none; returns the result.
@@ -205,7 +207,7 @@ class ParameterClient:
 
     def _set_atomically(self, messages: Sequence[ParameterMessage]) -> Calls:
         values = named_values(messages)
-        self.on_telling(values)
+        self.on_request(values)
         request = SetParametersAtomically.Request(parameters=messages)
         result = (yield from self._calling(SetParametersAtomically, request)).result
         if not result.successful:
@@ -213,9 +215,9 @@ class ParameterClient:
         return result
 
     def _takes_its_own(self, refusal: SetParametersResult, names: Sequence[str]) -> Calls:
-        """Whether it is these values that a node has refused.
+        """Whether a node has refused these values, and not every request of this kind.
 
-        One that takes none in this way refuses what it has, too.
+        A node that takes no request of this kind refuses the values that it has, too.
         """
         if self._is_atomic:
             return True
@@ -241,13 +243,13 @@ class ParameterClient:
         done = [name for name in reversed(names) if name not in refused]
         back = [ParameterMessage(name=name, value=before[name]) for name in done]
         stuck = yield from self._set_in_any_order(back)
-        found = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
-        found += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
-        result = SetParametersResult(successful=False, reason="; ".join(found))
+        reasons = [f"{name}: {brief(why) or 'no reason given'}" for name, why in refused.items()]
+        reasons += [f"{name} could not be set back: {brief(why)}" for name, why in stuck.items()]
+        result = SetParametersResult(successful=False, reason="; ".join(reasons))
         return result, set() if done else set(refused.values())
 
     def _set_in_any_order(self, messages: Sequence[ParameterMessage]) -> Calls:
-        """Set parameters, those again that are refused after which others were set.
+        """Set parameters; those that are refused once more after others were set.
 
         A node may refuse a lower limit above an upper one that is still to come. Returns by name
         why the rest is refused.
@@ -269,7 +271,7 @@ class ParameterClient:
     def _set_several(self, messages: Sequence[ParameterMessage]) -> Calls:
         """Set parameters one after the other; returns a result for each."""
         for item in messages:
-            self.on_telling(named_values([item]))
+            self.on_request(named_values([item]))
         results = yield from self._asking(SetParameters, messages)
         results = [result or SetParametersResult() for result in results]
         for item, result in zip(messages, results, strict=True):
@@ -286,11 +288,11 @@ class ParameterClient:
         many = len(items) > 1
         if not many or not self._one_by_one:
             try:
-                answer = yield from self._calling(kind, kind.Request(**{asked: items}))
-                found = list(getattr(answer, answered))
-                if len(found) == len(items):
+                response = yield from self._calling(kind, kind.Request(**{asked: items}))
+                answers = list(getattr(response, answered))
+                if len(answers) == len(items):
                     self._one_by_one = False if many else self._one_by_one
-                    return found
+                    return answers
             except SilentError:
                 if not many or self._one_by_one is False:
                     raise
@@ -300,10 +302,10 @@ class ParameterClient:
                 return first + (yield from self._asking(kind, items[1:]))
         if not many:
             return [None for _ in items]
-        found = []
+        answers = []
         for item in items:
-            found += yield from self._asking(kind, [item])
-        return found
+            answers += yield from self._asking(kind, [item])
+        return answers
 
     def _calling(self, kind: Any, request: Any) -> Calls:
         return self._tuner.calling(self._clients[kind], request, self.node)
@@ -312,9 +314,9 @@ class ParameterClient:
 def meet(tuner: TunerNode, node: str, deadline: float) -> None:
     """Wait until a node sends here all that this process has subscribed to so far.
 
-    What it publishes before is lost, and that its publishers are known here does not tell. But it
-    hears of the subscriptions in the order in which they were made, so one that answers a new
-    client knows all earlier ones. One without parameter services is not waited for.
+    What it publishes before is lost, even if its publishers are known here. But it discovers the
+    subscriptions in the order in which they were made, so one that answers a new client knows all
+    earlier ones. One without parameter services is not waited for.
 
     Raises
     ------
