@@ -18,7 +18,9 @@ from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.measured import check_measured, measured_names
+from bo_tuner.study.metric_scale import check_scales
 from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
@@ -152,6 +154,13 @@ class Study:
     def __post_init__(self) -> None:
         """Check the references between the parts."""
         findings = Findings()
+        # One with two limits is two constraints from here on.
+        in_file = {
+            f"{name}_{side}": name
+            for name, item in self.constraints.items()
+            if item.upper is not None and item.lower is not None
+            for side in (LOWER, UPPER)
+        }
         self._check_fields(findings)
         self._check_sizes(findings)
         object.__setattr__(self, "metrics", _joined(self.metrics, findings))
@@ -182,8 +191,10 @@ class Study:
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
-            with findings.under("constraints", name):
+            with findings.under("constraints", in_file.get(name, name)):
                 check_constraint(constraint, self.metrics)
+        with findings.under("metrics"):
+            check_scales(self.metrics, self.constraints.values())
         if self.certificate.distribution_free:
             with findings.under():
                 ranges = {name: metric.range for name, metric in self.metrics.items() if metric}

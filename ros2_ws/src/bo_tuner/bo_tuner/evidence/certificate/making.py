@@ -21,6 +21,7 @@ from bo_tuner.evidence.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
+from bo_tuner.evidence.declarations import drifts
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
@@ -110,6 +111,7 @@ def make_certificate(
             *([sensitivity.warning] if sensitivity is not None and sensitivity.warning else ()),
             *_busy(study, findings, backend),
             *_rounded(findings, held),
+            *drifts(study, {name: item.drawn for name, item in evidence.items()}),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
