@@ -38,6 +38,7 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
+from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.study import Study
 from bo_tuner.text import duration, durations, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
@@ -232,6 +233,9 @@ def _show_runs(
             say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
+    if noise := noise_in(study, complete):
+        say_error(f"error: {noise}")
+        return False
     # Of a run that failed, nothing may be known.
     return not failed and _show_motion(study, recordings, heard)
 
@@ -333,7 +337,9 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     subject = Subject(TUNED, study.search_space().defaults, suspected)
     draws = required_draws(study, study.certificate.confidence)
     certificate = most_evaluations(study, [subject], draws).total
-    return tuning + 2 * study.budget.validation_draws, certificate
+    # The first run of all is made once more if it is to have no noise.
+    tuning += 2 * study.budget.validation_draws + study.is_noiseless
+    return tuning, certificate
 
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:

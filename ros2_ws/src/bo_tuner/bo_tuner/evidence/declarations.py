@@ -11,6 +11,7 @@ import numpy as np
 from bo_tuner.metrics.collect import NO_LOGARITHM
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.trends import trend
+from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
@@ -25,9 +26,11 @@ ALIKE = 1e-9
 
 
 def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[str]:
-    """Yield a sentence for each declared range or scale that evaluations contradict."""
+    """Yield a sentence for each declared range, scale or noise that evaluations contradict."""
     if beyond_range := outside(study.metrics, evaluations):
         yield f"A run contradicts the study: {beyond_range}."
+    if noise := noise_in(study, evaluations):
+        yield f"A run contradicts the study: {noise}."
     reasons = [e.outcome.reason for e in evaluations if NO_LOGARITHM in e.outcome.reason]
     for name in study.logarithmic_metrics:
         if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):

@@ -25,7 +25,16 @@ from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric,
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import INTEGER, LOG, ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import (
+    INTEGER,
+    LOG,
+    NONE,
+    RANDOM,
+    ContextVariable,
+    Objective,
+    SeedParameter,
+    Trigger,
+)
 from bo_tuner.study.ranges import check_free
 from bo_tuner.study.references import (
     check_constraint,
@@ -112,6 +121,10 @@ class Study:
         those that are left out are the defaults. Without this key, only the default.
     seed_parameter : SeedParameter, optional
         The node parameter that takes the seed of an evaluation's noise.
+    noise : str
+        `random`, or `none` of a simulator without noise: a parameter set has the same metrics in
+        the same context with any seed. Then one run in a context decides whether a limit is kept
+        there, and nothing is repeated. Runs that contradict it are a fault.
     seed : int
         Seed of everything random in a run.
     description : str
@@ -147,6 +160,7 @@ class Study:
     where: tuple[str, ...] = ()
     start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
+    noise: str = RANDOM
     seed: int = 1
     description: str = ""
     folder: str = ""
@@ -221,6 +235,8 @@ class Study:
                 raise StudyError("expected text without null characters", ("folder",))
         with findings.under():
             checks.integer(self.seed, "seed", at_least=0)
+        with findings.under():
+            checks.choice(self.noise, (RANDOM, NONE), "noise")
         order: tuple[tuple[str, str], ...] = ()
         with findings.under():
             order = _order(self.order)
@@ -300,6 +316,11 @@ class Study:
     def relative_metrics(self) -> dict[str, RelativeMetric]:
         """Metrics for which the default is run beside each evaluation, by name."""
         return {k: m for k, m in self.metrics.items() if isinstance(m, RelativeMetric)}
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether it declares its runs free of noise."""
+        return self.noise == NONE
 
     @property
     def responses(self) -> list[str]:

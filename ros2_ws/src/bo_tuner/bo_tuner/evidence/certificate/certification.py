@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
+from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
@@ -20,7 +20,12 @@ from bo_tuner.evidence.certificate.independent_search import (
     rank,
     worst_of_all,
 )
-from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
+from bo_tuner.evidence.certificate.judgement import (
+    contradiction,
+    decide_context,
+    decide_draws,
+    is_failed,
+)
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Batches, BatchPlan, Plan, Run
 from bo_tuner.study.constraint import Constraint
@@ -34,7 +39,10 @@ EXPECTED_REPEATS = 25
 DRAWS = "draws"
 """Name of the first phase; the others are searches."""
 
-DRAWN, SEARCHED, REPEATED = 0, 1, 2
+REPEATS = 3
+"""Draws of each subject that are run once more with another seed if they are to have no noise."""
+
+DRAWN, SEARCHED, REPEATED, CHECKED = 0, 1, 2, 3
 """Purpose of an evaluation, as part of the key of its noise seed."""
 
 
@@ -86,9 +94,9 @@ def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> M
     space, constraints = study.context_space(), len(study.worst_case_constraints)
     places = sum(_most_places(study, subject) for subject in subjects)
     return MostEvaluations(
-        drawn=len(subjects) * draws,
+        drawn=len(subjects) * (draws + (REPEATS if study.is_noiseless else 0)),
         searched=constraints * sum(most_searched(space, len(s.suspected)) for s in subjects),
-        repeated=places * draws,
+        repeated=places * (1 if study.is_noiseless else draws),
     )
 
 
@@ -158,10 +166,13 @@ class Certification:
             If three evaluations in a row were lost with their nodes or disturbed.
         """
         case = _Case(self._study, self._confidence, self._attempt, draws)
-        drawing = DrawPlan(case, subjects)
+        repeats = RepeatedDraws(case, subjects)
+        if self._study.is_noiseless:
+            self._complete(repeats)
+        drawing = DrawPlan(case, subjects, repeats.evaluations)
         self._complete(drawing)
         searched = [
-            self._look_closely(case, number, subject, drawing.evaluations[number])
+            self._look_closely(case, number, subject, drawing.evidence(number))
             for number, subject in enumerate(subjects)
         ]
         return [
@@ -170,11 +181,14 @@ class Certification:
         ]
 
     def _look_closely(
-        self, case: "_Case", number: int, subject: Subject, drawn: Sequence[Evaluation]
+        self, case: "_Case", number: int, subject: Subject, evidence: Evidence
     ) -> Evidence:
-        evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
-        constraints = self._study.worst_case_constraints
-        if self.cut_short or not constraints or case.decided(subject, drawn) is False:
+        if (
+            self.cut_short
+            or not self._study.worst_case_constraints
+            or case.decided(subject, evidence.drawn) is False
+            or contradiction(self._study, evidence.evaluations)
+        ):
             return evidence
         plan = WorstCasePlan(case, number, subject, evidence)
         self._complete(plan)
@@ -185,9 +199,10 @@ class Certification:
     ) -> Evidence:
         """Make the draws that the limits need beside all other runs, if they are kept there."""
         places = range(len(evidence.repeated))
-        others = evidence.evaluations[len(evidence.drawn) :]
+        others = evidence.others
         if (
             self.cut_short
+            or contradiction(self._study, evidence.evaluations)
             or not places
             or any(case.open_limits(evidence, place) != [] for place in places)
             or case.decided(subject, evidence.drawn, others) is not None
@@ -241,6 +256,10 @@ class _Case:
         rng = generator(self.study.seed, Stream.CERTIFICATE_CONTEXTS, self.attempt)
         return [space.to_dict(row) for row in space.draw(self.most, rng)]
 
+    def draw_seed(self, number: int) -> int:
+        """Return the seed of a draw; without noise draws differ by their contexts alone."""
+        return self.noise_seed(DRAWN, 0 if self.study.is_noiseless else number)
+
     def noise_seed(self, *key: int) -> int:
         """Return a seed; it does not depend on the subject: the same noise for all."""
         return noise_seed(self.study.seed, Stream.CERTIFICATE_NOISE, self.attempt, *key)
@@ -290,6 +309,8 @@ class DrawPlan(_CertificatePlan):
         The certificate.
     subjects
         The parameter sets.
+    repeats
+        Of each of them, draws that were run with other seeds.
 
     Attributes
     ----------
@@ -299,8 +320,11 @@ class DrawPlan(_CertificatePlan):
 
     phase = DRAWS
 
-    def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
+    def __init__(
+        self, case: _Case, subjects: Sequence[Subject], repeats: Sequence[Sequence[Evaluation]]
+    ) -> None:
         super().__init__()
+        self._repeats = repeats
         self._case = case
         self._subjects = subjects
         self._clear = False
@@ -314,7 +338,7 @@ class DrawPlan(_CertificatePlan):
         if k == len(self._contexts) or (self._clear and number == 0):
             return None
         parameters, context = self._subjects[number].parameters, self._contexts[k]
-        seed = self._case.noise_seed(DRAWN, k)
+        seed = self._case.draw_seed(k)
         return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
 
     def tell(self, task: Run) -> bool:
@@ -322,14 +346,69 @@ class DrawPlan(_CertificatePlan):
         self.evaluations[task.evaluation.trial].append(task.evaluation)
         if len({len(drawn) for drawn in self.evaluations}) > 1:
             return False
-        self._clear = all(map(self._is_clear, self._subjects, self.evaluations))
+        self._clear = all(map(self._is_clear, range(len(self._subjects))))
         return True
 
-    def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
+    def evidence(self, number: int) -> Evidence:
+        """Return the draws of a subject as evidence, with what was run before them."""
+        subject, drawn = self._subjects[number], tuple(self.evaluations[number])
+        repeats = tuple(self._repeats[number])
+        return Evidence(subject.parameters, drawn, earlier=subject.earlier, repeats=repeats)
+
+    def _is_clear(self, number: int) -> bool:
+        subject, drawn = self._subjects[number], self.evaluations[number]
+        if contradiction(self._case.study, [*self._repeats[number], *drawn]):
+            return True
         # Several are compared in the same draws, so that none may need more of them later.
         decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
-        least = min(LEAST_DRAWS, self._case.most)
+        least = min(least_draws(self._case.study), self._case.most)
         return decided is False or (decided is True and len(drawn) >= least)
+
+
+class RepeatedDraws(_CertificatePlan):
+    """The first draws of all subjects with other seeds, which are to change nothing.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = "repeats without noise"
+
+    def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
+        super().__init__()
+        contexts = case.draw()[:REPEATS]
+        self._planned = iter(
+            Evaluation(
+                number,
+                k,
+                Stage.CHECK_DRAWN,
+                subject.parameters,
+                context,
+                case.noise_seed(CHECKED, k),
+            )
+            for number, subject in enumerate(subjects)
+            for k, context in enumerate(contexts)
+        )
+        self.steps = len(subjects) * len(contexts)
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        planned = next(self._planned, None)
+        return None if planned is None else Run(planned)
+
+    def tell(self, task: Run) -> bool:
+        """Add a run, which is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        return True
 
 
 class FurtherDrawPlan(_CertificatePlan):
@@ -359,7 +438,7 @@ class FurtherDrawPlan(_CertificatePlan):
         self._case = case
         self._number = number
         self._subject = subject
-        self._others = evidence.evaluations[len(evidence.drawn) :]
+        self._others = evidence.others
         self._contexts = case.draw()
         self.evidence = evidence
         self.steps = case.most - len(evidence.drawn)
@@ -373,7 +452,7 @@ class FurtherDrawPlan(_CertificatePlan):
             or self._case.decided(self._subject, drawn, self._others) is not None
         ):
             return None
-        seed = self._case.noise_seed(DRAWN, k)
+        seed = self._case.draw_seed(k)
         parameters, context = self._subject.parameters, self._contexts[k]
         return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
 

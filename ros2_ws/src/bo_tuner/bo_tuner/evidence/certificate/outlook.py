@@ -14,12 +14,13 @@ from math import exp, log, sqrt
 import numpy as np
 from scipy.special import betaincinv, ndtr
 
-from bo_tuner.evidence.certificate.economy import BEHIND, FEW, LEAST_DRAWS, is_far
+from bo_tuner.evidence.certificate.economy import BEHIND, FEW, is_far, least_draws
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
     least_searched,
     most_searched,
 )
+from bo_tuner.evidence.certificate.judgement import is_exact
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import draws_needed, log_evidence, log_mean_evidence
@@ -129,8 +130,11 @@ class _Simulation:
 
     def evaluations(self) -> int | None:
         """Return how many evaluations a certificate takes; None if it does not pass."""
-        draws, together, places = LEAST_DRAWS, 0, 0
+        draws, together, places = least_draws(self.study), 0, 0
         for constraint in self.study.constraints.values():
+            if is_exact(self.study, constraint):
+                places = max(places, CANDIDATES if self.study.contexts else 1)
+                continue
             if constraint.rule.in_every_context:
                 runs = self._in_contexts(constraint)
                 places = max(places, runs or 0)

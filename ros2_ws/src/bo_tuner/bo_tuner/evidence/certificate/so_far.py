@@ -30,9 +30,9 @@ def so_far(study: Study, evidence: Evidence, confidence: float) -> Iterator[str]
         yield f"nothing is shown by {runs}"
         return
     findings = judge(study, evidence, confidence)
-    refuting = findings.failures or findings.outside
+    refuting = findings.failures or findings.contradiction
     yield (
-        f"{runs}, {'some failed' if refuting else 'nothing refutes it'}; shown with "
+        f"{runs}, {'some speak against it' if refuting else 'nothing refutes it'}; shown with "
         f"{100.0 * confidence:.4g} % confidence:"
     )
     for found in findings.constraints:
