@@ -24,21 +24,22 @@ def drawn(of, count, seed=1):
 @pytest.mark.parametrize(
     ("of", "count", "columns"),
     [
-        # u, u², u³; with one for each eight draws.
+        # u, u², u³; from 20 draws on, with one for each five.
         (space(UNIFORM), 25, 3),
-        (space(UNIFORM), 16, 2),
-        (space(UNIFORM), 8, 1),
-        (space(UNIFORM), 7, 0),
-        (space(UNIFORM, UNIFORM), 25, 2),
+        (space(UNIFORM), 20, 3),
+        (space(UNIFORM), 19, 0),
         # Squares and the product.
-        (space(UNIFORM, UNIFORM), 40, 5),
-        (space(*[UNIFORM] * 4), 25, 0),
+        (space(UNIFORM, UNIFORM), 25, 5),
+        (space(UNIFORM, UNIFORM), 20, 2),
+        (space(UNIFORM, UNIFORM), 45, 9),
+        (space(*[UNIFORM] * 4), 25, 4),
+        (space(*[UNIFORM] * 6), 25, 0),
         # Two values have one difference, three texts have two.
         (space(Discrete(values=(1.0, 2.0))), 100, 1),
         (space(Discrete(values=("ice", "sand", "mud"))), 100, 2),
         (space(), 25, 0),
         (space(UNIFORM), 0, 0),
-        (space(*[UNIFORM] * 40), 320, 40),
+        (space(*[UNIFORM] * 40), 200, 40),
     ],
 )
 def test_their_number_follows_from_draws_and_variables(of, count, columns):

@@ -27,6 +27,7 @@ from bo_tuner.cli.study_options import (
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.judgement import least_evaluations
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.store import required_draws
@@ -371,7 +372,8 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
-        least = least_evaluations(study, spent(study.certificate.confidence, 1))
+        fewest = least_evaluations(study, spent(study.certificate.confidence, 1))
+        least = max(fewest, least_draws(study))
         times = durations(of_certificate(probable.low), of_certificate(probable.high))
         say(
             f"certificate: probably {probable} evaluations, {times}, if the result passes by a "

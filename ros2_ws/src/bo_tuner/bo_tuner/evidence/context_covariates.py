@@ -15,8 +15,12 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.trials import Context
 
-DRAWS_EACH = 8
+DRAWS_EACH = 5
 """Draws for each covariate, at least: one that explains nothing widens the interval."""
+
+FEWEST = 20
+"""Draws from which on the interval of an adjusted mean holds as often as it says
+(benchmarks/band_coverage.py --means-only)."""
 
 HIGHEST = 3
 """Largest total degree."""
@@ -31,10 +35,11 @@ Term = tuple[int, Array]
 def covariates(space: ContextSpace, contexts: Sequence[Context]) -> Array:
     """Return covariates (n, p) of n contexts, each with an expectation of 0.
 
-    They have the largest total degree at which there are `DRAWS_EACH` draws for each; none where
-    there are too few already for the first degree.
+    They have the largest total degree at which there are `DRAWS_EACH` draws for each; there are
+    none where the draws are too few already for the first degree, or fewer than `FEWEST`.
     """
-    n, most = len(contexts), len(contexts) // DRAWS_EACH
+    n = len(contexts)
+    most = n // DRAWS_EACH if n >= FEWEST else 0
     rows = space.rows(contexts)
     middles = (np.arange(QUANTILES) + 0.5) / QUANTILES
     law = space.at_quantiles(np.tile(middles[:, None], (1, len(space.names))))
