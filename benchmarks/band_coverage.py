@@ -12,6 +12,10 @@ often
 - the bound behind a PASS holds the true worst mean, or the true largest probability of a violation;
 - the verdict is PASS, of parameter sets that in truth keep the limit and of others.
 
+With `--means-only`, instead of all that, how often the 95 % interval of the mean over the contexts,
+by draws as a validation has them, holds the true mean, and how wide it is: with the contexts as
+covariates (`context_covariates`), and without.
+
 The result goes to benchmarks/results/band_coverage.json, from which performance.py writes a
 section of docs/performance.md. Seeds up to 2000, and from 100001 on, were used in development;
 those of the result were not.
@@ -35,6 +39,8 @@ from bo_tuner.evidence.certificate.context_tolerance import (
     context_tolerances,
 )
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.context_covariates import covariates
+from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
@@ -205,6 +211,50 @@ def _crossing(
     return float(steps[int(np.argmax(above))]) if above.any() else None
 
 
+MEAN_DRAWS = 10, 25, 50, 100
+MEANS_EACH = 10
+"""Validations of each metric and number of draws."""
+
+TRUE_DRAWS = 100_000
+
+
+def interval_rows(seeds: Sequence[int]) -> list[list[object]]:
+    """Return how often the interval of a mean holds the truth, by the number of draws.
+
+    With and without covariates, and how wide it is with them: median of the ratios.
+    """
+    held: dict[int, list[tuple[bool, bool, float]]] = {count: [] for count in MEAN_DRAWS}
+    for seed in seeds:
+        rng = np.random.default_rng((20_261_127, seed))
+        metric, uniform = response(rng), bool(rng.integers(2))
+        space = study_of(metric, {"upper": 1.0}, seed, uniform=uniform).context_space()
+        truth = float(metric.mean(space.draw(TRUE_DRAWS, rng)).mean())
+        for count in MEAN_DRAWS:
+            for _ in range(MEANS_EACH):
+                rows = space.draw(count, rng)
+                values = metric.mean(rows) + metric.deviation(rows) * rng.standard_normal(count)
+                of_draws = covariates(space, [space.to_dict(row) for row in rows])
+                adjusted = adjusted_mean(values, of_draws, CONFIDENCE)
+                plain = adjusted_mean(values, of_draws[:, :0], CONFIDENCE)
+                held[count].append(
+                    (
+                        adjusted.low <= truth <= adjusted.high,
+                        plain.low <= truth <= plain.high,
+                        (adjusted.high - adjusted.low) / (plain.high - plain.low),
+                    )
+                )
+    return [
+        [
+            count,
+            len(found),
+            f"{np.mean([with_them for with_them, _, _ in found]):.1%}",
+            f"{np.mean([without for _, without, _ in found]):.1%}",
+            f"{np.median([ratio for _, _, ratio in found]):.2f}",
+        ]
+        for count, found in held.items()
+    ]
+
+
 def counted(held: int, count: int) -> dict[str, float | int]:
     """Return a share with its interval, as JSON takes it."""
     found = share(held, count)
@@ -249,8 +299,14 @@ def main() -> None:
     parser = result_parser(__doc__, "band_coverage.json")
     parser.add_argument("--cases", type=int, default=200, help="(default: %(default)s)")
     parser.add_argument("--first", type=int, default=2001, help="first seed (default: %(default)s)")
+    parser.add_argument("--means-only", action="store_true", help="intervals of means alone")
     arguments = parser.parse_args()
     seeds = list(range(arguments.first, arguments.first + arguments.cases))
+    if arguments.means_only:
+        header = ["draws", "validations", "held with covariates", "without", "width"]
+        with threadpool_limits(1):
+            print(table(header, interval_rows(seeds)))
+        return
     about = provenance() | {"seeds": seeds}
     with threadpool_limits(1):
         cases = [case(seed) for seed in seeds]

@@ -97,6 +97,14 @@ def study(tmp_path, *options, **changes):
     return finish(Fork(*arguments, folder=tmp_path))
 
 
+def test_noise_of_a_study_that_declares_none(servo, tmp_path):
+    """No two runs on the clock of a machine have the same error."""
+    code, _, err = study(tmp_path, noise="none")
+    assert code == 3
+    assert "error: the study declares noise: none, but error was " in err
+    assert "in two runs of the same parameter set in the same context (seeds " in err
+
+
 def test_a_study_that_is_right(servo, tmp_path):
     """Bounds, types, defaults and the array come from the node, which is left as it was.
 
@@ -111,7 +119,8 @@ def test_a_study_that_is_right(servo, tmp_path):
     # Three trials of a draw, 10 runs in the check of an answer, and two sides in two draws.
     assert "study: at most 17 evaluations, about" in out
     # Without a limit on the worst case there is no search for it.
-    assert "certificate: at most 1000 evaluations, about" in out
+    assert "certificate: probably 30 evaluations, about" in out
+    assert "if the result passes by a usual margin; at least 30, at most 1000, about" in out
     assert "violations" in out
     assert "note: parameters" not in out
     assert "does not keep" not in out

@@ -18,7 +18,7 @@ def test_pairs_are_as_in_the_paired_t_test(pairs):
     default, tuned = map(np.array, zip(*pairs, strict=True))
     if np.ptp(tuned - default) < 1e-6:
         return
-    found = paired(default, tuned)
+    found = paired(default, tuned, np.empty((len(pairs), 0)))
     interval = stats.ttest_rel(tuned, default).confidence_interval(0.95)
     assert (found.low, found.high) == pytest.approx(tuple(interval), rel=1e-9, abs=1e-9)
     assert found.count == len(pairs)
@@ -43,7 +43,7 @@ def test_standard_errors_of_any_size(scale):
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_too_few_pairs_show_nothing(count):
-    found = paired([1.0] * count, [0.0] * count)
+    found = paired([1.0] * count, [0.0] * count, np.empty((count, 0)))
     assert isinf(found.low)
     assert isinf(found.high)
     assert found.change(1.0) is Change.UNKNOWN

@@ -30,8 +30,10 @@ def runs(study, count, above, *further, side=1, error=1.0):
         for k in range(count)
     ]
     parameters = {"gain": 0.5 if side == 0 else 0.25}
+    space = study.context_space()
+    context = space.to_dict(space.nominal())
     return [
-        Evaluation(side, k, Stage.VALIDATION, parameters, {}, k, outcome)
+        Evaluation(side, k, Stage.VALIDATION, parameters, context, k, outcome)
         for k, outcome in enumerate([*outcomes, *further])
     ]
 

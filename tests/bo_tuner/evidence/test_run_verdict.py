@@ -35,6 +35,27 @@ def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
     assert not any(command.startswith("apply") for command in commands)
 
 
+def test_a_run_that_contradicts_the_study_is_named(run):
+    """On every screen that shows the verdict; here by a range that the runs of the study leave."""
+    draws = [(1.0, 0.5)] * 20
+    sound = made(run, draws, draws, True)
+    assert not any("contradicts" in remark for remark in run_verdict(sound).remarks)
+    peak = dataclasses.replace(run.study.metrics["peak"], range=(0.9, 5.0))
+    study = dataclasses.replace(run.study, metrics={**run.study.metrics, "peak": peak})
+    remarks = run_verdict(dataclasses.replace(sound, study=study)).remarks
+    assert any("peak was " in remark and "its range [0.9, 5]" in remark for remark in remarks)
+
+
+def test_a_drift_over_the_validation_is_named(run):
+    noise = 0.01 * np.random.default_rng(2).standard_normal(25)
+    steady = [(1.0, 0.5 + float(e)) for e in noise]
+    warming = [(1.0, 0.5 + float(e) + 0.004 * k) for k, e in enumerate(noise)]
+    remarks = run_verdict(made(run, steady, warming, True)).remarks
+    drifts = [remark for remark in remarks if "drifts" in remark]
+    assert [drift.split(":")[0] for drift in drifts] == ["peak drifts"]
+    assert "the tuned parameter set, later ones are larger" in drifts[0]
+
+
 @pytest.mark.parametrize("certificate", [None, "tuned", "both"])
 def test_a_better_default_is_preferred(run, certificate):
     """The error is the objective; the peak is lower, and kept by both."""

@@ -74,6 +74,14 @@ def test_every_kind_of_metric_has_it(metric):
     assert "metrics.other.scale: unknown 'logs'" in refusal(changed)
 
 
+def test_without_a_limit_it_is_refused():
+    changed = put("log", "metrics", "error", "scale")
+    assert refusal(changed) == (
+        "metrics.error.scale: has no effect: there is no limit on error; leave it out, or if it is "
+        "the objective, write objective: {metric: error, scale: log}"
+    )
+
+
 def test_a_difference_from_the_default_has_none():
     changed = put({"relative": "error", "scale": "log"}, "metrics", "other")
     assert refusal(changed).startswith("metrics.other.scale: unknown key")

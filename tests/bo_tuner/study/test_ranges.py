@@ -32,12 +32,28 @@ def test_no_range(found, told):
     assert told in str(error.value)
 
 
-@pytest.mark.parametrize("limits", [[1.0, 2.0], [-1.0, 1.0], [2.0, 3.0]])
-def test_a_limit_that_the_range_decides(make_study, limits):
+@pytest.mark.parametrize(
+    ("declared", "certain"),
+    [([1.0, 2.0], "keep"), ([-1.0, 1.0], "break"), ([2.0, 3.0], "keep"), ([0.0, 0.5], "break")],
+)
+def test_a_limit_that_the_range_decides(make_study, declared, certain):
     """The limit of this study is an upper one of 1."""
-    with pytest.raises(StudyError, match="expected a limit inside the range of peak"):
-        make_study(metrics=metrics(range=limits))
+    with pytest.raises(StudyError, match=f"no run can {certain} it: expected a limit inside") as e:
+        make_study(metrics=metrics(range=declared))
+    assert e.value.path == ("constraints", "peak", "upper")
     assert make_study(metrics=metrics(range=[0.0, 2.0])).metrics["peak"].range == (0.0, 2.0)
+
+
+@pytest.mark.parametrize(("side", "certain"), [("lower", "break"), ("upper", "keep")])
+def test_one_of_two_limits_has_the_key_of_the_file(make_study, side, certain):
+    limits = {"lower": 1.0, "upper": 3.0} | {side: 0.0 if side == "lower" else 1.5}
+    declared = [0.0, 2.0] if side == "lower" else [1.5, 4.0]
+    constraint = {"kind": "worst_case", "metric": "peak"} | limits
+    with pytest.raises(StudyError) as error:
+        make_study(metrics=metrics(range=declared), constraints={"band": constraint})
+    found = [error.value, *error.value.others]
+    assert ("constraints", "band", side) in [item.path for item in found]
+    assert any(f"no run can {certain} it" in item.problem for item in found)
 
 
 def test_a_difference_to_the_default_has_the_range_that_follows():

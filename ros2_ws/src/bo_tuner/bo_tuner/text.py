@@ -111,3 +111,17 @@ def percent(probability: float) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with what it counts: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"
+
+
+def durations(low: float, high: float) -> str:
+    """Return a range of times in words."""
+    ends = duration(low), duration(high)
+    return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1].removeprefix('about ')}"

@@ -11,6 +11,7 @@ from validated_run import certificate
 from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.errors import OutputError, RunError
 from bo_tuner.evidence.certificate import making
 from bo_tuner.evidence.certificate.store import certificate_problem
@@ -72,6 +73,35 @@ class TestInterruption:
         assert not unfinished.exists()
         verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
         assert not any("begun" in remark for remark in verdict.remarks)
+
+    def test_the_end_of_its_time_says_what_is_shown(self, here, folder, monkeypatch):
+        """The next call goes on to the same certificate as one without an end."""
+        assert here(folder)[0] == 0
+        whole = (folder / "certificates" / "0001_evaluations.csv").read_bytes()
+        shutil.rmtree(folder / "certificates")
+        outcome, count = InProcessBackend.outcome, []
+
+        def run(self, planned):
+            count.append(planned)
+            return outcome(self, planned)
+
+        monkeypatch.setattr(InProcessBackend, "outcome", run)
+        with monkeypatch.context() as timed:
+            timed.setattr(TimeLimit, "over", property(lambda _: len(count) >= 20))
+            code, out, err = here(folder, "--time", "10min")
+        assert (code, out, len(count)) == (1, "", 20)
+        said = err.splitlines()
+        (first,) = [k for k, line in enumerate(said) if line.startswith("the time is over")]
+        assert said[first] == (
+            "the time is over, without a verdict: 20 runs, nothing refutes it; shown with 96 % "
+            "confidence:"
+        )
+        assert said[first + 1].startswith("  peak: at least 0.")
+        assert said[first + 2].startswith("  error: at least 0.")
+        assert said[-1] == f"continue with: validate {folder} --time 10min"
+        assert [path.name for path in (folder / "certificates").iterdir()] == ["unfinished.jsonl"]
+        assert here(folder)[0] == 0
+        assert (folder / "certificates" / "0001_evaluations.csv").read_bytes() == whole
 
     def test_a_full_disk_at_the_beginning_loses_none_of_its_evaluations(self, here, folder):
         def begin():

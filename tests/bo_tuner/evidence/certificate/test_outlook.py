@@ -1,40 +1,17 @@
-"""How many evaluations a certificate probably takes: against exact counts and what it took."""
-
-import math
+"""How many evaluations a certificate probably takes: against counts of its own and what it took."""
 
 import numpy as np
 import pytest
-from certified import collect
-from functions import make_trial
+from certified import CHANCE, collect
 
-from bo_tuner.evidence.certificate.judgement import judge
-from bo_tuner.evidence.certificate.outlook import Outlook, outlook, runs_to_show, runs_to_show_mean
-from bo_tuner.numerics.sequential import draws_needed, is_shown, log_mean_evidence
-from bo_tuner.trials import Trial, TrialState, WorstCase
+from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.independent_search import least_searched
+from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
+from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.numerics.sequential import is_shown
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, WorstCase
 
 MEAN = {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}}
-
-
-@pytest.mark.parametrize("allowed", [0.01, 0.04, 0.15])
-def test_without_a_violation_they_are_the_fewest(allowed):
-    assert runs_to_show(0.0, allowed, 1000, 0.95) == draws_needed(allowed, 0.95)
-
-
-def test_one_violation_in_twenty_runs():
-    """About as with one at the beginning of each twenty."""
-    n = runs_to_show(0.05, 0.15, 1000, 0.95)
-    assert not is_shown([k % 20 == 0 for k in range(n - 10)], 0.15, 0.95)
-    assert is_shown([k % 20 == 0 for k in range(n + 20)], 0.15, 0.95)
-    assert runs_to_show(0.16, 0.15, 1000, 0.95) == 1000
-
-
-@pytest.mark.parametrize("margin", [0.2, 0.5])
-def test_a_mean_by_its_margin(margin):
-    """Runs with exactly this mean and standard deviation, in pairs."""
-    n = runs_to_show_mean(margin, 1000, 0.95)
-    for count, shown in ((n - 4, False), (n + 4, True)):
-        values = np.tile([1.0, -1.0], count // 2) - margin
-        assert bool(log_mean_evidence(values, 0.0)[-1] >= math.log(20.0)) is shown
 
 
 def certified(study, function_backend, margin, noise=0.1):
@@ -48,39 +25,77 @@ def certified(study, function_backend, margin, noise=0.1):
     return judge(study, found, 0.95)
 
 
+def estimated(margin, noise=0.1):
+    """A worst case with this margin in deviations."""
+    value = 1.0 - margin * noise
+    return {"peak": WorstCase(value, {"load": 1.5}, value, noise)}
+
+
+def draws(count, above):
+    """Draws of which some are beyond a limit of 1."""
+    outcomes = [
+        Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 1.1 if k < above else 0.5})
+        for k in range(count)
+    ]
+    return [
+        Evaluation(1, k, Stage.VALIDATION, {"gain": 0.5}, {"load": 1.5}, k, outcome)
+        for k, outcome in enumerate(outcomes)
+    ]
+
+
 @pytest.mark.parametrize("margin", [0.6, 3.0])
 def test_a_certificate_takes_about_as_many(make_study, function_backend, margin):
-    study, noise = make_study(constraints=MEAN), 0.1
-    value = 1.0 - margin * noise
-    trial = Trial(
-        0,
-        {"gain": 0.5},
-        "",
-        TrialState.COMPLETE,
-        worst_cases={"peak": WorstCase(value, {"load": 1.5}, value, noise)},
-    )
-    probable = outlook(study, trial, (), 1000, 0.95)
+    study = make_study(constraints=MEAN)
+    probable = outlook(study, 1000, 0.95, draws(25, 0), estimated(margin))
     verdict = certified(study, function_backend, margin)
     assert verdict.passed
     assert 0.5 * probable.low <= verdict.evaluations <= 2.0 * probable.high
     assert probable.high <= 6 * probable.low
 
 
-def test_of_bets_in_a_range_nothing_is_told(make_study):
-    """They take other runs than the tests of normal and log-normal noise."""
-    metrics = {"error": {"node": "axis"}, "peak": {"node": "axis", "range": [0.0, 10.0]}}
-    study = make_study(constraints=MEAN, metrics=metrics)
-    worst = {"peak": WorstCase(0.9, {"load": 1.5}, 0.9, 0.1)}
-    trial = Trial(0, {"gain": 0.5}, "", TrialState.COMPLETE, worst_cases=worst)
-    assert outlook(make_study(constraints=MEAN), trial, (), 1000, 0.95) is not None
-    assert outlook(study, trial, (), 1000, 0.95) is None
+def test_a_range_holds_eight_in_ten_draws(make_study):
+    """Of true shares from the posterior of 1 in 50 draws, by Bernoulli draws of its own."""
+    study, known = make_study(**CHANCE), draws(50, 1)
+    probable = outlook(study, 1000, 0.95, known)
+    rng, taken = np.random.default_rng(5), []
+    for _ in range(300):
+        events = rng.random(1000) < rng.beta(1.5, 49.5)
+        shown = [n for n in range(1, 1001) if is_shown(events[:n], 0.04, 0.95)][:1]
+        taken += [max(30, n) for n in shown]
+    assert sum(n > probable.high for n in taken) / len(taken) == pytest.approx(0.1, abs=0.07)
+    # More than one in ten take the fewest.
+    assert sum(n < probable.low for n in taken) / len(taken) <= 0.17
 
 
-def test_what_is_not_known_is_not_told(make_study):
-    """No noise of the worst case; no draws for a chance constraint."""
-    assert outlook(make_study(), make_trial(0, {"gain": 0.5}, [1.0]), (), 1000, 0.95) is None
-    limit = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
-    study = make_study(constraints={"peak": limit})
-    assert outlook(study, make_trial(0, {"gain": 0.5}, [1.0]), (), 1000, 0.95) is None
+def test_a_limit_that_is_kept_by_far_takes_about_the_fewest(make_study):
+    study = make_study(constraints=MEAN)
+    probable = outlook(study, 1000, 0.95, draws(25, 0), estimated(10.0))
+    least = 30 + least_searched(study.context_space(), 1) + 5
+    assert least <= probable.low <= probable.high <= least + 60
+
+
+def test_one_that_is_broken_has_no_certificate(make_study):
+    study = make_study(constraints=MEAN)
+    assert outlook(study, 1000, 0.95, draws(25, 0), estimated(-3.0)) is None
+
+
+def test_bets_take_more_in_a_wider_range(make_study):
+    found = []
+    for high in (2.0, 50.0):
+        metrics = {"error": {"node": "axis"}, "peak": {"node": "axis", "range": [0.0, high]}}
+        study = make_study(constraints=MEAN, metrics=metrics)
+        found.append(outlook(study, 1000, 0.95, draws(25, 0), estimated(3.0)))
+    assert found[0].high < found[1].low
+
+
+@pytest.mark.parametrize("limit", [MEAN, CHANCE["constraints"], {}])
+def test_of_an_unknown_result_it_is_between_the_least_and_the_most(make_study, limit):
+    study = make_study(constraints=limit)
+    probable = outlook(study, 1000, 0.95)
+    most = most_evaluations(study, [Subject("tuned", {"gain": 0.5}, ({},))], 1000).total
+    assert max(30, least_evaluations(study, 0.95)) <= probable.low <= probable.high <= most
+
+
+def test_in_words():
     assert str(Outlook(30, 30)) == "30"
     assert str(Outlook(30, 99)) == "30 to 99"

@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
-from bo_tuner.cli.parameter_runs import duration, show_effects, try_parameters
+from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against
 from bo_tuner.cli.study_options import (
@@ -27,6 +27,9 @@ from bo_tuner.cli.study_options import (
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.economy import least_draws
+from bo_tuner.evidence.certificate.judgement import least_evaluations
+from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
@@ -34,9 +37,11 @@ from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmo
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
+from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.text import duration, durations, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 
@@ -229,6 +234,9 @@ def _show_runs(
             say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
+    if noise := noise_in(study, complete):
+        say_error(f"error: {noise}")
+        return False
     # Of a run that failed, nothing may be known.
     return not failed and _show_motion(study, recordings, heard)
 
@@ -314,6 +322,12 @@ def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[
     return True
 
 
+def probable_certificate(study: Study) -> Outlook | None:
+    """Return how many evaluations the certificate of a result probably takes, of a usual one."""
+    confidence = spent(study.certificate.confidence, 1)
+    return outlook(study, required_draws(study, study.certificate.confidence), confidence)
+
+
 def evaluations_at_most(study: Study) -> tuple[int, int]:
     """Return the largest numbers of evaluations of a study and of the certificate of its result."""
     tuning = METHODS[DEFAULT_METHOD].most_evaluations(study)
@@ -324,7 +338,9 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     subject = Subject(TUNED, study.search_space().defaults, suspected)
     draws = required_draws(study, study.certificate.confidence)
     certificate = most_evaluations(study, [subject], draws).total
-    return tuning + 2 * study.budget.validation_draws, certificate
+    # The first run of all is made once more if it is to have no noise.
+    tuning += 2 * study.budget.validation_draws + study.is_noiseless
+    return tuning, certificate
 
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
@@ -339,22 +355,32 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
             "another parameter set: it takes twice the time"
         )
     tuning, certificate = evaluations_at_most(study)
-    starts_of_study = starts_of_certificate = 0
+    starts_of_study = 0
     if starting:
         each = _starts_each_time(study)
         starts_of_study = tuning if each else min(tuning, study.budget.trials)
-        starts_of_certificate = certificate if each else 1
         say(
             f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
             f"once for {'each evaluation' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting
-    seconds_of_certificate = certificate * seconds + starts_of_certificate * starting
+
+    def of_certificate(evaluations: int) -> float:
+        starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
+        return evaluations * seconds + starts * starting
+
     say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
-    say(
-        f"certificate: at most {certificate} evaluations, {duration(seconds_of_certificate)}; "
-        "fewer once the verdict is clear"
-    )
+    at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
+    if (probable := probable_certificate(study)) is not None:
+        fewest = least_evaluations(study, spent(study.certificate.confidence, 1))
+        least = max(fewest, least_draws(study))
+        times = durations(of_certificate(probable.low), of_certificate(probable.high))
+        say(
+            f"certificate: probably {probable} evaluations, {times}, if the result passes by a "
+            f"usual margin; at least {least}, {at_most}"
+        )
+    else:
+        say(f"certificate: {at_most}; fewer once the verdict is clear")
 
 
 def _starts_each_time(study: Study) -> bool:

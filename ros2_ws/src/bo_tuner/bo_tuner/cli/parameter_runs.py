@@ -12,7 +12,7 @@ from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
-from bo_tuner.text import brief, counted, shown
+from bo_tuner.text import brief, counted, duration, shown
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.variations import (
@@ -128,14 +128,6 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
     for text in [*proposals(study, [item.parameter for item in unseen]), *steps]:
         say(text)
     return not none
-
-
-def duration(seconds: float) -> str:
-    """Return a time in words."""
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2.0 * size:
-            return f"about {seconds / size:.0f} {unit}"
-    return f"about {seconds:.0f} s"
 
 
 def _table(study: Study, planned: Variations, moves: Sequence[tuple[str, Move]]) -> Table:

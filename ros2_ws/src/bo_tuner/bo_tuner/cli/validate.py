@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.cli.certifier import Certifier
+from bo_tuner.cli.certifier import Certifier, UndecidedError
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
@@ -28,6 +28,7 @@ from bo_tuner.cli.common import (
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.notify import add_notify_argument, notify
+from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
@@ -84,9 +85,9 @@ parameters.
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost or disturbed three times in a row, disk full); an
-       existing certificate is kept, and the next call continues from here;
-       or an attached node was not restored
+  1    no verdict (nodes lost or disturbed three times in a row, disk full, the
+       --time is over); an existing certificate is kept, and the next call
+       continues from here; or an attached node was not restored
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -94,6 +95,7 @@ exit codes:
 
 examples:
   validate latest                          as many draws as the study requires
+  validate latest --time 10min             what is shown by then, if no verdict
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
   validate runs/latest --workers 4         four evaluations at once
@@ -140,6 +142,14 @@ def make_parser() -> Parser:
         metavar="P",
         help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
         "requires)",
+    )
+    evidence.add_argument(
+        "--time",
+        type=time_limit,
+        default=TimeLimit(),
+        metavar="TIME",
+        help="begin no more runs after this time, such as 90s, 10min or 2h, and say what is shown "
+        "by then; the next call goes on",
     )
     parser.add_backend_arguments("as in the run")
     add_workers_arguments(parser, "as in the run")
@@ -210,6 +220,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             with_default=arguments.with_default,
             more=most > 1,
             window=workers.window,
+            time=arguments.time,
         )
         path = None
         try:
@@ -217,6 +228,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             with writing(folder.log):
                 folder.log.mkdir(exist_ok=True)
             for candidate in _candidates(record, trial, most):
+                if path is not None and arguments.time.over:
+                    break
                 attempt = attempt_for(folder.path, record.study, candidate.parameters, backend)
                 draws = _draws(arguments, parser, record, confidence, attempt)
                 certificate, path, left = certifier.certify(
@@ -232,6 +245,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             missing = shortfall(record.study, draws, confidence)
             if missing and certificate.passed:
                 show(f"warning: not sufficient for apply: {missing}")
+        except UndecidedError as undecided:
+            headline, code = "the time is over, without a verdict", EXIT_FAULT
+            show(f"{headline}: {undecided.shown[0]}")
+            for line in undecided.shown[1:]:
+                show(f"  {line}")
+            show(again)
         except (RunError, OutputError) as error:
             headline, code = f"error: {error}", EXIT_FAULT
             show(f"{headline}; {again}")

@@ -2,7 +2,8 @@
 
 Default and tuned parameter set are evaluated in the same draws of context and noise, so the spread
 between draws cancels from the difference of each pair; a Student interval of the mean of these
-differences is the paired t interval (Box, Hunter and Hunter 2005, Sec. 3.2). Where the contexts
+differences is the paired t interval (Box, Hunter and Hunter 2005, Sec. 3.2). What the context
+explains of the differences is taken out of both (`numerics.adjusted_means`). Where the contexts
 differ, which is so in the worst contexts of two parameter sets, the interval is Welch's (1947).
 
 References
@@ -12,13 +13,16 @@ Welch (1947). The generalization of "Student's" problem when several different p
 are involved. Biometrika 34.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import frexp, inf, isfinite, ldexp, nan, sqrt
+from math import frexp, inf, isfinite, ldexp, sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
+
+from bo_tuner.numerics.adjusted_means import adjusted_mean
+from bo_tuner.numerics.arrays import Array
 
 CONFIDENCE = 0.95
 """Two-sided confidence of every interval of a difference."""
@@ -72,17 +76,19 @@ class Difference:
         return Change.BETTER if falls == (sign > 0.0) else Change.WORSE
 
 
-def paired(default: Sequence[float], tuned: Sequence[float]) -> Difference:
-    """Return the mean difference of pairs, both of shape (n,)."""
+def paired(default: ArrayLike, tuned: ArrayLike, covariates: Array) -> Difference:
+    """Return the mean difference of pairs.
+
+    Parameters
+    ----------
+    default, tuned
+        Both of shape (n,).
+    covariates
+        Of the draws, as in `adjusted_mean`, shape (n, p).
+    """
     differences = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
-    n = len(differences)
-    if n < 2:
-        return Difference(float(differences[0]) if n else nan, -inf, inf, n)
-    mean = float(differences.mean())
-    half = (
-        float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(differences.std(ddof=1)) / sqrt(n)
-    )
-    return Difference(mean, mean - half, mean + half, n)
+    found = adjusted_mean(differences, covariates, CONFIDENCE)
+    return Difference(found.mean, found.low, found.high, len(differences))
 
 
 def unpaired(default: tuple[float, float, int], tuned: tuple[float, float, int]) -> Difference:

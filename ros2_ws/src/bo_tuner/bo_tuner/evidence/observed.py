@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 
+from bo_tuner.trials import Context
+
 Metrics = Mapping[str, float]
 
 
@@ -43,6 +45,8 @@ class Observed:
         By the name of a worst-case constraint, the mean in the worst context, if it was searched.
     paired
         Metrics in the draws that both parameter sets have, if these are not `drawn`.
+    contexts
+        Of the draws in `drawn`, by their number.
     """
 
     drawn: Mapping[int, Metrics]
@@ -50,6 +54,7 @@ class Observed:
     others: Sequence[Metrics] = ()
     worst: Mapping[str, WorstMean] = field(default_factory=dict)
     paired: Mapping[int, Metrics] | None = None
+    contexts: Mapping[int, Context] = field(default_factory=dict)
 
     @property
     def pairs(self) -> Mapping[int, Metrics]:

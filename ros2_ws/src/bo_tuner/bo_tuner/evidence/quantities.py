@@ -4,10 +4,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import nan
 
-from bo_tuner.evidence.differences import Change, Difference, paired, unpaired
+import numpy as np
+
+from bo_tuner.evidence.context_covariates import covariates
+from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference, paired, unpaired
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.verdict import Quantity, ordered
+from bo_tuner.numerics.adjusted_means import adjusted_mean
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
@@ -59,12 +64,12 @@ def quantities(
         for objective in study.objectives:
             if name == objective.metric:
                 sign = objective.sign
-        pairs = _pairs(default, tuned, name)
-        difference = paired([pair[0] for pair in pairs], [pair[1] for pair in pairs])
-        # Means over the same draws, so that they subtract to the difference.
-        means = [sum(side) / len(pairs) for side in zip(*pairs, strict=True)] or [
-            side.mean(name) for side in (default, tuned)
-        ]
+        both_sides, of_draws = _pairs(study, default, tuned, name)
+        difference = paired(*both_sides, of_draws)
+        # Of the same draws, so that they subtract to the difference.
+        means = [adjusted_mean(side, of_draws, CONFIDENCE).mean for side in both_sides]
+        if not difference.count:
+            means = [side.mean(name) for side in (default, tuned)]
         all_quantities.append(
             Quantity(
                 label=f"mean {metric.title}",
@@ -150,10 +155,21 @@ def _draws(default: Observed, tuned: Observed, metric: str, difference: Differen
     return "" if m == n else f"default in {m} draws, tuned in {n}"
 
 
-def _pairs(default: Observed, tuned: Observed, metric: str) -> list[tuple[float, float]]:
-    """Return the values of a metric in the draws that both parameter sets completed."""
-    return [
-        (default.pairs[k][metric], tuned.pairs[k][metric])
-        for k in default.pairs.keys() & tuned.pairs.keys()
+def _pairs(
+    study: Study, default: Observed, tuned: Observed, metric: str
+) -> tuple[tuple[Array, Array], Array]:
+    """Return a metric in the draws that both parameter sets completed, and covariates of these.
+
+    The metric is of shape (n,) for either, the covariates (n, p). There are none if draws failed:
+    the contexts of the others are no sample of their distribution.
+    """
+    draws = [
+        k
+        for k in sorted(default.pairs.keys() & tuned.pairs.keys())
         if metric in default.pairs[k] and metric in tuned.pairs[k]
     ]
+    sides = tuple(np.array([side.pairs[k][metric] for k in draws]) for side in (default, tuned))
+    if len(draws) < default.draws or not all(k in default.contexts for k in draws):
+        return (sides[0], sides[1]), np.empty((len(draws), 0))
+    contexts = [default.contexts[k] for k in draws]
+    return (sides[0], sides[1]), covariates(study.context_space(), contexts)

@@ -17,6 +17,7 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
+from bo_tuner.evidence.declarations import contradicted, drifts
 from bo_tuner.evidence.effects import effects_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
@@ -49,6 +50,8 @@ def run_verdict(record: RunRecord) -> Verdict:
         If the summary of the run is not one of `tune`.
     """
     verdict = _latest(record)
+    faults = contradicted(record.study, record.evaluations)
+    verdict = replace(verdict, remarks=(*verdict.remarks, *faults))
     trial = record.result
     if trial is not None and record.finished is not None:
         made = counted(count_trials(record.trials), "trial")
@@ -99,9 +102,15 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
         seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
+        alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
         return replace(
             verdict,
-            remarks=(*verdict.remarks, *better, *seen_in_words(record.study.metrics, seen)),
+            remarks=(
+                *verdict.remarks,
+                *better,
+                *seen_in_words(record.study.metrics, seen),
+                *drifts(record.study, alike),
+            ),
             effects=effects,
             of_parameters=effects_in_words(record.study, effects),
         )
@@ -257,8 +266,10 @@ def _observed(
 ) -> Observed:
     """Return what was observed of a parameter set: in its certificate, and before."""
     own = [row for row in rows if row.parameter_set == name and row.metrics]
+    drawn = [row for row in own if row.stage is Stage.VALIDATION]
     return Observed(
-        drawn={row.index: row.metrics for row in own if row.stage is Stage.VALIDATION},
+        drawn={row.index: row.metrics for row in drawn},
+        contexts={row.index: row.context for row in drawn},
         draws=draws,
         others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
         worst={

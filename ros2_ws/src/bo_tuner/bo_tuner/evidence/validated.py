@@ -15,6 +15,7 @@ from bo_tuner.trials import (
     DEFAULT,
     SEEKING_WORST,
     TUNED,
+    Context,
     Evaluation,
     Trial,
     TrialState,
@@ -148,15 +149,17 @@ def observed(
         Number of draws of its validation.
     """
     drawn: dict[int, Mapping[str, float]] = {}
+    contexts: dict[int, Context] = {}
     others = []
     for evaluation in evaluations_of(evaluations, parameters):
         if not evaluation.outcome.complete:
             continue
         if evaluation.whose == side:
             drawn[evaluation.index] = evaluation.outcome.metrics
+            contexts[evaluation.index] = evaluation.context
         else:
             others.append(evaluation.outcome.metrics)
-    return Observed(drawn, draws, others)
+    return Observed(drawn, draws, others, contexts=contexts)
 
 
 def limits_in(

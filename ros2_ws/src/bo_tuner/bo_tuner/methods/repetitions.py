@@ -11,7 +11,12 @@ WORST_EVALUATIONS = 10
 
 def most_check_evaluations(study: Study) -> int:
     """Return the largest number of evaluations in the check of a candidate."""
-    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(study.worst_case_constraints)
+    return DRAWN_EVALUATIONS + worst_evaluations(study) * len(study.worst_case_constraints)
+
+
+def worst_evaluations(study: Study) -> int:
+    """Return the number of evaluations of a check in each worst context."""
+    return 1 if study.is_noiseless else WORST_EVALUATIONS
 
 
 def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:

@@ -15,6 +15,9 @@ STATUS_OK = "ok"
 LARGEST_METRIC = maxima.MAGNITUDE
 """Largest magnitude of a metric; beyond, a run has diverged, and nothing was measured."""
 
+NO_LOGARITHM = "its log scale needs a positive value"
+"""Why an evaluation failed that has another value."""
+
 
 class Collector:
     """Makes the outcome of an evaluation of what the nodes reported.
@@ -116,7 +119,7 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
     if outcome.complete:
         for metric in study.logarithmic_metrics:
             if (value := outcome.metrics[metric]) <= 0.0:
-                reason = f"metric {metric} is {value}; its log scale needs a positive value"
+                reason = f"metric {metric} is {value}; {NO_LOGARITHM}"
                 return Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
     return outcome
 

@@ -1,9 +1,10 @@
 """Live progress of a certificate in the terminal."""
 
+from collections.abc import Callable
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from bo_tuner.evidence.certificate.certification import DRAWS
 from bo_tuner.monitoring.now_and_then import NowAndThen
@@ -20,16 +21,19 @@ class CertificateProgress(RunObserver):
     ----------
     console
         Where to draw.
+    time_left
+        What the certificate probably still takes, in words; empty where that is not known.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, time_left: Callable[[], str] = str) -> None:
         self._console = console
+        self._time_left = time_left
         self._lines = NowAndThen()
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=12),
             MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=console,
             disable=not console.is_terminal,
         )
@@ -47,7 +51,7 @@ class CertificateProgress(RunObserver):
         """Start counting `total` steps of `phase`, at most."""
         for task in self._progress.task_ids:
             self._progress.remove_task(task)
-        self._progress.add_task(phase, total=total)
+        self._progress.add_task(phase, total=total, left=self._time_left())
         if self._progress.disable:
             most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
             self._print(f"{phase}: {most}")
@@ -55,9 +59,11 @@ class CertificateProgress(RunObserver):
     def advance(self) -> None:
         """Count a step."""
         for task in self._progress.tasks:
-            self._progress.advance(task.id)
+            left = self._time_left()
+            self._progress.update(task.id, advance=1, left=left)
             if self._progress.disable and self._lines.due:
-                self._print(f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}")
+                done = f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}"
+                self._print(f"{done}, {left}" if left else done)
 
     def _print(self, text: str) -> None:
         print_line(self._console, text, INDENT)

@@ -154,10 +154,13 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     constraint
         A worst-case constraint.
     values
-        Values (n,) of its metric in that context, n ≥ 2.
+        Values (n,) of its metric in that context, n ≥ 1. A single one is of a simulator without
+        noise.
     """
     # Subtracted before the mean: the mean of equal values may differ from them by rounding.
     beyond = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
+    if len(beyond) == 1:
+        return float(beyond[0]) > 0.0
     mean, noise = float(beyond.mean()), float(beyond.std(ddof=1))
     z = constraint.deviations
     error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(beyond))

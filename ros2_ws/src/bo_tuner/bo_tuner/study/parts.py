@@ -24,6 +24,7 @@ DOUBLE, INTEGER = "double", "integer"
 TINY = float(np.finfo(np.float64).tiny)
 
 LINEAR, LOG = "linear", "log"
+RANDOM, NONE = "random", "none"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 
 

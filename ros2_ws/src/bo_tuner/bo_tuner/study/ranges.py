@@ -39,13 +39,16 @@ def check_limit(constraint: Constraint, declared: Range | None) -> None:
     StudyError
         If the limit is not inside the range.
     """
-    if declared is not None and not declared[0] < constraint.limit < declared[1]:
-        low, high = declared
-        raise StudyError(
-            f"expected a limit inside the range of {constraint.metric}, [{low:g}, {high:g}], "
-            f"found {constraint.limit:g}",
-            (constraint.side,),
-        )
+    if declared is None or declared[0] < constraint.limit < declared[1]:
+        return
+    low, high = declared
+    end = high if constraint.sign > 0.0 else low
+    certain = "break" if constraint.sign * (constraint.limit - end) >= 0.0 else "keep"
+    raise StudyError(
+        f"no run can {certain} it: expected a limit inside the range of {constraint.metric}, "
+        f"[{low:g}, {high:g}] (metrics.{constraint.metric}.range), found {constraint.limit:g}",
+        (constraint.side,),
+    )
 
 
 def check_free(constraints: Iterable[Constraint], declared: Mapping[str, Range | None]) -> None:

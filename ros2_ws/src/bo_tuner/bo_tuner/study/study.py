@@ -18,12 +18,23 @@ from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.measured import check_measured, measured_names
+from bo_tuner.study.metric_scale import check_scales
 from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import INTEGER, LOG, ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import (
+    INTEGER,
+    LOG,
+    NONE,
+    RANDOM,
+    ContextVariable,
+    Objective,
+    SeedParameter,
+    Trigger,
+)
 from bo_tuner.study.ranges import check_free
 from bo_tuner.study.references import (
     check_constraint,
@@ -110,6 +121,10 @@ class Study:
         those that are left out are the defaults. Without this key, only the default.
     seed_parameter : SeedParameter, optional
         The node parameter that takes the seed of an evaluation's noise.
+    noise : str
+        `random`, or `none` of a simulator without noise: a parameter set has the same metrics in
+        the same context with any seed. Then one run in a context decides whether a limit is kept
+        there, and nothing is repeated. Runs that contradict it are a fault.
     seed : int
         Seed of everything random in a run.
     description : str
@@ -145,6 +160,7 @@ class Study:
     where: tuple[str, ...] = ()
     start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
+    noise: str = RANDOM
     seed: int = 1
     description: str = ""
     folder: str = ""
@@ -152,6 +168,13 @@ class Study:
     def __post_init__(self) -> None:
         """Check the references between the parts."""
         findings = Findings()
+        # One with two limits is two constraints from here on.
+        in_file = {
+            f"{name}_{side}": name
+            for name, item in self.constraints.items()
+            if item.upper is not None and item.lower is not None
+            for side in (LOWER, UPPER)
+        }
         self._check_fields(findings)
         self._check_sizes(findings)
         object.__setattr__(self, "metrics", _joined(self.metrics, findings))
@@ -182,8 +205,10 @@ class Study:
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
-            with findings.under("constraints", name):
+            with findings.under("constraints", in_file.get(name, name)):
                 check_constraint(constraint, self.metrics)
+        with findings.under("metrics"):
+            check_scales(self.metrics, self.constraints.values())
         if self.certificate.distribution_free:
             with findings.under():
                 ranges = {name: metric.range for name, metric in self.metrics.items() if metric}
@@ -210,6 +235,8 @@ class Study:
                 raise StudyError("expected text without null characters", ("folder",))
         with findings.under():
             checks.integer(self.seed, "seed", at_least=0)
+        with findings.under():
+            checks.choice(self.noise, (RANDOM, NONE), "noise")
         order: tuple[tuple[str, str], ...] = ()
         with findings.under():
             order = _order(self.order)
@@ -289,6 +316,11 @@ class Study:
     def relative_metrics(self) -> dict[str, RelativeMetric]:
         """Metrics for which the default is run beside each evaluation, by name."""
         return {k: m for k, m in self.metrics.items() if isinstance(m, RelativeMetric)}
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether it declares its runs free of noise."""
+        return self.noise == NONE
 
     @property
     def responses(self) -> list[str]:

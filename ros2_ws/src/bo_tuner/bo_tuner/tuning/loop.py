@@ -69,6 +69,9 @@ class TrialTask:
         self._known = tuple(trials)
         self._seconds = seconds
         self._first = method.first_contexts(study, number, proposal)
+        if study.is_noiseless and number == 0:
+            # Once more with another seed, which is to change nothing.
+            self._first = [self._first[0], *self._first]
         self._searches: WorstCaseSearches | None = None
         self._done: list[Evaluation] = []
 
@@ -81,9 +84,14 @@ class TrialTask:
             return self._planned(*self._first[len(done)])
         if self._searches is None:
             self._searches = self._begin_search()
-        if self._searches.done(self._rng()):
-            return None
-        return self._planned(Stage.SEARCH, self._searches.ask(self._rng()))
+        while not self._searches.done(self._rng()):
+            context = self._searches.ask(self._rng())
+            known = [e for e in done if e.context == context] if self._study.is_noiseless else []
+            if not known:
+                return self._planned(Stage.SEARCH, context)
+            # Without noise another run there would be the same.
+            self._searches.tell(context, known[0].outcome.metrics)
+        return None
 
     def tell(self, evaluation: Evaluation) -> None:
         """Add an evaluation."""

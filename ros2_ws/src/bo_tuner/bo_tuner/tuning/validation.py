@@ -122,7 +122,7 @@ class ValidationPlan(Plan[Run]):
         rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
         numbers = range(len(self._candidates))
         for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
-            seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
+            seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0 if study.is_noiseless else k)
             context = contexts.to_dict(row)
             # A node that starts anew for other parameters does so once a draw.
             for number in reversed(numbers) if study.start_names and k % 2 else numbers:

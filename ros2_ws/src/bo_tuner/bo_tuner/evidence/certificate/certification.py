@@ -3,12 +3,13 @@
 They end as soon as the verdict is clear; `most_evaluations` says when at the latest.
 """
 
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
+from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
@@ -19,7 +20,12 @@ from bo_tuner.evidence.certificate.independent_search import (
     rank,
     worst_of_all,
 )
-from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws, is_failed
+from bo_tuner.evidence.certificate.judgement import (
+    contradiction,
+    decide_context,
+    decide_draws,
+    is_failed,
+)
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Batches, BatchPlan, Plan, Run
 from bo_tuner.study.constraint import Constraint
@@ -33,7 +39,10 @@ EXPECTED_REPEATS = 25
 DRAWS = "draws"
 """Name of the first phase; the others are searches."""
 
-DRAWN, SEARCHED, REPEATED = 0, 1, 2
+REPEATS = 3
+"""Draws of each subject that are run once more with another seed if they are to have no noise."""
+
+DRAWN, SEARCHED, REPEATED, CHECKED = 0, 1, 2, 3
 """Purpose of an evaluation, as part of the key of its noise seed."""
 
 
@@ -85,9 +94,9 @@ def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> M
     space, constraints = study.context_space(), len(study.worst_case_constraints)
     places = sum(_most_places(study, subject) for subject in subjects)
     return MostEvaluations(
-        drawn=len(subjects) * draws,
+        drawn=len(subjects) * (draws + (REPEATS if study.is_noiseless else 0)),
         searched=constraints * sum(most_searched(space, len(s.suspected)) for s in subjects),
-        repeated=places * draws,
+        repeated=places * (1 if study.is_noiseless else draws),
     )
 
 
@@ -113,15 +122,30 @@ class Certification:
         Confidence of each bound.
     attempt
         Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
+    finishing
+        Returns whether no more runs are to be begun.
+
+    Attributes
+    ----------
+    cut_short
+        Whether runs are missing for that reason: the evidence decides nothing.
     """
 
     def __init__(
-        self, study: Study, driver: Driver, *, confidence: float, attempt: int = 1
+        self,
+        study: Study,
+        driver: Driver,
+        *,
+        confidence: float,
+        attempt: int = 1,
+        finishing: Callable[[], bool] = lambda: False,
     ) -> None:
         self._study = study
         self._driver = driver
         self._confidence = confidence
         self._attempt = attempt
+        self._finishing = finishing
+        self.cut_short = False
 
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
         """Evaluate all subjects in the same draws, then search for the worst contexts of each.
@@ -142,10 +166,13 @@ class Certification:
             If three evaluations in a row were lost with their nodes or disturbed.
         """
         case = _Case(self._study, self._confidence, self._attempt, draws)
-        drawing = DrawPlan(case, subjects)
-        self._driver.complete(drawing)
+        repeats = RepeatedDraws(case, subjects)
+        if self._study.is_noiseless:
+            self._complete(repeats)
+        drawing = DrawPlan(case, subjects, repeats.evaluations)
+        self._complete(drawing)
         searched = [
-            self._look_closely(case, number, subject, drawing.evaluations[number])
+            self._look_closely(case, number, subject, drawing.evidence(number))
             for number, subject in enumerate(subjects)
         ]
         return [
@@ -154,14 +181,17 @@ class Certification:
         ]
 
     def _look_closely(
-        self, case: "_Case", number: int, subject: Subject, drawn: Sequence[Evaluation]
+        self, case: "_Case", number: int, subject: Subject, evidence: Evidence
     ) -> Evidence:
-        evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
-        constraints = self._study.worst_case_constraints
-        if not constraints or case.decided(subject, drawn) is False:
+        if (
+            self.cut_short
+            or not self._study.worst_case_constraints
+            or case.decided(subject, evidence.drawn) is False
+            or contradiction(self._study, evidence.evaluations)
+        ):
             return evidence
         plan = WorstCasePlan(case, number, subject, evidence)
-        self._driver.complete(plan)
+        self._complete(plan)
         return plan.evidence
 
     def _draw_on(
@@ -169,16 +199,24 @@ class Certification:
     ) -> Evidence:
         """Make the draws that the limits need beside all other runs, if they are kept there."""
         places = range(len(evidence.repeated))
-        others = evidence.evaluations[len(evidence.drawn) :]
+        others = evidence.others
         if (
-            not places
+            self.cut_short
+            or contradiction(self._study, evidence.evaluations)
+            or not places
             or any(case.open_limits(evidence, place) != [] for place in places)
             or case.decided(subject, evidence.drawn, others) is not None
         ):
             return evidence
         plan = FurtherDrawPlan(case, number, subject, evidence)
-        self._driver.complete(plan)
+        self._complete(plan)
         return plan.evidence
+
+    def _complete(self, plan: "_CertificatePlan") -> None:
+        if self._finishing():
+            plan.finish()
+        self._driver.complete(plan)
+        self.cut_short = self.cut_short or plan.cut_short
 
 
 @dataclass(frozen=True)
@@ -218,15 +256,117 @@ class _Case:
         rng = generator(self.study.seed, Stream.CERTIFICATE_CONTEXTS, self.attempt)
         return [space.to_dict(row) for row in space.draw(self.most, rng)]
 
+    def draw_seed(self, number: int) -> int:
+        """Return the seed of a draw; without noise draws differ by their contexts alone."""
+        return self.noise_seed(DRAWN, 0 if self.study.is_noiseless else number)
+
     def noise_seed(self, *key: int) -> int:
         """Return a seed; it does not depend on the subject: the same noise for all."""
         return noise_seed(self.study.seed, Stream.CERTIFICATE_NOISE, self.attempt, *key)
 
 
-class DrawPlan(Plan[Run]):
+class _CertificatePlan(Plan[Run]):
+    """A phase of a certificate, which may be told to begin no more runs.
+
+    Attributes
+    ----------
+    cut_short
+        Whether there were more to begin.
+    """
+
+    def __init__(self) -> None:
+        self._finishing = False
+        self.cut_short = False
+
+    def ask(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run, unless no more are to be begun."""
+        if self.cut_short:
+            return None
+        task = self._next(pending)
+        if task is not None and self._finishing:
+            self.cut_short = True
+            return None
+        return task
+
+    def finish(self) -> bool:
+        """Begin no more runs; those that were begun count."""
+        before, self._finishing = self._finishing, True
+        return not before
+
+    @abstractmethod
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next run, as `ask`."""
+
+
+class DrawPlan(_CertificatePlan):
     """All subjects in the same draws, until these are clear for every subject.
 
     Draws that were planned before it was clear count, too.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+    repeats
+        Of each of them, draws that were run with other seeds.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = DRAWS
+
+    def __init__(
+        self, case: _Case, subjects: Sequence[Subject], repeats: Sequence[Sequence[Evaluation]]
+    ) -> None:
+        super().__init__()
+        self._repeats = repeats
+        self._case = case
+        self._subjects = subjects
+        self._clear = False
+        self._contexts = case.draw()
+        self.steps = case.most
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next subject in a draw, or the first one in the next draw."""
+        k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
+        if k == len(self._contexts) or (self._clear and number == 0):
+            return None
+        parameters, context = self._subjects[number].parameters, self._contexts[k]
+        seed = self._case.draw_seed(k)
+        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation; a draw of all subjects is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        if len({len(drawn) for drawn in self.evaluations}) > 1:
+            return False
+        self._clear = all(map(self._is_clear, range(len(self._subjects))))
+        return True
+
+    def evidence(self, number: int) -> Evidence:
+        """Return the draws of a subject as evidence, with what was run before them."""
+        subject, drawn = self._subjects[number], tuple(self.evaluations[number])
+        repeats = tuple(self._repeats[number])
+        return Evidence(subject.parameters, drawn, earlier=subject.earlier, repeats=repeats)
+
+    def _is_clear(self, number: int) -> bool:
+        subject, drawn = self._subjects[number], self.evaluations[number]
+        if contradiction(self._case.study, [*self._repeats[number], *drawn]):
+            return True
+        # Several are compared in the same draws, so that none may need more of them later.
+        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
+        least = min(least_draws(self._case.study), self._case.most)
+        return decided is False or (decided is True and len(drawn) >= least)
+
+
+class RepeatedDraws(_CertificatePlan):
+    """The first draws of all subjects with other seeds, which are to change nothing.
 
     Parameters
     ----------
@@ -241,41 +381,37 @@ class DrawPlan(Plan[Run]):
         Of each subject.
     """
 
-    phase = DRAWS
+    phase = "repeats without noise"
 
     def __init__(self, case: _Case, subjects: Sequence[Subject]) -> None:
-        self._case = case
-        self._subjects = subjects
-        self._clear = False
-        self._contexts = case.draw()
-        self.steps = case.most
+        super().__init__()
+        contexts = case.draw()[:REPEATS]
+        self._planned = iter(
+            Evaluation(
+                number,
+                k,
+                Stage.CHECK_DRAWN,
+                subject.parameters,
+                context,
+                case.noise_seed(CHECKED, k),
+            )
+            for number, subject in enumerate(subjects)
+            for k, context in enumerate(contexts)
+        )
+        self.steps = len(subjects) * len(contexts)
         self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
-        """Return the next subject in a draw, or the first one in the next draw."""
-        k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
-        if k == len(self._contexts) or (self._clear and number == 0):
-            return None
-        parameters, context = self._subjects[number].parameters, self._contexts[k]
-        seed = self._case.noise_seed(DRAWN, k)
-        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        planned = next(self._planned, None)
+        return None if planned is None else Run(planned)
 
     def tell(self, task: Run) -> bool:
-        """Add an evaluation; a draw of all subjects is a step."""
+        """Add a run, which is a step."""
         self.evaluations[task.evaluation.trial].append(task.evaluation)
-        if len({len(drawn) for drawn in self.evaluations}) > 1:
-            return False
-        self._clear = all(map(self._is_clear, self._subjects, self.evaluations))
         return True
 
-    def _is_clear(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
-        # Several are compared in the same draws, so that none may need more of them later.
-        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
-        least = min(LEAST_DRAWS, self._case.most)
-        return decided is False or (decided is True and len(drawn) >= least)
 
-
-class FurtherDrawPlan(Plan[Run]):
+class FurtherDrawPlan(_CertificatePlan):
     """More draws of one subject, as its other runs were too few beside those that it has.
 
     Parameters
@@ -298,15 +434,16 @@ class FurtherDrawPlan(Plan[Run]):
     phase = "more draws"
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        super().__init__()
         self._case = case
         self._number = number
         self._subject = subject
-        self._others = evidence.evaluations[len(evidence.drawn) :]
+        self._others = evidence.others
         self._contexts = case.draw()
         self.evidence = evidence
         self.steps = case.most - len(evidence.drawn)
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
+    def _next(self, pending: Sequence[Run]) -> Run | None:
         """Return the next draw."""
         drawn = self.evidence.drawn
         k = len(drawn) + len(pending)
@@ -315,7 +452,7 @@ class FurtherDrawPlan(Plan[Run]):
             or self._case.decided(self._subject, drawn, self._others) is not None
         ):
             return None
-        seed = self._case.noise_seed(DRAWN, k)
+        seed = self._case.draw_seed(k)
         parameters, context = self._subject.parameters, self._contexts[k]
         return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
 
@@ -337,7 +474,7 @@ class _Suspects:
     ranking: Mapping[str, Ranking]
 
 
-class WorstCasePlan(Plan[Run]):
+class WorstCasePlan(_CertificatePlan):
     """The search for the worst contexts of a subject, then repeated runs in them.
 
     Parameters
@@ -358,6 +495,7 @@ class WorstCasePlan(Plan[Run]):
     """
 
     def __init__(self, case: _Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        super().__init__()
         self._case = case
         self._number = number
         self._subject = subject
@@ -372,7 +510,7 @@ class WorstCasePlan(Plan[Run]):
             + _most_places(study, subject) * EXPECTED_REPEATS
         )
 
-    def ask(self, pending: Sequence[Run]) -> Run | None:
+    def _next(self, pending: Sequence[Run]) -> Run | None:
         """Return the next evaluation of the search, or in one of the contexts that it found."""
         if self._repeats is not None:
             return self._repeats.ask(pending)

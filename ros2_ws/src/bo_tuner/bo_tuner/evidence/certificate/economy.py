@@ -21,6 +21,7 @@ from math import sqrt
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import is_shown
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.study import Study
 
 FEW = 5
 """Runs in a context that is clear."""
@@ -36,6 +37,11 @@ TWICE = 2.0
 
 LEAST_DRAWS = 30
 """Draws behind a mean and a standard deviation, even if fewer decide the verdict."""
+
+
+def least_draws(study: Study) -> int:
+    """Return the least number of draws; without noise and contexts all would be the same."""
+    return 1 if study.is_noiseless and not study.contexts else LEAST_DRAWS
 
 
 def confirms(constraint: Constraint, values: Array) -> bool:

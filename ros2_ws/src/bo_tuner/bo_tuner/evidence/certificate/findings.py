@@ -170,6 +170,8 @@ class Evidence:
         them must show each limit by its own runs.
     earlier
         What was known of it before; counts against it only.
+    repeats
+        Of a study that declares its runs free of noise: draws once more, with other seeds.
     """
 
     parameters: Mapping[str, Value]
@@ -180,15 +182,18 @@ class Evidence:
     unseen: frozenset[str] = frozenset()
     ranking: Mapping[str, Ranking] = field(default_factory=dict)
     earlier: Earlier = NOTHING
+    repeats: tuple[Evaluation, ...] = ()
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:
-        """All its own evaluations, in the order drawn, search, repeated."""
-        return (
-            *self.drawn,
-            *self.search,
-            *(evaluation for evaluations in self.repeated for evaluation in evaluations),
-        )
+        """All its own evaluations, in the order drawn, search, repeated, repeats."""
+        return (*self.drawn, *self.others, *self.repeats)
+
+    @property
+    def others(self) -> tuple[Evaluation, ...]:
+        """Those of the search for the worst context, and in what it has found."""
+        in_contexts = (evaluation for group in self.repeated for evaluation in group)
+        return (*self.search, *in_contexts)
 
 
 @dataclass(frozen=True)
@@ -303,8 +308,9 @@ class Findings:
         Number of all evaluations, and of those that did not complete.
     first_failure
         Reason and context of the first failure; empty without one.
-    outside
-        Which run has a metric outside its declared range: a fault of the declaration; else empty.
+    contradiction
+        How runs contradict the declared range of a metric, or that they are free of noise: a fault
+        of the declaration; else empty.
     least
         Fewest runs with which any certificate shows these limits with its confidence.
     constraints
@@ -317,14 +323,18 @@ class Findings:
     evaluations: int
     failures: int
     first_failure: str
-    outside: str
+    contradiction: str
     least: int
     constraints: tuple[ConstraintVerdict, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether every constraint is shown to hold, and no run failed or left a range."""
-        return self.failures == 0 and not self.outside and all(c.passed for c in self.constraints)
+        """Whether every constraint is shown to hold, and no run failed or contradicts the study."""
+        return (
+            self.failures == 0
+            and not self.contradiction
+            and all(c.passed for c in self.constraints)
+        )
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -352,5 +362,5 @@ class Findings:
             f"{self.first_failure}",
         )
         of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
-        outside = (self.outside,) if self.outside else ()
-        return (failed if self.failures else ()) + outside + of_constraints
+        contradiction = (self.contradiction,) if self.contradiction else ()
+        return (failed if self.failures else ()) + contradiction + of_constraints

@@ -62,6 +62,7 @@ from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.limit_kinds.on_mean import OnMean
+from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
@@ -74,7 +75,9 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     context takes as many runs in each, of which there are at most as many as draws.
     """
     needed = {
-        c.name: c.rule.runs_needed(confidence) for c in study.constraints.values() if c.rule.on_runs
+        c.name: c.rule.runs_needed(confidence)
+        for c in study.constraints.values()
+        if c.rule.on_runs and not is_exact(study, c)
     }
     if not needed:
         return 1, ""
@@ -86,12 +89,27 @@ def least_evaluations(study: Study, confidence: float) -> int:
     """Return the fewest runs that show all limits: none beyond, no search, one worst context."""
     drawn, repeated = 0, 0
     for constraint in study.constraints.values():
-        fewest = constraint.rule.fewest(_declared(study, constraint), confidence)
+        fewest = 1
+        if not is_exact(study, constraint):
+            fewest = constraint.rule.fewest(_declared(study, constraint), confidence)
         if constraint.rule.in_every_context:
             repeated = max(repeated, fewest)
         else:
             drawn = max(drawn, fewest)
     return drawn + repeated
+
+
+def is_exact(study: Study, constraint: Constraint) -> bool:
+    """Return whether one run decides if a limit is kept in its context, as there is no noise.
+
+    Over contexts it takes draws, unless there is but one context.
+    """
+    return study.is_noiseless and (constraint.rule.in_every_context or not study.contexts)
+
+
+def contradiction(study: Study, evaluations: Sequence[Evaluation]) -> str:
+    """Say how evaluations of a certificate contradict what the study declares; else empty."""
+    return outside(study.metrics, evaluations) or noise_in(study, evaluations)
 
 
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
@@ -117,7 +135,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         evaluations=len(evidence.evaluations),
         failures=len(failed),
         first_failure=_failure(failed[0]) if failed else "",
-        outside=outside(study.metrics, evidence.evaluations),
+        contradiction=contradiction(study, evidence.evaluations),
         least=least_evaluations(study, confidence),
         constraints=tuple(
             _judge(study, constraint, evidence, confidence)
@@ -160,18 +178,18 @@ def decide_draws(
     """
     if _failed(drawn):
         return False if is_failed(drawn) else None
-    if outside(study.metrics, drawn):
+    if contradiction(study, drawn):
         return False
     undecided = contradicted = False
     for constraint in study.constraints.values():
         rule, runs = constraint.rule, _drawn(study, constraint, drawn, earlier)
         if rule.in_every_context:
-            if rule.is_refuted(runs, confidence):
+            if _refutes(constraint, runs, confidence):
                 return False
             contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif rule.is_shown(runs, confidence):
+        elif _shows(constraint, runs, confidence):
             contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif rule.is_hopeless(runs, most, confidence):
+        elif _is_hopeless(constraint, runs, most, confidence):
             return False
         else:
             undecided = undecided or not _is_shown_with_others(
@@ -240,18 +258,39 @@ def decide_context(
     repeated = evidence.repeated[place]
     if _failed(repeated):
         return False if is_failed(repeated) else None
-    if outside(study.metrics, repeated):
+    if contradiction(study, repeated):
         return False
-    rule, runs = constraint.rule, _in_context(study, constraint, repeated, evidence)
-    if rule.is_refuted(runs, confidence):
+    runs = _in_context(study, constraint, repeated, evidence)
+    if _refutes(constraint, runs, confidence):
         return False
-    if rule.is_shown(runs, confidence) or _by_model(study, constraint, evidence, place, confidence):
+    if _shows(constraint, runs, confidence) or _by_model(
+        study, constraint, evidence, place, confidence
+    ):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if _contradicted(constraint, earlier, repeated) else True
     ranking = evidence.ranking.get(constraint.name, Ranking())
     if repeated[0].context in ranking.behind:
         confidence = min(confidence, BEHIND)
-    return False if rule.is_hopeless(runs, most, confidence) else None
+    return False if _is_hopeless(constraint, runs, most, confidence) else None
+
+
+def _shows(constraint: Constraint, runs: Runs, confidence: float) -> bool:
+    """Return whether runs show a limit; the only one of a context shows all without noise."""
+    if runs.exact:
+        return len(runs.events) > 0 and not any(runs.events)
+    return constraint.rule.is_shown(runs, confidence)
+
+
+def _refutes(constraint: Constraint, runs: Runs, confidence: float) -> bool:
+    """Return whether runs refute a limit."""
+    return any(runs.events) if runs.exact else constraint.rule.is_refuted(runs, confidence)
+
+
+def _is_hopeless(constraint: Constraint, runs: Runs, most: int, confidence: float) -> bool:
+    """Return whether runs cannot show a limit any more, up to `most` of them."""
+    if runs.exact:
+        return any(runs.events)
+    return constraint.rule.is_hopeless(runs, most, confidence)
 
 
 def _by_model(
@@ -302,9 +341,9 @@ def _judge(
     runs = _drawn(study, constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
     modelled: tuple[WorstContext, ...] = ()
-    assumption = rule.assumption(runs.declared)
+    assumption = _assumption(study, constraint, evidence)
     assumptions: tuple[str, ...] = (assumption,) if assumption else ()
-    bound = _bound(runs.events, confidence)
+    bound = _bound(runs, confidence)
     against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
     if rule.in_every_context:
         worst, modelled, passed, reason = _in_every_context(
@@ -312,15 +351,19 @@ def _judge(
         )
         assumptions += _said_of_ranking(constraint, evidence, modelled)
     else:
-        shown, counted = rule.is_shown(runs, confidence), runs
-        others = evidence.evaluations[len(evidence.drawn) :]
+        shown, counted, others = _shows(constraint, runs, confidence), runs, evidence.others
         if not shown and _is_shown_with_others(study, constraint, runs.values, others, confidence):
-            shown, counted = True, _runs(constraint, evidence.evaluations)
-            bound = _bound(counted.events, confidence)
+            shown, counted = True, _runs(constraint, [*evidence.drawn, *others])
+            bound = _bound(counted, confidence)
             elsewhere = _values(others, constraint.metric)
             assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
         passed = shown and not against
         reason_of_draws = rule.said_of_draws(counted, unit, confidence, passed=passed)
+        if runs.exact:
+            reason_of_draws = (
+                f"{sum(runs.events)} of {text.counted(len(runs.events), 'run')} violate the limit "
+                "or fail, and there is neither noise nor another context"
+            )
         reason = against if shown and against else reason_of_draws
     values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
@@ -370,7 +413,7 @@ def _in_every_context(
     refuting = [
         context
         for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
-        if constraint.rule.is_refuted(_runs(constraint, evaluations), confidence)
+        if _refutes(constraint, _in_context(study, constraint, evaluations, evidence), confidence)
     ]
     decided = refuting or _failed(evidence.evaluations)
     if constraint.name in evidence.unseen and not decided:
@@ -381,7 +424,7 @@ def _in_every_context(
         drawn.events,
         worst,
         unit,
-        refuted_by_draws=constraint.rule.is_refuted(drawn, confidence),
+        refuted_by_draws=_refutes(constraint, drawn, confidence),
         against=against,
         refuting=refuting,
         unvisited=evidence.unvisited.get(constraint.name, 0),
@@ -427,10 +470,10 @@ def _worst_context(
     study: Study, place: int, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> tuple[WorstContext, bool]:
     """Return what the runs in a context show, and whether they do so with the help of a model."""
-    evaluations, rule = evidence.repeated[place], constraint.rule
+    evaluations = evidence.repeated[place]
     runs = _in_context(study, constraint, evaluations, evidence)
     earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
-    alone = len(values) == len(evaluations) and rule.is_shown(runs, confidence)
+    alone = len(values) == len(evaluations) and _shows(constraint, runs, confidence)
     shown = alone or _by_model(study, constraint, evidence, place, confidence)
     contradicted = shown and _contradicted(constraint, earlier, evaluations)
     context = WorstContext(
@@ -440,7 +483,7 @@ def _worst_context(
         evaluations=len(values),
         beyond=int(np.sum(constraint.violations(values))),
         failures=len(evaluations) - len(values),
-        violation_bound=_bound(runs.events, confidence),
+        violation_bound=_bound(runs, confidence),
         shown=shown and not contradicted,
         contradicted=contradicted,
         earlier=len(earlier),
@@ -452,6 +495,9 @@ def _worst_context(
 def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
     rule = constraint.rule
+    if runs.exact and len(runs.values):
+        value = float(runs.values[0])
+        return Mean(value, 0.0, upper=value, lower=value)
     mean = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
     if not isinstance(rule, OnMean) or len(runs.values) < 2:
         return mean
@@ -529,6 +575,7 @@ def _drawn(
         elsewhere=(values,),
         known=len(values),
         declared=_declared(study, constraint),
+        exact=is_exact(study, constraint),
     )
 
 
@@ -536,9 +583,10 @@ def _in_context(
     study: Study, constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
 ) -> Runs:
     """Return evaluations in one context as runs, with what is known of the parameter set."""
+    exact = is_exact(study, constraint)
     if constraint.rule.on_runs:
         # Nothing else counts for a share of these.
-        return _runs(constraint, evaluations)
+        return replace(_runs(constraint, evaluations), exact=exact)
     metric = constraint.metric
     own = _values(evidence.evaluations, metric)
     # Earlier ones as well.
@@ -549,6 +597,7 @@ def _in_context(
         elsewhere=[_values(runs, metric) for runs in evidence.repeated],
         known=len(own),
         declared=_declared(study, constraint),
+        exact=exact,
     )
 
 
@@ -569,8 +618,23 @@ def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[b
     ]
 
 
-def _bound(events: Sequence[bool], confidence: float) -> float:
-    return float(probability_bounds(events, confidence)[-1]) if len(events) else 1.0
+def _bound(runs: Runs, confidence: float) -> float:
+    """Return the upper bound of the probability that a run violates the limit or fails."""
+    if not len(runs.events):
+        return 1.0
+    if runs.exact:
+        return float(any(runs.events))
+    return float(probability_bounds(runs.events, confidence)[-1])
+
+
+def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> str:
+    """Return on what the evidence rests besides its number; empty if on nothing."""
+    if is_exact(study, constraint):
+        return (
+            "the study declares its runs free of noise (noise: none), of which "
+            f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics"
+        )
+    return constraint.rule.assumption(_declared(study, constraint))
 
 
 def _failed(evaluations: Sequence[Evaluation]) -> list[Evaluation]:

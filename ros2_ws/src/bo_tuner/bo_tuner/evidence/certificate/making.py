@@ -24,6 +24,7 @@ from bo_tuner.evidence.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
+from bo_tuner.evidence.declarations import drifts
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
@@ -113,6 +114,7 @@ def make_certificate(
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
             *_busy(study, findings, backend),
             *_rounded(findings, held),
+            *drifts(study, {name: item.drawn for name, item in evidence.items()}),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),

@@ -1,33 +1,48 @@
-"""How many evaluations a certificate will probably take, from what a run knows of its result.
+"""How many evaluations a certificate will probably take, by simulated ones.
 
-Draws of the validation show how often a chance constraint is violated, and the estimate of a worst
-case with its noise how far it is from its limit. From these follow the runs after which the
-evidence is expected to suffice. What is known of both is little, so the answer is a range.
+What is known of a parameter set, its draws, and the estimate of a worst case with its noise, leaves
+open how far it is from its limits. A margin is drawn from what is open (a posterior), runs with it
+are simulated, and the tests of the certificate say after how many of them the limits are shown. The
+range is that of eight in ten of the simulated certificates that pass. Of a limit of which nothing
+is known, the margin is drawn from those that results usually have.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log
+from math import exp, log, sqrt
 
 import numpy as np
 from scipy.special import betaincinv, ndtr
 
-from bo_tuner.evidence.certificate.economy import FEW, LEAST_DRAWS, is_far
+from bo_tuner.evidence.certificate.economy import BEHIND, FEW, is_far, least_draws
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
     least_searched,
     most_searched,
 )
-from bo_tuner.numerics.sequential import draws_needed, log_evidence_of_counts, log_t_evidence
+from bo_tuner.evidence.certificate.judgement import is_exact
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.bounded_means import log_wealth
+from bo_tuner.numerics.sequential import draws_needed, log_evidence, log_mean_evidence
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.trials import Evaluation, WorstCase
 
-QUARTILES = 0.25, 0.75
-"""Of the probability of a violation, after the draws that are known."""
+SIMULATIONS = 100
 
-MARGIN = 1.25
-"""Factor by which the margin of a worst case may be larger or smaller than estimated."""
+ENDS = 0.1, 0.9
+"""Of the range, as quantiles."""
+
+USUAL_MARGINS = 0.3, 5.0
+"""From a mean to its limit, in standard deviations of a run, of a result of which nothing is known;
+each order of magnitude alike."""
+
+USUAL_DEVIATIONS = 0.01, 0.2
+"""Standard deviations of a run, in widths of the declared range, likewise."""
+
+LEAST_KNOWN = 5
+"""Runs behind an estimate, at least: models share those of other parameter sets."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +52,7 @@ class Outlook:
     Attributes
     ----------
     low, high
-        Of a range that it is probably in.
+        Of a range that eight in ten of those that pass are in.
     """
 
     low: int
@@ -49,95 +64,174 @@ class Outlook:
 
 
 def outlook(
-    study: Study, trial: Trial, drawn: Sequence[Evaluation], most: int, confidence: float
+    study: Study,
+    most: int,
+    confidence: float,
+    drawn: Sequence[Evaluation] = (),
+    worst_cases: Mapping[str, WorstCase] | None = None,
 ) -> Outlook | None:
-    """Return how many evaluations the certificate of a trial probably takes, if it passes.
+    """Return how many evaluations the certificate of a parameter set probably takes.
 
     Parameters
     ----------
     study
         The study.
-    trial
-        The trial.
-    drawn
-        Evaluations of its parameter set in draws, such as those of the validation.
     most
         Largest number of draws, and of runs in a context.
     confidence
         Of each bound.
+    drawn
+        Evaluations of the parameter set in draws, such as those of the validation.
+    worst_cases
+        What is estimated of it, by the name of a worst-case constraint.
 
     Returns
     -------
     Outlook or None
-        None if nothing is known of a limit, or if the evidence is of another kind: bets in a
-        declared range, or nothing that rests on the models.
+        None if almost no simulated certificate passes.
     """
-    if study.certificate.distribution_free or any(
-        study.metrics[constraint.metric].range is not None and not constraint.rule.on_runs
-        for constraint in study.constraints.values()
-    ):
+    rng = np.random.default_rng(0)
+    simulation = _Simulation(study, most, confidence, drawn, worst_cases or {}, rng)
+    counts = [simulation.evaluations() for _ in range(SIMULATIONS)]
+    passed = [count for count in counts if count is not None]
+    if len(passed) < ENDS[0] * SIMULATIONS:
         return None
-    complete = [evaluation for evaluation in drawn if evaluation.outcome.complete]
-    draws, needed = [LEAST_DRAWS, LEAST_DRAWS], 0
-    places = [0, 0]
-    for constraint in study.constraints.values():
-        if constraint.rule.in_every_context:
-            estimate = trial.worst_cases.get(constraint.name)
-            if estimate is None or not estimate.noise > 0.0:
-                return None
-            margin = constraint.sign * (constraint.limit - estimate.value) / estimate.noise
-            for end, factor in enumerate((MARGIN, 1.0 / MARGIN)):
-                runs = _runs_in_context(constraint, margin * factor, most, confidence)
-                places[end] = max(places[end], runs)
-            continue
-        if not complete:
-            return None
-        values = np.array([e.outcome.metrics[constraint.metric] for e in complete])
-        if study.worst_case_constraints and is_far(constraint, values):
-            needed = max(needed, draws_needed(constraint.allowed, confidence))
-            continue
-        beyond = int(np.sum(constraint.violations(values)))
-        for end, quartile in enumerate(QUARTILES):
-            share = betaincinv(beyond + 0.5, len(values) - beyond + 0.5, quartile)
-            runs = runs_to_show(float(share), constraint.allowed, most, confidence)
-            draws[end] = max(draws[end], runs)
-    low, high = draws
-    if study.worst_case_constraints:
-        space = study.context_space()
-        others = CANDIDATES - 1 if study.contexts else 0
-        low += least_searched(space, 1) + places[0] + others * FEW
-        high += most_searched(space, 1) + 2 * places[1] + others * FEW
-    return Outlook(max(low, needed), max(high, needed))
+    low, high = np.quantile(passed, ENDS)
+    return Outlook(round(low), round(high))
 
 
-def _runs_in_context(constraint: Constraint, margin: float, most: int, confidence: float) -> int:
-    """Return the runs that show a limit in a context, by its margin in deviations of the noise."""
-    if not constraint.rule.on_runs:
-        return runs_to_show_mean(margin, most, confidence)
-    return runs_to_show(float(ndtr(-margin)), constraint.allowed, most, confidence)
+@dataclass(frozen=True)
+class _Margin:
+    """How far the values of a metric are from the limit.
 
-
-def runs_to_show(share: float, allowed: float, most: int, confidence: float) -> int:
-    """Return after how many runs with a share beyond a probability is shown; at most `most`."""
-    n = np.arange(1.0, most + 1.0)
-    shown = log_evidence_of_counts(share * n, n, allowed) >= log(1.0 / (1.0 - confidence))
-    return int(np.argmax(shown)) + 1 if share < allowed and shown.any() else most
-
-
-def runs_to_show_mean(margin: float, most: int, confidence: float) -> int:
-    """Return after how many runs a mean is shown to be within a limit; at most `most`.
-
-    Parameters
+    Attributes
     ----------
-    margin
-        From the mean to the limit, in standard deviations of a run.
-    most
-        Largest number of runs.
-    confidence
-        Of the bound on the mean.
+    deviations
+        From mean to limit, in standard deviations of a run.
+    deviation
+        Standard deviation of a run, in the metric's unit.
+    share
+        Of the runs that are beyond the limit.
     """
-    enough = log(1.0 / (1.0 - confidence))
-    for n in range(FEW, most):
-        if log_t_evidence(-margin * float(np.sqrt(n)), n) >= enough:
-            return n
-    return most
+
+    deviations: float
+    deviation: float
+    share: float
+
+
+@dataclass(frozen=True)
+class _Simulation:
+    study: Study
+    most: int
+    confidence: float
+    drawn: Sequence[Evaluation]
+    worst_cases: Mapping[str, WorstCase]
+    rng: np.random.Generator
+
+    def evaluations(self) -> int | None:
+        """Return how many evaluations a certificate takes; None if it does not pass."""
+        draws, together, places = least_draws(self.study), 0, 0
+        for constraint in self.study.constraints.values():
+            if is_exact(self.study, constraint):
+                places = max(places, CANDIDATES if self.study.contexts else 1)
+                continue
+            if constraint.rule.in_every_context:
+                runs = self._in_contexts(constraint)
+                places = max(places, runs or 0)
+            elif self._is_far(constraint):
+                together = max(together, draws_needed(constraint.allowed, self.confidence))
+                continue
+            else:
+                runs = self._runs(constraint, self._of_draws(constraint), self.confidence)
+                draws = max(draws, runs or 0)
+            if runs is None:
+                return None
+        if not places:
+            return max(draws, together)
+        space = self.study.context_space()
+        searched = self.rng.integers(least_searched(space, 1), most_searched(space, 1) + 1)
+        return max(draws + int(searched) + places, together)
+
+    def _is_far(self, constraint: Constraint) -> bool:
+        """Return whether the other runs count with the draws, as far as the known ones tell."""
+        free, values = self.study.certificate.distribution_free, self._known(constraint)
+        others = bool(self.study.worst_case_constraints) and not free and constraint.rule.on_runs
+        return others and len(values) > 1 and is_far(constraint, values)
+
+    def _in_contexts(self, constraint: Constraint) -> int | None:
+        """Return the runs in all contexts that may be the worst; None if they do not show it."""
+        margin = self._of_worst(constraint)
+        worst = self._runs(constraint, margin, self.confidence)
+        if worst is None or not self.study.contexts:
+            return worst
+        if self.study.certificate.distribution_free:
+            return CANDIDATES * worst
+        # Each of the others is clear by the model or just behind the worst; none may be as bad.
+        behind = self._runs(constraint, margin, BEHIND) or worst
+        count = int(self.rng.integers(0, CANDIDATES))
+        return worst + count * max(behind, FEW) + (CANDIDATES - 1 - count) * FEW
+
+    def _runs(self, constraint: Constraint, margin: _Margin, confidence: float) -> int | None:
+        """Return after how many runs with a margin a limit is shown; None if after none."""
+        if constraint.rule.on_runs:
+            events = self.rng.random(self.most) < margin.share
+            evidence = log_evidence(events, constraint.allowed)
+        else:
+            beyond = margin.deviation * (self.rng.standard_normal(self.most) - margin.deviations)
+            declared = self.study.metrics[constraint.metric].range
+            if declared is None:
+                evidence = log_mean_evidence(beyond, 0.0)
+                few_agree = not (beyond[:LEAST_RUNS] > 0.0).any()
+                evidence[: (FEW if few_agree else LEAST_RUNS) - 1] = 0.0
+            else:
+                ends = sorted(constraint.sign * (end - constraint.limit) for end in declared)
+                evidence = log_wealth(np.clip(beyond, ends[0], ends[1]), 0.0, ends[1])
+        reached = evidence >= log(1.0 / (1.0 - confidence))
+        return int(np.argmax(reached)) + 1 if reached.any() else None
+
+    def _of_draws(self, constraint: Constraint) -> _Margin:
+        """Draw the margin of a limit over the contexts, by what the known draws leave open."""
+        values = self._known(constraint)
+        if not len(values):
+            return self._usual(constraint)
+        beyond = int(np.sum(constraint.violations(values)))
+        share = self.rng.beta(beyond + 0.5, len(values) - beyond + 0.5)
+        if len(values) < 2:
+            return _Margin(0.0, 1.0, share)
+        margin = constraint.sign * (constraint.limit - float(values.mean()))
+        found = self._open(margin, float(values.std(ddof=1)), len(values))
+        return _Margin(found.deviations, found.deviation, share)
+
+    def _of_worst(self, constraint: Constraint) -> _Margin:
+        """Draw the margin of a limit in the worst context, by its estimate."""
+        estimate = self.worst_cases.get(constraint.name)
+        if estimate is None or not estimate.noise > 0.0:
+            return self._usual(constraint)
+        margin = constraint.sign * (constraint.limit - estimate.value)
+        return self._open(margin, estimate.noise, len(self.drawn))
+
+    def _open(self, margin: float, deviation: float, count: int) -> _Margin:
+        """Draw from the posterior of a normal mean and deviation, by so many runs."""
+        count = max(count, LEAST_KNOWN)
+        deviation *= sqrt((count - 1) / self.rng.chisquare(count - 1))
+        margin += deviation * self.rng.standard_normal() / sqrt(count)
+        deviations = margin / deviation if deviation > 0.0 else float(np.copysign(10.0, margin))
+        return _Margin(deviations, deviation, float(ndtr(-deviations)))
+
+    def _usual(self, constraint: Constraint) -> _Margin:
+        """Draw the margin of a result that keeps the limit, and of which nothing else is known."""
+        deviations, deviation = self._between(*USUAL_MARGINS), 1.0
+        declared = self.study.metrics[constraint.metric].range
+        if declared is not None:
+            deviation = self._between(*USUAL_DEVIATIONS) * (declared[1] - declared[0])
+        # By the prior of Jeffreys, up to what is allowed.
+        allowed = constraint.allowed
+        level = self.rng.random() * 2.0 / np.pi * np.arcsin(sqrt(allowed))
+        return _Margin(deviations, deviation, float(betaincinv(0.5, 0.5, level)))
+
+    def _between(self, low: float, high: float) -> float:
+        return exp(self.rng.uniform(log(low), log(high)))
+
+    def _known(self, constraint: Constraint) -> Array:
+        complete = [e.outcome.metrics for e in self.drawn if e.outcome.complete]
+        return np.array([metrics[constraint.metric] for metrics in complete])

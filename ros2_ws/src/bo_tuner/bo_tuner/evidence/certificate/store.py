@@ -29,7 +29,7 @@ from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 6
+FORMAT = 7
 """Version of the files' format."""
 
 FEWEST_DRAWS = 2

@@ -176,7 +176,8 @@ class Boundary(Method):
         """Make the search for the answer: repetitions until it is settled."""
         if most is None:
             most = self.repetitions.most(study, count_evaluations(trials), count_checks(trials))
-        return SettledAnswer(study, trials, self.ranking, self.own_runs, most)
+        own_runs = replace(self.own_runs, doubtful=1) if study.is_noiseless else self.own_runs
+        return SettledAnswer(study, trials, self.ranking, own_runs, most)
 
     def doubt(self, feasibility: float) -> str:
         """Return why an answer is doubtful."""

@@ -108,6 +108,9 @@ def next_repetition(
     if challenger is not None:
         doubtful = _doubtful(study, surrogates, challenger.trial)[0]
         runs = runs_until(challenger.trial, judgements(challenger.trial) + 1)
+        if study.is_noiseless and doubtful is not None:
+            # More of them would be the same.
+            runs = 1
         # These runs are some of its own.
         its_own = len(lacking(study, surrogates, challenger.trial, required))
         if best is None or max(runs + len(own), its_own) <= left:
@@ -141,7 +144,12 @@ def _challenger(
     best: Candidate | None,
     left: int,
 ) -> Candidate | None:
-    open_ones = [c for c in candidates if WORTH_REPEATING < c.feasibility < c.required]
+    open_ones = [
+        c
+        for c in candidates
+        if WORTH_REPEATING < c.feasibility < c.required
+        and not (study.is_noiseless and _is_told(study, surrogates, c.trial))
+    ]
     if not open_ones or surrogates.objective is None:
         return None
     space = study.search_space()
@@ -213,6 +221,12 @@ def _doubtful(study: Study, surrogates: PooledSurrogates, trial: Trial) -> list[
             context = contexts.to_dict(contexts.to_contexts(point[None])[0])
         doubtful.append((log_probability, context))
     return [context for _, context in sorted(doubtful, key=lambda pair: pair[0])]
+
+
+def _is_told(study: Study, surrogates: PooledSurrogates, trial: Trial) -> bool:
+    """Return whether a parameter set was run where its limits are most doubtful."""
+    doubtful = _doubtful(study, surrogates, trial)
+    return bool(doubtful) and doubtful[0] is not None and _own_runs(study, trial, doubtful[0]) > 0
 
 
 class _Corners:

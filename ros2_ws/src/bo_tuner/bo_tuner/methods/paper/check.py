@@ -15,9 +15,9 @@ from bo_tuner.methods.protocol import AnswerSearch
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.repetitions import (
     DRAWN_EVALUATIONS,
-    WORST_EVALUATIONS,
     most_check_evaluations,
     repetitions_of,
+    worst_evaluations,
 )
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
@@ -171,7 +171,7 @@ class CheckedAnswer(AnswerSearch):
         self._candidate, self._check, self._awaited = trial, {}, 0
         self._plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
         for worst_context in _worst_contexts(trial):
-            self._plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
+            self._plan += [(Stage.CHECK_WORST, worst_context)] * worst_evaluations(self._study)
 
     def _without_a_leader(
         self, ranked: Sequence[Candidate], open_ones: Sequence[Candidate]
@@ -223,7 +223,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         Whether the check is complete and all constraints hold.
     """
     extended = replace(trial, evaluations=trial.evaluations + tuple(check))
-    completed = len(check) == _size(trial) and all(e.outcome.complete for e in check)
+    completed = len(check) == _size(study, trial) and all(e.outcome.complete for e in check)
     if not completed:
         return extended, False
     holds = all(
@@ -247,9 +247,9 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
     return replace(extended, worst_cases=worst_cases), holds
 
 
-def _size(trial: Trial) -> int:
+def _size(study: Study, trial: Trial) -> int:
     """Return the number of evaluations in the check of a trial."""
-    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(_worst_contexts(trial))
+    return DRAWN_EVALUATIONS + worst_evaluations(study) * len(_worst_contexts(trial))
 
 
 def _worst_contexts(trial: Trial) -> list[Context]:

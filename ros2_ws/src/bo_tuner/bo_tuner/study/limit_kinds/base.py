@@ -41,6 +41,9 @@ class Runs:
         Number of all runs of the parameter set in the same certificate.
     declared
         Smallest and largest value that any run can have; None if that is not known.
+    exact
+        Whether one run decides: they are of a simulator without noise, and of one context, or each
+        of a context in which the limit must be kept.
     """
 
     events: Sequence[bool]
@@ -49,6 +52,7 @@ class Runs:
     elsewhere: Sequence[Array] = ()
     known: int = 0
     declared: tuple[float, float] | None = None
+    exact: bool = False
 
 
 class BoundedMean(Protocol):

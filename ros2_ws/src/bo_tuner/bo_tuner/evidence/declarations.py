@@ -1,0 +1,82 @@
+"""What runs contradict of a study's declarations, and of what every result takes for granted.
+
+The study declares scales and ranges of metrics. Every result takes it for granted that runs which
+are alike do not depend on when they were made.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from bo_tuner.metrics.collect import NO_LOGARITHM
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.trends import trend
+from bo_tuner.study.noiseless import noise_in
+from bo_tuner.study.parts import LOG
+from bo_tuner.study.ranges import outside
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted, shown
+from bo_tuner.trials import Evaluation
+
+CHANCE = 0.01
+"""Probability that runs which are alike are said to drift, over all metrics."""
+
+ALIKE = 1e-9
+"""Share of their size by which values differ by rounding alone."""
+
+
+def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[str]:
+    """Yield a sentence for each declared range, scale or noise that evaluations contradict."""
+    if beyond_range := outside(study.metrics, evaluations):
+        yield f"A run contradicts the study: {beyond_range}."
+    if noise := noise_in(study, evaluations):
+        yield f"A run contradicts the study: {noise}."
+    reasons = [e.outcome.reason for e in evaluations if NO_LOGARITHM in e.outcome.reason]
+    for name in study.logarithmic_metrics:
+        if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):
+            key = f"metrics.{name}" if study.metrics[name].scale == LOG else "objective"
+            yield (
+                f"{counted(count, 'run')} failed as {name} was 0 or negative, which has no "
+                f"logarithm ({key}.scale: log); if such a value is sound, leave the scale out."
+            )
+
+
+def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[str]:
+    """Yield a sentence for each metric that changes with the order of runs which are alike.
+
+    Parameters
+    ----------
+    study
+        The study.
+    runs
+        Independent draws of context and noise in the order in which they were made, by the name of
+        their parameter set.
+    """
+    # The values, and their distances from the median: two tests of each metric.
+    level = CHANCE / max(2 * len(runs) * len(study.metrics), 1)
+    for name, made in runs.items():
+        complete = [e.outcome.metrics for e in made if e.outcome.complete]
+        for metric in study.metrics:
+            values = np.array([metrics[metric] for metrics in complete if metric in metrics])
+            if change := _change(values, level):
+                yield (
+                    f"{metric} drifts: of {len(values)} test runs of the {name} parameter set, "
+                    f"later ones are {change}. Every interval takes runs for alike: find what "
+                    "changes on the machine meanwhile, and validate again."
+                )
+
+
+def _change(values: Array, level: float) -> str:
+    """Say how values (n,) change with their order; empty if that may be chance."""
+    if not len(values) or float(np.ptp(values)) <= ALIKE * float(np.abs(values).max()):
+        return ""
+    scatter = np.abs(values - np.median(values))
+    for series, rising, falling in (
+        (values, "larger", "smaller"),
+        (scatter, "more scattered", "less scattered"),
+    ):
+        rho, p_value = trend(series)
+        if p_value < level:
+            change = rising if rho > 0.0 else falling
+            return f"{change} (rank correlation {shown(round(rho, 2))}, p = {p_value:.1g})"
+    return ""

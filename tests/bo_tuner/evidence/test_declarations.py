@@ -1,0 +1,77 @@
+"""What runs contradict: a range, a scale, and that they are alike."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bo_tuner.evidence.declarations import contradicted, drifts
+from bo_tuner.metrics.collect import judged
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+
+NODE = {"node": "axis"}
+
+
+def runs(study, peaks):
+    """Test runs with these values of a metric, as a collector judges them."""
+    outcomes = (
+        judged(study, Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": float(peak)}))
+        for peak in peaks
+    )
+    return [
+        Evaluation(1, k, Stage.VALIDATION, {"gain": 0.5}, {"load": 1.5}, k, outcome)
+        for k, outcome in enumerate(outcomes)
+    ]
+
+
+def test_a_run_outside_its_range(make_study):
+    study = make_study(metrics={"error": NODE, "peak": NODE | {"range": [0.0, 2.0]}})
+    assert [*contradicted(study, runs(study, [0.5, 2.0]))] == []
+    (said,) = contradicted(study, runs(study, [0.5, 2.5]))
+    assert said.startswith("A run contradicts the study: peak was 2.5, outside its range [0, 2]")
+
+
+def test_values_without_a_logarithm(make_study):
+    study = make_study(metrics={"error": NODE, "peak": NODE | {"scale": "log"}})
+    assert [*contradicted(study, runs(study, [0.5, 0.1]))] == []
+    (said,) = contradicted(study, runs(study, [0.5, 0.0, -1.0]))
+    assert said.startswith("2 runs failed as peak was 0 or negative, which has no logarithm (met")
+    assert "(metrics.peak.scale: log)" in said
+    study = make_study(objective={"metric": "error", "scale": "log"})
+    (zero,) = runs(study, [1.0])
+    failed = judged(study, Outcome(EvaluationState.COMPLETE, {"error": 0.0, "peak": 1.0}))
+    (said,) = contradicted(study, [replace(zero, outcome=failed)])
+    assert said.startswith("1 run failed as error was 0 or negative")
+    assert "(objective.scale: log)" in said
+
+
+@pytest.mark.parametrize(
+    ("of", "change"),
+    [
+        (lambda noise, time: noise + 3.0 * time, "larger"),
+        (lambda noise, time: noise - 3.0 * time, "smaller"),
+        (lambda noise, time: noise * np.exp(4.0 * time), "more scattered"),
+        (lambda noise, time: noise * np.exp(-4.0 * time), "less scattered"),
+    ],
+)
+def test_a_drift_is_named(make_study, of, change):
+    study, noise = make_study(), np.random.default_rng(3).standard_normal(40)
+    peaks = of(noise, np.linspace(0.0, 1.0, 40))
+    (said,) = drifts(study, {"tuned": runs(study, peaks)})
+    assert said.startswith("peak drifts: of 40 test runs of the tuned parameter set, later ones")
+    assert f" are {change} (rank correlation" in said
+
+
+def test_runs_that_are_alike_seldom_seem_to_drift(make_study):
+    """1 % of 300 sets of runs with heavy tails, at most; 8 or more have a probability of 0.01."""
+    study, rng = make_study(), np.random.default_rng(4)
+    named = sum(
+        bool([*drifts(study, {"tuned": runs(study, rng.standard_t(2.0, 25))})]) for _ in range(300)
+    )
+    assert named < 8
+
+
+def test_equal_runs_and_rounding_are_no_drift(make_study):
+    study = make_study()
+    assert [*drifts(study, {"tuned": runs(study, 0.3 + 1e-16 * np.arange(40.0))})] == []
+    assert [*drifts(study, {"tuned": [], "default": runs(study, [0.5])})] == []
