@@ -1,0 +1,51 @@
+"""Values that somebody else tuned, in the form in which a certificate takes them: without a run."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from bo_tuner.methods.registry import DEFAULT_METHOD
+from bo_tuner.storage.provenance import session_provenance
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState, Value
+
+
+def given_values(
+    study: Study, values: Mapping[str, Value], folder: Path, backend: str
+) -> tuple[RunRecord, Trial]:
+    """Return a record without a trial, and the trial that stands for the values.
+
+    Parameters
+    ----------
+    study
+        The study.
+    values
+        By name; what is left out is the default.
+    folder
+        Where the certificates are kept.
+    backend
+        On which they are made.
+
+    Raises
+    ------
+    StudyError
+        If the values are no parameter set of the study.
+    """
+    trial = Trial(0, study.complete_set(values), "given", TrialState.COMPLETE)
+    record = RunRecord(
+        path=folder,
+        study=study,
+        algorithm=DEFAULT_METHOD,
+        backend=backend,
+        stop_early=False,
+        attached=False,
+        namespace="",
+        record_policy="",
+        record_limit=None,
+        provenance=session_provenance(study, backend, DEFAULT_METHOD),
+        trials=(),
+        evaluations=(),
+        summary=None,
+        damage="",
+    )
+    return record, trial
