@@ -60,7 +60,7 @@ def test_within_all_limits(here, place):
     # 0.7 * 1.25; the error has two limits, so two rows.
     assert cells(out, "peak") == [["peak", "0.875", "≤", "1", "within"]]
     assert [row[1:4] for row in cells(out, "error")] == [["1.25", "≥", "0.5"], ["1.25", "≤", "9"]]
-    assert "this run is within all 3 limits\n" in out
+    assert "this run is within its 3 limits\n" in out
     assert (place / "cuts").read_text() == "1"
     assert "0.875" in (place / "runs" / "axis-try" / "response.html").read_text()
 

@@ -13,9 +13,9 @@ from bo_tuner.plans import Phase
 class Machine:
     """Takes the time of evaluations, proposals and rankings, and tells of them."""
 
-    def __init__(self, study, algorithm, make_trial):
+    def __init__(self, study, algorithm, make_trial, workers=1):
         self.now = 0.0
-        self.left = TimeLeft(study, METHODS[algorithm], lambda: self.now)
+        self.left = TimeLeft(study, METHODS[algorithm], lambda: self.now, workers)
         self._make_trial = make_trial
         self._number = 0
 
@@ -43,9 +43,10 @@ class Machine:
 def machine(make_study, make_trial):
     """Function for a machine; of a study with 5 trials unless the budget is changed."""
 
-    def make(algorithm, **budget):
+    def make(algorithm, workers=1, **budget):
         study = make_study()
-        return Machine(study.replace(**budget) if budget else study, algorithm, make_trial)
+        study = study.replace(**budget) if budget else study
+        return Machine(study, algorithm, make_trial, workers)
 
     return make
 
@@ -64,6 +65,28 @@ def test_all_that_is_to_come_counts(machine):
     run.left.begin(Phase.VALIDATION)
     run.evaluations(4)
     assert run.left.estimate() == 6.0
+
+
+def test_what_a_run_takes_that_is_asked_to_finish(machine):
+    """One more trial, and the answer; then one more run, and the validation; then only that."""
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    assert run.left.to_finish() is None
+    run.trial()
+    assert run.left.to_finish() == 2.0 + 40.0 + 10.0
+    run.left.begin(Phase.CHECKING)
+    run.evaluations(3, 2.0)
+    assert run.left.to_finish() == 2.0 + 10.0
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(4)
+    assert run.left.to_finish() == 6.0
+
+
+def test_workers_share_the_validation(machine):
+    run = machine("IV", workers=4)
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    assert run.left.estimate() == 4 * 2.0 + 40.0 + 10.0 / 4
 
 
 def test_a_second_candidate_that_fails_its_check_has_another_one_follow(machine):

@@ -121,6 +121,7 @@ def _run(
         workers=workers,
         more=plan.resumed is not None
         and not (arguments.trials is None and arguments.evaluations is None),
+        time=arguments.time,
         carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web),
         web_control=arguments.web_control,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
+from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
@@ -49,6 +50,7 @@ examples:
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
+  tune --time 30min                    have the result by then
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -109,6 +111,15 @@ def _add_study(group: Group) -> None:
         f"(default: {STUDY})",
     )
     add_budget_arguments(group)
+    group.add_argument(
+        "--time",
+        type=time_limit,
+        default=TimeLimit(),
+        metavar="TIME",
+        help="have the result, validated, after this time, such as 90s, 30min or 2h: no trial is "
+        "begun that would be too late, and the best so far is settled and validated; the budget "
+        "of the study stays the most",
+    )
     add_bounds_argument(group)
 
 

@@ -60,7 +60,7 @@ class SingleRun:
         if self.beyond:
             names = ", ".join(limit.name for limit in self.beyond)
             return f"this run is beyond {len(self.beyond)} of {counted(count, 'limit')}: {names}"
-        return f"this run is within {'its limit' if count == 1 else f'all {count} limits'}"
+        return f"this run is within its {'limit' if count == 1 else f'{count} limits'}"
 
     def rows(self) -> Iterator[Row]:
         """Yield the metrics in the order of the study, one with two limits in two rows."""

@@ -28,12 +28,17 @@ class TimeLeft:
         Of the run.
     clock
         Returns the time [s] from a fixed point on.
+    workers
+        Number of evaluations that are run at once, as all of the validation can be.
     """
 
-    def __init__(self, study: Study, method: Method, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, study: Study, method: Method, clock: Callable[[], float], workers: int = 1
+    ) -> None:
         self._study = study
         self._method = method
         self._clock = clock
+        self._workers = workers
         self._trials = self._evaluations = 0
         # Evaluations of a trial, their time, and that of the whole trial [s].
         self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
@@ -75,6 +80,28 @@ class TimeLeft:
 
     def estimate(self) -> float | None:
         """Return the time [s] until the result is there; None before the first trial."""
+        left = self._study.budget.remaining(self._trials, self._evaluations)
+        return self._until_result(left)
+
+    def to_finish(self) -> float | None:
+        """Return the time [s] that the result takes at least; None before the first trial.
+
+        It is that of a run which is asked to finish: after one more trial, as one may have just
+        begun, and with the runs that are expected to settle the answer; while it is settled, after
+        one more of these. The validation follows in any case.
+        """
+        return self._until_result(1, 1 if self._phase == Phase.CHECKING else None)
+
+    def _until_result(self, trials_left: int, runs_left: int | None = None) -> float | None:
+        """Return the time [s] until the result is there; None before the first trial.
+
+        Parameters
+        ----------
+        trials_left
+            Number of trials to come, while there are any.
+        runs_left
+            Number of runs to come that settle the answer; None for as many as are expected.
+        """
         if not self._lately:
             return None
         count = sum(evaluations for evaluations, _, _ in self._lately)
@@ -86,11 +113,15 @@ class TimeLeft:
         trials = 0.0
         made, evaluations = self._done, self._evaluations
         if self._phase != Phase.CHECKING:
-            left = self._study.budget.remaining(self._trials, self._evaluations)
-            trials = left * total / len(self._lately)
-            made, evaluations = 0, evaluations + round(left * count / len(self._lately))
-        answering = self._method.answer_evaluations(self._study, evaluations, made)
-        return trials + answering * self._lately_step(total / count) + validating * each
+            trials = trials_left * total / len(self._lately)
+            made, evaluations = 0, evaluations + round(trials_left * count / len(self._lately))
+        if runs_left is None:
+            runs_left = self._method.answer_evaluations(self._study, evaluations, made)
+        return (
+            trials
+            + runs_left * self._lately_step(total / count)
+            + validating * each / self._workers
+        )
 
     def _lately_step(self, otherwise: float) -> float:
         return fmean(self._steps) if self._steps else otherwise

@@ -1,9 +1,11 @@
 """The page of a single run: its parameters, its metrics beside the limits, and its response."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import cycle
 
 from bo_tuner.evidence.single_run import BEYOND, SingleRun
-from bo_tuner.figures.figure import Figure, Panel
+from bo_tuner.figures.figure import Color, Figure, Line, Panel
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report.content import Section, Table, number
@@ -11,21 +13,40 @@ from bo_tuner.report.recorded_signals import signal_panels
 from bo_tuner.report.sections.trajectories import STYLES, Trace, panels
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
-from bo_tuner.trials import TUNED
+from bo_tuner.trials import DEFAULT, TUNED
 
 THIS = "this run"
+COLORS = (STYLES[TUNED][0], STYLES[DEFAULT][0], Color.GREEN, Color.PURPLE)
+"""Of the signals in a panel."""
 
 
 def recorded_response(study: Study, recording: Recording) -> list[Panel]:
     """Return the signals of a run as they were received; none if there are none."""
     if not recording.signals:
         return []
-    return signal_panels(study, {THIS: RecordedRun("", 0, {}, recording)}, {THIS: STYLES[TUNED]})
+    run = RecordedRun("", 0, {}, recording)
+    return _told_apart(signal_panels(study, {THIS: run}, {THIS: STYLES[TUNED]}))
 
 
 def traced_response(study: Study, trace: Trace) -> list[Panel]:
     """Return the signals of a run that its objects have traced."""
-    return panels({"": {THIS: trace}}, {THIS: STYLES[TUNED]}, study.constraints)
+    return _told_apart(panels({"": {THIS: trace}}, {THIS: STYLES[TUNED]}, study.constraints))
+
+
+def _told_apart(drawn: Sequence[Panel]) -> list[Panel]:
+    """Give several signals in one panel, which are all of this run, a colour each."""
+    color, dash = STYLES[TUNED]
+    told_apart = []
+    for panel in drawn:
+        colors = cycle(COLORS)
+        elements = [
+            replace(item, color=next(colors))
+            if isinstance(item, Line) and (item.color, item.dash) == (color, dash)
+            else item
+            for item in panel.elements
+        ]
+        told_apart.append(replace(panel, elements=elements))
+    return told_apart
 
 
 def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Figure:

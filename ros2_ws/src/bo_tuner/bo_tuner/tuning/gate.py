@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from bo_tuner.interruption import Pause
-from bo_tuner.plans import EventKind
+from bo_tuner.plans import EventKind, Phase
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
@@ -21,23 +21,28 @@ class Gate:
         Raises if the run is to end; also called all the while in a pause.
     observer
         Is notified of the start and the end of a pause.
+    finishing
+        Returns whether a phase is to end early, even if nobody asks for it.
 
     Attributes
     ----------
     requests
         Takes the requests to pause and to continue.
-    finishing
-        Whether the trials are to end early.
     """
 
     def __init__(
-        self, check: Callable[[], None] = lambda: None, observer: RunObserver = NOBODY
+        self,
+        check: Callable[[], None] = lambda: None,
+        observer: RunObserver = NOBODY,
+        *,
+        finishing: Callable[[], bool] = lambda: False,
     ) -> None:
         self._check = check
         self._observer = observer
         self._halted_by = ""
         self.requests = Pause()
-        self.finishing = False
+        self._finishing = finishing
+        self._asked_to_finish = False
 
     def halt(self, reason: str) -> None:
         """Let the run wait because the guard has taken over, for a reason in one line."""
@@ -46,7 +51,12 @@ class Gate:
 
     def finish(self) -> None:
         """Ask for the end of the trials; a pause goes on all the same."""
-        self.finishing = True
+        self._asked_to_finish = True
+
+    def finishing(self, phase: str) -> bool:
+        """Return whether a phase is to end early; on request, the trials are."""
+        asked = self._asked_to_finish and phase == Phase.TUNING
+        return asked or self._finishing()
 
     def wait(self, note: Callable[[EventKind, str], None] = lambda kind, detail: None) -> None:
         """Wait while a pause is requested; raise if the run is to end.
