@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.monitoring.time_left import TimeLeft
+from bo_tuner.monitoring.time_left import SPARE, TimeLeft
 from bo_tuner.plans import Phase
 
 
@@ -73,13 +73,25 @@ def test_what_a_run_takes_that_is_asked_to_finish(machine):
     run.left.begin(Phase.TUNING)
     assert run.left.to_finish() is None
     run.trial()
-    assert run.left.to_finish() == 2.0 + 40.0 + 10.0
+    assert run.left.to_finish() == pytest.approx(SPARE * (2.0 + 40.0 + 10.0))
     run.left.begin(Phase.CHECKING)
     run.evaluations(3, 2.0)
-    assert run.left.to_finish() == 2.0 + 10.0
+    assert run.left.to_finish() == pytest.approx(SPARE * (2.0 + 10.0))
     run.left.begin(Phase.VALIDATION)
     run.evaluations(4)
-    assert run.left.to_finish() == 6.0
+    assert run.left.to_finish() == pytest.approx(SPARE * 6.0)
+
+
+def test_the_record_of_each_evaluation_takes_its_time_as_well(machine):
+    """Of that beside evaluations the least is the record, the rest proposals and models."""
+    run = machine("IV")
+    run.left.begin(Phase.CHECKING)
+    run.trial()
+    run.left.begin(Phase.CHECKING)
+    for beside in [0.5] * 5 + [3.0] * 5:
+        run.evaluations(1, ranking=beside)
+    # 30 of 40 evaluations that take 2.75 s each by the latest ten; 10 of the validation.
+    assert run.left.estimate() == pytest.approx(30 * 2.75 + 10 * (1.0 + 0.5))
 
 
 def test_workers_share_the_validation(machine):

@@ -18,6 +18,9 @@ from bo_tuner.trials import Evaluation, Trial, count_evaluations, count_trials
 LATELY = 10
 """Number of latest trials, or of evaluations outside trials, that a forecast is by."""
 
+SPARE = 1.1
+"""Factor on what a result takes that is to be there in time."""
+
 
 class TimeLeft:
     """Keeps the times of a run; must be called for each step when it has just ended.
@@ -42,6 +45,8 @@ class TimeLeft:
         self._trials = self._evaluations = 0
         # Evaluations of a trial, their time, and that of the whole trial [s].
         self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
+        # Beside its own time, from one evaluation to the next [s]; also proposals, and the record.
+        self._beside: deque[float] = deque(maxlen=LATELY)
         self.begin("")
 
     def begin(self, phase: str) -> None:
@@ -61,8 +66,11 @@ class TimeLeft:
     def evaluation(self, evaluation: Evaluation) -> None:
         """Note an evaluation; one on record takes no time."""
         now = self._clock()
-        if self._phase != Phase.TUNING and not evaluation.recorded:
-            self._steps.append(now - self._latest)
+        if not evaluation.recorded:
+            step = now - self._latest
+            self._beside.append(max(0.0, step - evaluation.seconds))
+            if self._phase != Phase.TUNING:
+                self._steps.append(step)
         self._done += 1
         self._latest = now
 
@@ -90,7 +98,8 @@ class TimeLeft:
         begun, and with the runs that are expected to settle the answer; while it is settled, after
         one more of these. The validation follows in any case.
         """
-        return self._until_result(1, 1 if self._phase == Phase.CHECKING else None)
+        seconds = self._until_result(1, 1 if self._phase == Phase.CHECKING else None)
+        return None if seconds is None else SPARE * seconds
 
     def _until_result(self, trials_left: int, runs_left: int | None = None) -> float | None:
         """Return the time [s] until the result is there; None before the first trial.
@@ -108,6 +117,8 @@ class TimeLeft:
         evaluating = sum(seconds for _, seconds, _ in self._lately)
         total = sum(seconds for _, _, seconds in self._lately)
         each, validating = evaluating / count, 2 * self._study.budget.validation_draws
+        # Nothing is computed between evaluations of the validation, but they are recorded.
+        each += min(self._beside, default=0.0)
         if self._phase == Phase.VALIDATION:
             return max(0, validating - self._done) * self._lately_step(each)
         trials = 0.0
