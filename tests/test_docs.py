@@ -21,6 +21,7 @@ from waiting import wait_until
 from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES, isolated_environment
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.cli.executables import COMMANDS as OF_TUNER
+from bo_tuner.cli.executables import module_of
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import (
     load_study,
@@ -31,7 +32,7 @@ from bo_tuner.study.study_file import (
 )
 from bo_tuner.trials import EvaluationState
 
-MODULES = {name: f"bo_tuner.cli.{name}" for name in OF_TUNER}
+MODULES = {name: module_of(name) for name in OF_TUNER}
 MODULES["benchmark"] = "tuning_benchmark.command"
 COMMANDS = tuple(MODULES)
 PACKAGE_OF = {name: module.partition(".")[0] for name, module in MODULES.items()}

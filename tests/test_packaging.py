@@ -24,6 +24,7 @@ EXECUTABLES = {
         "tune",
         "init",
         "check",
+        "try",
         "report",
         "validate",
         "replay",

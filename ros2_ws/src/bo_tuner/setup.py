@@ -1,5 +1,6 @@
 import os
 import subprocess
+from keyword import iskeyword
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -7,7 +8,7 @@ from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
 COMMANDS = [
-    "tune", "init", "check", "report", "validate", "replay", "recompute", "apply", "guard",
+    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "apply", "guard",
 ]  # fmt: skip
 
 
@@ -83,7 +84,11 @@ setup(
     },
     keywords=[f"commit-{commit()}"],
     entry_points={
-        "console_scripts": [f"{command} = {NAME}.cli.executables:{command}" for command in COMMANDS]
+        # ``try`` is a word of Python.
+        "console_scripts": [
+            f"{command} = {NAME}.cli.executables:{command}{'_' if iskeyword(command) else ''}"
+            for command in COMMANDS
+        ]
     },
     zip_safe=False,
 )

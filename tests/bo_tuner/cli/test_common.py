@@ -9,16 +9,17 @@ from types import SimpleNamespace
 import pytest
 
 from bo_tuner.cli.common import attached, in_namespace_of, run_folder
+from bo_tuner.cli.executables import module_of
 from bo_tuner.errors import RunRecordError
 
 COMMANDS = (
-    "apply", "check", "guard", "init", "recompute", "replay", "report", "tune", "validate",
+    "apply", "check", "guard", "init", "recompute", "replay", "report", "try", "tune", "validate",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_version(capsys, name):
-    parser = importlib.import_module(f"bo_tuner.cli.{name}").make_parser()
+    parser = importlib.import_module(module_of(name)).make_parser()
     with pytest.raises(SystemExit) as caught:
         parser.parse_args(["--version"])
     assert caught.value.code == 0
@@ -27,7 +28,7 @@ def test_version(capsys, name):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_fits_80_columns_and_tells_the_exit_codes(name):
-    text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
+    text = importlib.import_module(module_of(name)).make_parser().format_help()
     assert max(map(len, text.splitlines())) <= 80
     told = set(re.findall(r"^  (\d+)\s+\w", text, re.MULTILINE))
     # These judge nothing.
@@ -36,9 +37,9 @@ def test_help_fits_80_columns_and_tells_the_exit_codes(name):
     )
 
 
-@pytest.mark.parametrize("name", ["check", "tune", "validate"])
+@pytest.mark.parametrize("name", ["check", "try", "tune", "validate"])
 def test_no_option_stands_outside_the_groups_of_the_help(name):
-    parser = importlib.import_module(f"bo_tuner.cli.{name}").make_parser()
+    parser = importlib.import_module(module_of(name)).make_parser()
     text = parser.format_help()
     general = text.partition("\noptions:\n")[2].partition("\n\n")[0]
     assert re.findall(r"^  .*?(--\w+)", general, re.MULTILINE) == ["--help", "--version"]
@@ -86,9 +87,9 @@ def test_nodes_are_attached_as_in_the_run(options, backend, expected):
     assert attached(arguments, parser, backend, None) is ("--attach" in options)
 
 
-@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune", "init", "check", "guard"}))
+@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune", "init", "check", "try", "guard"}))
 def test_a_run_may_be_called_latest(name):
-    text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
+    text = importlib.import_module(module_of(name)).make_parser().format_help()
     assert "or 'latest' for runs/latest" in " ".join(text.split())
 
 

@@ -29,6 +29,7 @@ from bo_tuner.trials import (
     count_evaluations,
 )
 from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.loop import Tuning
 
 ALGORITHM = METHODS[BOUNDARY]
@@ -392,3 +393,20 @@ def test_worst_cases_stay_where_all_trials_have_failed_when_run_again(study_of):
     trial = with_repetitions(trial, [again])
     models = ALGORITHM.ranking.models(study, [trial])
     assert estimated(study, models, trial).worst_cases == found
+
+
+@pytest.mark.parametrize("window", [1, 3])
+def test_it_can_be_finished_early_and_that_be_repeated(study, trials, function_backend, window):
+    watcher = Watcher()
+    gate = Gate(finishing=lambda: len(watcher.evaluations) >= 2)
+    search = ALGORITHM.answer_search(study, trials, 25)
+    Driver(function_backend(study, axis), watcher, window=window, gate=gate).complete(search)
+    # Those that were planned then are run to their end.
+    assert search.finished == len(watcher.evaluations) <= 1 + window
+    assert len(watcher.evaluations) >= 2
+    assert search.answer is not None
+    assert set(search.answer.checked) == {e.trial for e in watcher.evaluations}
+    again = ALGORITHM.answer_search(study, trials, 25)
+    again.finished = search.finished
+    Driver(function_backend(study, axis), window=window).complete(again)
+    assert again.answer == search.answer

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.monitoring.time_left import TimeLeft
+from bo_tuner.monitoring.time_left import SPARE, TimeLeft
 from bo_tuner.plans import Phase
 
 
 class Machine:
     """Takes the time of evaluations, proposals and rankings, and tells of them."""
 
-    def __init__(self, study, algorithm, make_trial):
+    def __init__(self, study, algorithm, make_trial, workers=1):
         self.now = 0.0
-        self.left = TimeLeft(study, METHODS[algorithm], lambda: self.now)
+        self.left = TimeLeft(study, METHODS[algorithm], lambda: self.now, workers)
         self._make_trial = make_trial
         self._number = 0
 
@@ -43,9 +43,10 @@ class Machine:
 def machine(make_study, make_trial):
     """Function for a machine; of a study with 5 trials unless the budget is changed."""
 
-    def make(algorithm, **budget):
+    def make(algorithm, workers=1, **budget):
         study = make_study()
-        return Machine(study.replace(**budget) if budget else study, algorithm, make_trial)
+        study = study.replace(**budget) if budget else study
+        return Machine(study, algorithm, make_trial, workers)
 
     return make
 
@@ -64,6 +65,40 @@ def test_all_that_is_to_come_counts(machine):
     run.left.begin(Phase.VALIDATION)
     run.evaluations(4)
     assert run.left.estimate() == 6.0
+
+
+def test_what_a_run_takes_that_is_asked_to_finish(machine):
+    """One more trial, and the answer; then one more run, and the validation; then only that."""
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    assert run.left.to_finish() is None
+    run.trial()
+    assert run.left.to_finish() == pytest.approx(SPARE * (2.0 + 40.0 + 10.0))
+    run.left.begin(Phase.CHECKING)
+    run.evaluations(3, 2.0)
+    assert run.left.to_finish() == pytest.approx(SPARE * (2.0 + 10.0))
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(4)
+    assert run.left.to_finish() == pytest.approx(SPARE * 6.0)
+
+
+def test_the_record_of_each_evaluation_takes_its_time_as_well(machine):
+    """Of that beside evaluations the least is the record, the rest proposals and models."""
+    run = machine("IV")
+    run.left.begin(Phase.CHECKING)
+    run.trial()
+    run.left.begin(Phase.CHECKING)
+    for beside in [0.5] * 5 + [3.0] * 5:
+        run.evaluations(1, ranking=beside)
+    # 30 of 40 evaluations that take 2.75 s each by the latest ten; 10 of the validation.
+    assert run.left.estimate() == pytest.approx(30 * 2.75 + 10 * (1.0 + 0.5))
+
+
+def test_workers_share_the_validation(machine):
+    run = machine("IV", workers=4)
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    assert run.left.estimate() == 4 * 2.0 + 40.0 + 10.0 / 4
 
 
 def test_a_second_candidate_that_fails_its_check_has_another_one_follow(machine):

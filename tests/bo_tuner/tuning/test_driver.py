@@ -12,7 +12,7 @@ from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import Certification, Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
-from bo_tuner.plans import BatchPlan, Event, EventKind, Plan, Run, Runs, finished_after
+from bo_tuner.plans import BatchPlan, Event, EventKind, Phase, Plan, Run, Runs, finished_after
 from bo_tuner.storage.journal_reader import in_order_of_plans
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.driver import Driver
@@ -464,6 +464,11 @@ class TestEvents:
         assert finished_after([pause, finish, pause]) == 3
         assert finished_after([finish, extend]) is None
         assert finished_after([finish, extend, replace(finish, tasks=5)]) == 5
+        settled = Event(Phase.CHECKING, 2, EventKind.FINISH)
+        assert finished_after([finish, settled]) == 3
+        assert finished_after([finish, settled], Phase.CHECKING) == 2
+        # More trials have another answer.
+        assert finished_after([finish, settled, extend], Phase.CHECKING) is None
 
 
 class TestBatches:

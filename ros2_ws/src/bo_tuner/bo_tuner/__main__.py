@@ -2,9 +2,9 @@
 
 import sys
 
-from bo_tuner.cli.executables import COMMANDS, run
+from bo_tuner.cli.executables import COMMANDS, module_of, run
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         sys.exit(f"error: expected one of {', '.join(COMMANDS)} (python -m bo_tuner tune --help)")
-    run(f"bo_tuner.cli.{sys.argv[1]}", sys.argv[2:])
+    run(module_of(sys.argv[1]), sys.argv[2:])

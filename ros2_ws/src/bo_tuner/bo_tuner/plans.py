@@ -54,17 +54,20 @@ class Event:
     detail: str = ""
 
 
-def finished_after(events: Iterable[Event]) -> int | None:
-    """Return the number of trials after which a run was to finish; None if it goes on.
+def finished_after(events: Iterable[Event], phase: Phase = Phase.TUNING) -> int | None:
+    """Return the number of tasks after which a phase was to finish early; None if it goes on.
 
     Parameters
     ----------
     events
         Of the run, in the order of the record.
+    phase
+        The phase, such as the trials; those after them begin anew in a run that goes on with these.
     """
     latest: Event | None = None
     for event in events:
-        if event.kind in (EventKind.FINISH, EventKind.EXTEND):
+        finishes = event.kind is EventKind.FINISH and event.phase == phase
+        if finishes or event.kind is EventKind.EXTEND:
             latest = event
     return latest.tasks if latest is not None and latest.kind is EventKind.FINISH else None
 

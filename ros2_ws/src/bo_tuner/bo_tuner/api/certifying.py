@@ -15,16 +15,17 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification
+from bo_tuner.evidence.certificate.given import given_values
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.store import draws_of
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
 from bo_tuner.numerics.sequential import spent
-from bo_tuner.storage.record import RunRecord, record_of_study
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
-from bo_tuner.trials import TUNED, Trial, TrialState, Value
+from bo_tuner.trials import TUNED, Trial, Value
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.observer import Observers, RunObserver
 
@@ -82,6 +83,7 @@ def certify(
         If the folder cannot be written to, or another process works in it.
     """
     inner = study.checked
+    # Refused before a folder is made for them.
     values = inner.complete_set(parameters or {})
     with contextlib.ExitStack() as stack:
         if folder is None:
@@ -92,8 +94,7 @@ def certify(
                 path.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise OutputError(f"{folder}: cannot write there: {error.strerror}") from error
-        trial = Trial(0, values, "given", TrialState.COMPLETE)
-        record = record_of_study(inner, path, FUNCTION)
+        record, trial = given_values(inner, values, path, FUNCTION)
         return certify_trial(
             record,
             trial,

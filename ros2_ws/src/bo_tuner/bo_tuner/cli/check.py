@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.graph import any_runs, opened_node
+from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
-from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against
+from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against, is_running
 from bo_tuner.cli.study_options import (
     add_bounds_argument,
     add_budget_arguments,
@@ -149,9 +149,7 @@ def check_study(
         If the study does not say how to start them.
     """
     if attach is None:
-        attach = not study.starts_nodes or any_runs(
-            [spec.node for spec in study.nodes.values()], ros_arguments, interruption.check
-        )
+        attach = is_running(study, ros_arguments, interruption)
         if not attach:
             say("no node of the study is running: the check starts them, and ends them")
     try:

@@ -65,12 +65,14 @@ class Parser(argparse.ArgumentParser):
             help="show version and commit, and exit",
         )
 
-    def add_run_argument(self, what: str = "run folder", *, several: bool = False) -> None:
+    def add_run_argument(
+        self, what: str = "run folder", *, several: bool = False, optional: bool = False
+    ) -> None:
         """Add the positional argument ``run``; if there may be `several`, a list, maybe empty."""
         self.add_argument(
             "run",
             type=Path,
-            nargs="*" if several else None,
+            nargs="*" if several else "?" if optional else None,
             metavar="RUN",
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )

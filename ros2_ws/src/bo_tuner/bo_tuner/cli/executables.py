@@ -4,6 +4,7 @@ import importlib
 import signal
 import sys
 from functools import partial
+from keyword import iskeyword
 from typing import NoReturn
 
 from bo_tuner.cli.streams import open_streams
@@ -16,7 +17,7 @@ ROS = (
 """What ROS installs; no requirement of the package, which is of use as a library without it."""
 
 COMMANDS = (
-    "tune", "init", "check", "report", "validate", "replay", "recompute", "apply", "guard",
+    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "apply", "guard",
 )  # fmt: skip
 
 
@@ -47,11 +48,16 @@ def run(module: str, argv: list[str]) -> NoReturn:
     sys.exit(command.run(argv, interruption))
 
 
+def module_of(command: str) -> str:
+    """Return the name of the module of a command; ``try`` cannot be the name of one."""
+    return f"bo_tuner.cli.{command}{'_' if iskeyword(command) else ''}"
+
+
 def _run_named(command: str) -> NoReturn:
-    run(f"bo_tuner.cli.{command}", sys.argv[1:])
+    run(module_of(command), sys.argv[1:])
 
 
 # One for each of the console scripts.
-tune, init, check, report, validate, replay, recompute, apply, guard = (
+tune, init, check, try_, report, validate, replay, recompute, apply, guard = (
     partial(_run_named, command) for command in COMMANDS
 )

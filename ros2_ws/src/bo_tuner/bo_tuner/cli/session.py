@@ -17,6 +17,7 @@ from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -98,6 +99,8 @@ class RunOptions:
         Follow the advice to stop.
     workers
         How many evaluations are run at once, and where.
+    time
+        By when the result is to be there.
     more
         Whether a run that is resumed goes on with trials although it was asked to finish.
     carried
@@ -117,6 +120,7 @@ class RunOptions:
     stop_early: bool = False
     workers: Workers = dataclasses.field(default_factory=Workers)
     more: bool = False
+    time: TimeLimit = dataclasses.field(default_factory=TimeLimit)
     carried: Carried | None = None
     web: Address | None = None
     web_control: bool = False
@@ -145,13 +149,13 @@ class Session:
         self._options = options
         self._method = METHODS[options.algorithm]
         self._interruption = interruption
-        self._status = RunStatus(study, self._method)
+        self._status = RunStatus(study, self._method, workers=options.workers.count)
         self._observers = Observers()
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
         self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
-        self._gate = Gate(interruption.check, self._observers)
+        self._gate = Gate(interruption.check, self._observers, finishing=self._has_to_finish)
         self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
@@ -165,6 +169,10 @@ class Session:
             halt=self._halt,
             workers=options.workers,
         )
+
+    def _has_to_finish(self) -> bool:
+        """Return whether no more can be begun if the result is to be there in time."""
+        return self._options.time.left <= (self._status.to_finish or 0.0)
 
     def _halt(self, reason: str) -> None:
         """Let the run wait: the guard has taken over, and somebody must see to the machine."""
@@ -328,7 +336,10 @@ class Session:
         if acts := read_acts(self._folder.log):
             self._display.warn(f"on record, {acts[-1]}")
         study, observers = self._study, self._observers
-        if options.more and finished_after(earlier.events) is not None:
+        if options.more and any(
+            finished_after(earlier.events, phase) is not None
+            for phase in (Phase.TUNING, Phase.CHECKING)
+        ):
             journal.record_event(Event(Phase.TUNING, len(earlier.trials), EventKind.EXTEND))
         finished = self._finished(earlier)
         known = continued(
@@ -354,7 +365,12 @@ class Session:
                 self._incumbents[len(tuning.trials)] = best
                 observers.trial(trial, best)
             observers.end(Phase.TUNING)
-            conclusion = conclude(study, driver, self._method, tuning.trials)
+            settled = None if options.more else finished_after(earlier.events, Phase.CHECKING)
+            conclusion = conclude(study, driver, self._method, tuning.trials, settled)
+            if options.time.over:
+                self._display.warn(
+                    f"warning: it took longer than the --time, by {-options.time.left:.0f} s"
+                )
             summary = (
                 None
                 if conclusion is None

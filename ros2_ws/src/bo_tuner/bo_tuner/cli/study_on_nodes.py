@@ -1,8 +1,8 @@
 """Hold a study against its nodes, and say what is wrong."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from bo_tuner.backends.ros.graph import describe, describe_now, signal_problems
+from bo_tuner.backends.ros.graph import any_runs, describe, describe_now, signal_problems
 from bo_tuner.backends.ros.parameters.previous import undo_killed
 from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
@@ -11,6 +11,7 @@ from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import BackendError
+from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
@@ -24,6 +25,25 @@ from bo_tuner.text import counted, shown
 
 class MistakesError(Exception):
     """The nodes do not match the study, and all that is wrong has been said."""
+
+
+def is_running(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> bool:
+    """Whether to use nodes that run, where the user does not say: if there are any.
+
+    Of a study that does not say how to start them, they have to run.
+
+    Parameters
+    ----------
+    study
+        The study.
+    ros_arguments
+        ``--ros-args`` of the node that looks for them.
+    interruption
+        Ends that on a signal.
+    """
+    return not study.starts_nodes or any_runs(
+        [spec.node for spec in study.nodes.values()], ros_arguments, interruption.check
+    )
 
 
 def hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:

@@ -1,14 +1,16 @@
 """The study that a command is given, and the options that change it."""
 
 import argparse
+import contextlib
 from collections.abc import Sequence
 from functools import partial
 
 from bo_tuner.backends.ros.graph import describe_nodes
 from bo_tuner.cli.common import Group, whole_number
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.parameter_set_file import read_parameter_set
+from bo_tuner.storage.trust import trust
 from bo_tuner.study.parameter import Number
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
@@ -109,6 +111,15 @@ def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -
     except StudyError as error:
         option = error.path[-1] if error.path else ""
         raise StudyError(f"--{option}: {error.problem}") from error
+
+
+def trust_given(study: Study) -> None:
+    """Trust a study that the user has given to be run.
+
+    Where that cannot be noted down, commands on its run ask for ``--trust``.
+    """
+    with contextlib.suppress(OutputError):
+        trust(study)
 
 
 def _with_bounds(study: Study, given: Sequence[tuple[str, tuple[Number, Number]]]) -> Study:

@@ -29,6 +29,11 @@ class TimeLimit:
         """Whether it has passed."""
         return time.monotonic() - self._begin >= self.seconds
 
+    @property
+    def left(self) -> float:
+        """What is left of it [s]; negative once it has passed."""
+        return self.seconds - (time.monotonic() - self._begin)
+
 
 def time_limit(text: str) -> TimeLimit:
     """Read an option's time, such as ``90s``, ``10min`` or ``2h``, which begins now.

@@ -1,7 +1,6 @@
 """``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
-import contextlib
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,10 +21,10 @@ from bo_tuner.cli.common import (
 )
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
-from bo_tuner.cli.study_options import changed_study, read_study
+from bo_tuner.cli.study_options import changed_study, read_study, trust_given
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import workers_of
-from bo_tuner.errors import OutputError, StudyError
+from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -39,7 +38,7 @@ from bo_tuner.storage.carrying import (
 )
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.storage.trust import is_trusted, trust
+from bo_tuner.storage.trust import is_trusted
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
@@ -126,6 +125,7 @@ def _run(
         workers=workers,
         more=plan.resumed is not None
         and not (arguments.trials is None and arguments.evaluations is None),
+        time=arguments.time,
         carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
@@ -207,7 +207,7 @@ def _after_earlier(
         allow_programs(record, trusted=arguments.trust, attach=attach)
         if is_trusted(record.study):
             # With other bounds it names the same programs.
-            _trust(study)
+            trust_given(study)
     if problem := problem_of(record.algorithm, study):
         parser.error(f"--from: {problem}")
     check_comparable(record, study, record.method)
@@ -285,14 +285,8 @@ def _given(
     """Read the study that the user has given to be run, and trust it."""
     loaded = read_study(named, attach, ros_arguments, interruption)
     study = changed_study(loaded, arguments, named_namespace(ros_arguments))
-    _trust(study)
+    trust_given(study)
     return study
-
-
-def _trust(study: Study) -> None:
-    """Trust a study; where that cannot be noted down, commands on its run ask for --trust."""
-    with contextlib.suppress(OutputError):
-        trust(study)
 
 
 def _resumed_in(

@@ -8,6 +8,7 @@ from pathlib import Path
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.notify import add_notify_argument
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
+from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
@@ -52,6 +53,7 @@ examples:
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
+  tune --time 30min                    have the result by then
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -111,6 +113,15 @@ def _add_study(group: Group) -> None:
         f"(default: {STUDY})",
     )
     add_budget_arguments(group)
+    group.add_argument(
+        "--time",
+        type=time_limit,
+        default=TimeLimit(),
+        metavar="TIME",
+        help="have the result, validated, after this time, such as 90s, 30min or 2h: no trial is "
+        "begun that would be too late, and the best so far is settled and validated; the budget "
+        "of the study stays the most",
+    )
     add_bounds_argument(group)
 
 

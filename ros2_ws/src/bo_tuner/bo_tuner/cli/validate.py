@@ -1,4 +1,4 @@
-"""``validate``: certify the result of a run."""
+"""``validate``: certify the result of a run, or values that somebody else tuned."""
 
 import argparse
 import contextlib
@@ -27,6 +27,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.given_values import add_given_arguments, given
 from bo_tuner.cli.notify import add_notify_argument, notify
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
@@ -41,27 +42,29 @@ from bo_tuner.evidence.certificate.store import (
 from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.junit import no_verdict_in_junit, verdict_in_junit
 from bo_tuner.evidence.run_verdict import certified, run_verdict
 from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.report.deliverables import write_deliverables
-from bo_tuner.storage.atomic import writing
+from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
+from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line
 from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
-Certify the result of a run: evaluate it in fresh draws of context and noise,
-search for the worst context again, and report PASS or FAIL for the constraints
-of the study. It ends as soon as the verdict is clear, and continues where an
-interrupted one stopped.
+Certify the result of a run, or values that somebody else tuned: evaluate them
+in fresh draws of context and noise, search for the worst context again, and
+report PASS or FAIL for the constraints of the study. It ends as soon as the
+verdict is clear, and continues where an interrupted one stopped.
 """
 
 EPILOG = """\
@@ -103,6 +106,8 @@ examples:
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
   validate runs/latest --with-default      the default, too, in the same draws
+  validate --parameters my_params.yaml --study my_study.yaml    without a run
+  validate latest --junit report.xml       for a CI server
   validate runs/latest && echo fit for use
 """
 
@@ -110,7 +115,7 @@ examples:
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_run_argument()
+    parser.add_run_argument(optional=True)
     sets = parser.add_argument_group("what to certify")
     sets.add_argument(
         "--trial",
@@ -129,6 +134,7 @@ def make_parser() -> Parser:
     sets.add_argument(
         "--with-default", action="store_true", help="certify the default as well, to compare"
     )
+    add_given_arguments(sets)
     evidence = parser.add_argument_group("evidence")
     evidence.add_argument(
         "--draws",
@@ -151,7 +157,13 @@ def make_parser() -> Parser:
         help="begin no more runs after this time, such as 90s, 10min or 2h, and say what is shown "
         "by then; the next call goes on",
     )
-    parser.add_backend_arguments("as in the run")
+    parser.add_argument_group("files").add_argument(
+        "--junit",
+        type=Path,
+        metavar="FILE",
+        help="also write the verdict as JUnit XML, with a test case for each limit",
+    )
+    parser.add_backend_arguments(f"as in the run, else {BACKENDS[0]}")
     add_workers_arguments(parser, "as in the run")
     add_notify_argument(parser.add_argument_group("output"))
     return parser
@@ -163,7 +175,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    record = read_result(arguments.run)
+    of_given = given(arguments, parser, ros_arguments, interruption)
+    record = read_result(arguments.run) if of_given is None else of_given.record
     # `latest` may name another run by the time that it ends.
     record = replace(record, path=record.path.resolve())
     backend = arguments.backend or recorded_backend(record)
@@ -177,7 +190,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         backend,
         attach=attach,
         ros_arguments=in_namespace_of(record, ros_arguments),
-        provenance=record.provenance,
+        provenance=record.provenance if of_given is None else None,
         keeps_window=False,
     )
     console = plain_console(stderr=True)
@@ -185,17 +198,21 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     def show(text: str) -> None:
         print_line(console, text, "  ")
 
-    trial = _trial(record, arguments.trial)
+    trial = _trial(record, arguments.trial) if of_given is None else of_given.trial
     begun = _unfinished(record, trial, backend) if most > 1 else None
     if begun is not None:
         show(f"trial {begun.number} comes first, whose certificate was interrupted")
         trial = begun
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
-    last = attempt + min(most, len(record.trials)) - 1
+    last = attempt + min(most, len(record.trials) or 1) - 1
     _draws(arguments, parser, record, confidence, last)
-    allow_programs(record, trusted=arguments.trust, attach=attach)
-    folder = RunFolder(record.path)
+    if of_given is None:
+        allow_programs(record, trusted=arguments.trust, attach=attach)
+    if arguments.junit is not None:
+        # It stays where there is no verdict, in place of an earlier one.
+        write_atomically(arguments.junit, no_verdict_in_junit(record.study))
+    folder = RunFolder(record.path) if of_given is None else of_given.open_folder()
     # `latest` may be another run by then.
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
     again = f"continue with: {shlex.join(['validate', *same])}"
@@ -237,6 +254,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 )
                 verdict = certified(record, candidate, path)
                 _report(verdict, record.study, path)
+                if arguments.junit is not None:
+                    write_atomically(arguments.junit, verdict_in_junit(record.study, verdict))
                 if certificate.passed or left:
                     break
             interruption.ignore()
@@ -244,7 +263,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 show(_not_the_result(verdict))
             missing = shortfall(record.study, draws, confidence)
             if missing and certificate.passed:
-                show(f"warning: not sufficient for apply: {missing}")
+                purpose = "for apply" if of_given is None else "by the study"
+                show(f"warning: not sufficient {purpose}: {missing}")
         except UndecidedError as undecided:
             headline, code = "the time is over, without a verdict", EXIT_FAULT
             show(f"{headline}: {undecided.shown[0]}")

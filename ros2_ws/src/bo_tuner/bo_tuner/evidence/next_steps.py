@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from bo_tuner.evidence.at_bounds import wider_options
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.storage.run_folder import STUDY
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,13 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     verdict
         The verdict on the result of the run.
     run
-        Path of the run folder.
+        Path of the run folder, or of that of the certificates of given values.
     """
     where = shlex.quote(run)
+    if verdict.given:
+        # The folder has the study, and no run to go on with.
+        search = Step(f"tune --study {where}/{STUDY}", "search for values that keep the limits")
+        return () if verdict.feasible else (search,)
     options = wider_options(verdict.at_bounds)
     wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
     return (*_by_state(verdict, where), *((wider,) if options else ()))

@@ -160,12 +160,15 @@ def _certified(
         rows, remarks = [], [f"{error}."]
     study, same = record.study, is_default(record.study, trial.parameters)
     is_result, passed = record.is_result(trial), certificate.passed
-    problem = certificate_problem(record, trial) if passed else ""
+    given = not record.trials
+    # There is no run whose result could be applied.
+    problem = certificate_problem(record, trial) if passed and not given else ""
     if problem:
         remarks.append(f"apply still refuses it: {problem}.")
     has_result = record.result is not None
-    if passed and not has_result:
+    if passed and not has_result and not given:
         remarks.append("apply waits for the result of the run, which has not ended.")
+    what = f"values in {record.path}" if given else "this run"
     draws, confidence = certificate.drawn, certificate.bound_confidence
     overall = min(certificate.confidence, *_confidences(record))
     tuned, default, reasons = certificate.tuned, certificate.default, certificate.tuned.reasons
@@ -195,7 +198,7 @@ def _certified(
         remarks=(
             *earlier_in_words(certificate),
             f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
-            f"certify this run have {100.0 * overall:.4g} % together.",
+            f"certify {what} have {100.0 * overall:.4g} % together.",
             *seen_in_words(study.metrics, certificate.seen),
             *remarks,
         ),
@@ -205,7 +208,8 @@ def _certified(
         is_default=same,
         is_result=is_result,
         has_result=has_result,
-        at_bounds=at_bounds(study, trial.parameters),
+        given=given,
+        at_bounds=() if given else at_bounds(study, trial.parameters),
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),

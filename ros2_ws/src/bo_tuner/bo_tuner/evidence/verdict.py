@@ -173,6 +173,8 @@ class Verdict:
         Whether it is the result of the run; else that of a trial which the user has named.
     has_result
         Whether the run has a result: else `apply` waits for its end.
+    given
+        Whether it is of values that somebody else tuned, without a run.
     outliers
         Numbers of the trials that broke no limit, but are outliers of the objective and were
         therefore no candidates.
@@ -202,6 +204,7 @@ class Verdict:
     is_default: bool = False
     is_result: bool = True
     has_result: bool = True
+    given: bool = False
     outliers: tuple[int, ...] = ()
     at_bounds: tuple[AtBound, ...] = ()
     default_lost: int = 0
@@ -345,7 +348,8 @@ class Verdict:
             return self.remarks
         if self.trial is None:
             return (*(f"{reason}." for reason in self.reasons), *self.remarks)
-        sentences = [f"Trial {self.trial} against the default, in {self.evidence}."]
+        subject = "The given values" if self.given else f"Trial {self.trial}"
+        sentences = [f"{subject} against the default, in {self.evidence}."]
         if self.state is not State.INCOMPLETE:
             sentences += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:

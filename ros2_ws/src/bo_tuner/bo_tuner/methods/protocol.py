@@ -30,10 +30,14 @@ class AnswerSearch(Plan[Run]):
     ----------
     answer : Recommendation or None
         The answer, once nothing is to be run any more; None if no trial is complete.
+    finished : int or None
+        Number of runs after which an earlier session was asked to finish, with the answer that
+        is the best by then.
     """
 
     phase = Phase.CHECKING
     answer: Recommendation | None = None
+    finished: int | None = None
 
 
 class Method(Protocol):

@@ -12,7 +12,7 @@ from rich.text import Text
 from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
-from bo_tuner.plans import Event, EventKind
+from bo_tuner.plans import Event, EventKind, Phase
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.text import counted, printable
@@ -78,11 +78,14 @@ class Display(RunObserver):
 
     def event(self, event: Event) -> None:
         """Show that the run was asked to finish, whoever has asked."""
-        if event.kind is EventKind.FINISH:
-            self.inform(
-                f"asked to finish after {counted(event.tasks, 'trial')}; the best so far is then "
-                "settled and validated"
-            )
+        if event.kind is not EventKind.FINISH:
+            return
+        if event.phase == Phase.TUNING:
+            after, then = counted(event.tasks, "trial"), "settled and validated"
+        else:
+            what = "run that settles" if event.tasks == 1 else "runs that settle"
+            after, then = f"{event.tasks} {what} the answer", "validated"
+        self.inform(f"asked to finish after {after}; the best so far is then {then}")
 
     def result(self, result: Result) -> None:
         """Show the result on standard output."""

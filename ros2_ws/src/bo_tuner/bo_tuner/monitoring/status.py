@@ -90,6 +90,8 @@ class RunStatus(RunObserver):
         The method of the run.
     clock
         Returns the time [s] from a fixed point on.
+    workers
+        Number of evaluations that are run at once.
 
     Attributes
     ----------
@@ -98,10 +100,14 @@ class RunStatus(RunObserver):
     """
 
     def __init__(
-        self, study: Study, method: Method, clock: Callable[[], float] = time.monotonic
+        self,
+        study: Study,
+        method: Method,
+        clock: Callable[[], float] = time.monotonic,
+        workers: int = 1,
     ) -> None:
         self._study = study
-        self._times = TimeLeft(study, method, clock)
+        self._times = TimeLeft(study, method, clock, workers)
         # What counts for the budget.
         self._counted = self._evaluations = 0
         self._evaluation_seconds = 0.0
@@ -160,6 +166,11 @@ class RunStatus(RunObserver):
         """Set whether the run is paused."""
         self._times.pause()
         self._update(paused=paused)
+
+    @property
+    def to_finish(self) -> float | None:
+        """Time [s] that the result takes at least, see `TimeLeft.to_finish`."""
+        return self._times.to_finish()
 
     def conclude(self, verdict: Verdict) -> None:
         """Set the verdict on the result."""

@@ -18,6 +18,9 @@ from bo_tuner.trials import Evaluation, Trial, count_evaluations, count_trials
 LATELY = 10
 """Number of latest trials, or of evaluations outside trials, that a forecast is by."""
 
+SPARE = 1.1
+"""Factor on what a result takes that is to be there in time."""
+
 
 class TimeLeft:
     """Keeps the times of a run; must be called for each step when it has just ended.
@@ -28,17 +31,24 @@ class TimeLeft:
         Of the run.
     clock
         Returns the time [s] from a fixed point on.
+    workers
+        Number of evaluations that are run at once, as all of the validation can be.
     """
 
-    def __init__(self, study: Study, method: Method, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, study: Study, method: Method, clock: Callable[[], float], workers: int = 1
+    ) -> None:
         self._study = study
         self._method = method
         self._clock = clock
+        self._workers = workers
         # All trials, and what counts for the budget.
         self._made = self._trials = self._evaluations = 0
         self._finish: int | None = None
         # Evaluations of a trial, their time, and that of the whole trial [s].
         self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
+        # Beside its own time, from one evaluation to the next [s]; also proposals, and the record.
+        self._beside: deque[float] = deque(maxlen=LATELY)
         self.begin("")
 
     def begin(self, phase: str) -> None:
@@ -58,8 +68,11 @@ class TimeLeft:
     def evaluation(self, evaluation: Evaluation) -> None:
         """Note an evaluation; one on record takes no time."""
         now = self._clock()
-        if self._phase != Phase.TUNING and not evaluation.recorded:
-            self._steps.append(now - self._latest)
+        if not evaluation.recorded:
+            step = now - self._latest
+            self._beside.append(max(0.0, step - evaluation.seconds))
+            if self._phase != Phase.TUNING:
+                self._steps.append(step)
         self._done += 1
         self._latest = now
 
@@ -81,24 +94,53 @@ class TimeLeft:
 
     def estimate(self) -> float | None:
         """Return the time [s] until the result is there; None before the first trial."""
+        left = self._study.budget.remaining(self._trials, self._evaluations)
+        if self._finish is not None:
+            left = min(left, max(0, self._finish - self._made))
+        return self._until_result(left)
+
+    def to_finish(self) -> float | None:
+        """Return the time [s] that the result takes at least; None before the first trial.
+
+        It is that of a run which is asked to finish: after one more trial, as one may have just
+        begun, and with the runs that are expected to settle the answer; while it is settled, after
+        one more of these. The validation follows in any case.
+        """
+        seconds = self._until_result(1, 1 if self._phase == Phase.CHECKING else None)
+        return None if seconds is None else SPARE * seconds
+
+    def _until_result(self, trials_left: int, runs_left: int | None = None) -> float | None:
+        """Return the time [s] until the result is there; None before the first trial.
+
+        Parameters
+        ----------
+        trials_left
+            Number of trials to come, while there are any.
+        runs_left
+            Number of runs to come that settle the answer; None for as many as are expected.
+        """
         if not self._lately:
             return None
         count = sum(evaluations for evaluations, _, _ in self._lately)
         evaluating = sum(seconds for _, seconds, _ in self._lately)
         total = sum(seconds for _, _, seconds in self._lately)
         each, validating = evaluating / count, 2 * self._study.budget.validation_draws
+        # Nothing is computed between evaluations of the validation, but they are recorded.
+        each += min(self._beside, default=0.0)
         if self._phase == Phase.VALIDATION:
             return max(0, validating - self._done) * self._lately_step(each)
         trials = 0.0
         made, evaluations = self._done, self._evaluations
         if self._phase != Phase.CHECKING:
-            left = self._study.budget.remaining(self._trials, self._evaluations)
-            if self._finish is not None:
-                left = min(left, max(0, self._finish - self._made))
-            trials = left * total / len(self._lately)
-            made, evaluations = 0, evaluations + round(left * count / len(self._lately))
-        answering = self._method.answer_evaluations(self._study, evaluations, made)
-        return trials + answering * self._lately_step(total / count) + validating * each
+            trials = trials_left * total / len(self._lately)
+            made, evaluations = 0, evaluations + round(trials_left * count / len(self._lately))
+        if runs_left is None:
+            runs_left = self._method.answer_evaluations(self._study, evaluations, made)
+        return (
+            trials
+            + runs_left * self._lately_step(total / count)
+            + validating * each / self._workers
+        )
 
     def _lately_step(self, otherwise: float) -> float:
         return fmean(self._steps) if self._steps else otherwise

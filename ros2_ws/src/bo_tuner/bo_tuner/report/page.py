@@ -156,6 +156,11 @@ def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
 
 
+def write_single_run(title: str, parts: Sequence[Section], path: Path) -> Path:
+    """Write the page of a single run to `path` and return it; raises as `write_atomically`."""
+    return _write(path, fill("single_run.html", sections=parts, title=title))
+
+
 def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Write ``<folder>/<name>.<format>`` for each of the formats and return the paths.
 

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study import checks
 from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.text import shown
 from bo_tuner.trials import Context, Value
 
 MOST_CORNER_DIMENSIONS = 5
@@ -168,6 +170,34 @@ class ContextSpace:
             name: round(number) if is_integer else item.value(number)
             for name, item, is_integer, number in variables
         }
+
+    def completed(self, given: Mapping[str, Value]) -> Context:
+        """Return the context with some values given, and the nominal ones elsewhere.
+
+        Raises
+        ------
+        ParameterError
+            If a name or a value is not possible.
+        """
+        context = self.to_dict(self.nominal())
+        for name, value in given.items():
+            if name not in context:
+                names = ", ".join(self.names) or "no context: the study has none"
+                raise ParameterError(f"expected {names}, found {checks.quoted(name)}")
+            context[name] = value
+        try:
+            rows = self.rows([context])
+        except ParameterError as error:
+            raise ParameterError(f"{', '.join(given)}: {error}") from None
+        nearest = self.clip(rows)
+        for column, name in enumerate(self.names):
+            if rows[0, column] != nearest[0, column]:
+                possible = self.to_dict(nearest[0])[name]
+                raise ParameterError(
+                    f"{name}: expected a possible value, the nearest is {shown(possible)}, found "
+                    f"{checks.show(given[name])}"
+                )
+        return self.to_dict(nearest[0])
 
     def corners(self) -> Array:
         """Return corners of the unit cube, shape (m, d).

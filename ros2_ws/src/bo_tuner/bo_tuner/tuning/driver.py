@@ -159,7 +159,7 @@ class Steps(Generic[TaskT]):
             self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
 
         self._gate.wait(note)
-        if self._gate.finishing and self._plan.finish():
+        if self._gate.finishing(self._plan.phase) and self._plan.finish():
             note(EventKind.FINISH)
 
 

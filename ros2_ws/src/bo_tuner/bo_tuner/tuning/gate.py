@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from bo_tuner.interruption import Pause
-from bo_tuner.plans import EventKind
+from bo_tuner.plans import EventKind, Phase
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
@@ -53,10 +53,10 @@ class Gate:
         """Ask for the end of the trials; a pause goes on all the same."""
         self._asked_to_finish = True
 
-    @property
-    def finishing(self) -> bool:
-        """Whether the phase is to end early."""
-        return self._asked_to_finish or self._finishing()
+    def finishing(self, phase: str) -> bool:
+        """Return whether a phase is to end early; on request, the trials are."""
+        asked = self._asked_to_finish and phase == Phase.TUNING
+        return asked or self._finishing()
 
     def wait(self, note: Callable[[EventKind, str], None] = lambda kind, detail: None) -> None:
         """Wait while a pause is requested; raise if the run is to end.

@@ -13,7 +13,7 @@ from bo_tuner.errors import RunError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
-from bo_tuner.plans import Phases
+from bo_tuner.plans import Phase, Phases, finished_after
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import recorded_window, study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -52,7 +52,9 @@ class Conclusion:
     effects: tuple[ParameterEffects, ...]
 
 
-def concluding(study: Study, method: Method, trials: Sequence[Trial]) -> Phases[Conclusion | None]:
+def concluding(
+    study: Study, method: Method, trials: Sequence[Trial], finished: int | None = None
+) -> Phases[Conclusion | None]:
     """Yield the plans that check the best candidates, and validate the recommended one.
 
     It is validated beside the default. Each plan is carried out before the next is asked for.
@@ -63,6 +65,9 @@ def concluding(study: Study, method: Method, trials: Sequence[Trial]) -> Phases[
         Of the run.
     trials
         All trials of the run.
+    finished
+        Number of runs of the search for the answer after which an earlier session was asked to
+        finish it.
 
     Returns
     -------
@@ -70,6 +75,7 @@ def concluding(study: Study, method: Method, trials: Sequence[Trial]) -> Phases[
         None if every trial failed.
     """
     search = method.answer_search(study, trials, None)
+    search.finished = finished
     yield search
     best = search.answer
     if best is None:
@@ -83,7 +89,11 @@ def concluding(study: Study, method: Method, trials: Sequence[Trial]) -> Phases[
 
 
 def conclude(
-    study: Study, driver: Driver, method: Method, trials: Sequence[Trial]
+    study: Study,
+    driver: Driver,
+    method: Method,
+    trials: Sequence[Trial],
+    finished: int | None = None,
 ) -> Conclusion | None:
     """Carry out what follows the trials, see `concluding`; returns what that does.
 
@@ -92,7 +102,7 @@ def conclude(
     RunError
         If three evaluations in a row were lost with their nodes or disturbed.
     """
-    plans = concluding(study, method, trials)
+    plans = concluding(study, method, trials, finished)
     while True:
         try:
             driver.complete(next(plans))
@@ -268,7 +278,8 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
             finished=record.finished,
         )
         driver = Driver(backend, window=recorded_window(record.provenance))
-        conclusion = conclude(study, driver, method, trials)
+        finished = finished_after(record.events, Phase.CHECKING)
+        conclusion = conclude(study, driver, method, trials, finished)
     except (_NotOnRecordError, RunError, KeyError):
         return None
     if conclusion is None:

@@ -95,16 +95,30 @@ class SettledAnswer(AnswerSearch):
         self._most = most + len(self._repeated)
         self._candidates: list[Candidate] = []
         self._choice: Repetition | None = None
-        self._unplanned = 0
+        self._unplanned = self._planned = 0
         self.steps = most
+
+    def finish(self) -> bool:
+        """Run no more again; the answer is the best by the runs that were planned until now."""
+        if self.finished is not None:
+            return False
+        self.finished = self._planned
+        return True
+
+    @property
+    def _is_finished(self) -> bool:
+        return self.finished is not None and self._planned >= self.finished
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
         """Return the next repetition; what is run again after these is chosen by all of them."""
+        if self._is_finished:
+            self._unplanned = 0
         if not self._unplanned and not pending:
             self._choose()
         if not self._unplanned or self._choice is None:
             return None
         self._unplanned -= 1
+        self._planned += 1
         trial = self._latest[self._choice.trial.number]
         index = len(trial.evaluations) + len(pending)
         return Run(_planned(self._study, trial, self._choice.context, index))
@@ -123,7 +137,7 @@ class SettledAnswer(AnswerSearch):
         study, known = self._study, list(self._latest.values())
         models = self._ranking.models(study, known)
         before, self._candidates = self._candidates, self._ranking.ranked_by(models, study, known)
-        left = self._most - len(self._repeated)
+        left = 0 if self._is_finished else self._most - len(self._repeated)
         self._choice = None
         if self._candidates and left:
             choice = self._next(models, self._candidates, left)

@@ -56,17 +56,14 @@ class NoTraceError(Exception):
 class TracingBackend(InProcessBackend):
     """An in-process backend that also returns the signals of its last evaluation."""
 
-    def open(self) -> None:
-        """Create the objects.
+    def check(self) -> None:
+        """Check that there are signals, before an evaluation is run in vain.
 
         Raises
         ------
-        StudyError
-            If an object cannot be created.
         NoTraceError
-            If the trigger's object has no ``trace()``; no evaluation is run in vain.
+            If the trigger's object has no ``trace()``.
         """
-        super().open()
         key = triggered(self._study)
         if getattr(self._objects[key], "trace", None) is None:
             raise NoTraceError(f"the object of node '{key}' has no trace()")
@@ -77,8 +74,9 @@ class TracingBackend(InProcessBackend):
         Raises
         ------
         NoTraceError
-            If ``trace()`` raises or returns something else.
+            If there is no ``trace()``, or it raises or returns something else.
         """
+        self.check()
         key = triggered(self._study)
         try:
             with self._foreign():
@@ -238,6 +236,7 @@ def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
     backend = TracingBackend(study)
     backend.open()
     try:
+        backend.check()
         return [_run(backend, evaluation) for evaluation in planned]
     finally:
         backend.close()
