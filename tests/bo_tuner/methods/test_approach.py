@@ -1,4 +1,4 @@
-"""Where `boundary` searches as long as no parameter set is believed, or shown, to be feasible."""
+"""Where `boundary` searches as long as no parameter set is believed to be feasible."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bo_tuner.methods.boundary.approach import Approach
-from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import ACQUISITION
 from bo_tuner.optimizers.bayesian import Box
@@ -132,18 +131,3 @@ def test_nothing_feasible_is_searched_far_from_the_least_violating(proposals):
     # The models' least violating one may be another one than the truth's, but not by far.
     assert farthest["near"] < 0.3
     assert farthest["whole"] > 0.4
-
-
-def test_while_nothing_is_shown_feasible_proposals_improve_on_what_is_believed(
-    proposals, monkeypatch
-):
-    """The cost falls with p, which keeps the limit up to 0.5; all would be safest at p = 0."""
-    monkeypatch.setattr(PooledRanking, "required", lambda self, trial: 2.0)
-
-    def slope(p, q, load, seed):
-        noise = np.random.default_rng(seed).normal(0.0, 0.01, 2)
-        return {"error": 2.0 - p + noise[0], "peak": 0.5 + 0.5 * p * load + noise[1]}
-
-    points, _ = proposals(slope, trials=14)
-    later = [p for p, _ in points[7:]]
-    assert np.median(later) > 0.3

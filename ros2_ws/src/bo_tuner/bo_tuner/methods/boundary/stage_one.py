@@ -5,11 +5,10 @@ is not finding it but knowing on which side of it a parameter set is. Each trial
 set. Those of the first part of the budget are a search, with few evaluations each; until a
 parameter set is believed feasible, it is one for the way to the limits (`approach`). Those of the
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT` (while there is none, against the best that is believed to), and
-where it is probable that a few more runs show the same of them: of a point that only just keeps a
-limit, no budget shows that it does. They have two runs in their worst context and one in a drawn
-one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
-limits; `repetition` decides which, and when that is settled.
+probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
+them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
+their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
+is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
@@ -203,17 +202,11 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def _at_boundary(
         self, surrogates: PooledSurrogates, rng: np.random.Generator
     ) -> Iterator[tuple[Array, str]]:
-        """Yield the most promising points that a few runs are likely to show feasible.
-
-        They are to improve on the best that is shown to be feasible; while nothing is, on the best
-        that is believed to be. Without an improvement to look for, they would go ever deeper into
-        the feasible region.
-        """
+        """Yield the most promising points that a few runs are likely to show feasible."""
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
-        shown = self._ranking.lowest_cost(surrogates, self.study, self.trials)
-        search.incumbent = lowest_believed(surrogates) if shown is None else shown
-        within = self.around(surrogates) if search.incumbent is None else None
+        search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        within = self.around(surrogates) if lowest_believed(surrogates) is None else None
         for avoid in (self.avoid, 1.0):
             result = search.maximize(avoid=avoid, within=within)
             if np.isfinite(result.value):
