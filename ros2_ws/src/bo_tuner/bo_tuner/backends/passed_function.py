@@ -1,6 +1,7 @@
 """A function that is called in other processes: one after the other, or several at once."""
 
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -123,12 +124,16 @@ def unpickled(passed: bytes) -> Function:
 
 
 def _of_worker(
-    study: Study, passed: bytes, timeout: float | None, _number: int, _interrupted: object
+    study: Study,
+    passed: bytes,
+    timeout: float | None,
+    _number: int,
+    interrupted: Callable[[], None],
 ) -> Backend:
     """Make the backend of a worker."""
     if timeout is None:
         return FunctionBackend(study, unpickled(passed))
-    return FunctionProcess(study, passed, timeout)
+    return FunctionProcess(study, passed, timeout, interrupted)
 
 
 class FunctionProcess(SequentialBackend):
@@ -142,16 +147,24 @@ class FunctionProcess(SequentialBackend):
         The function, pickled.
     timeout
         Longest time [s] of a run; None for any.
+    interrupted
+        Asked while the function is at work; raises what shall end that.
     """
 
     name = FUNCTION
 
-    def __init__(self, study: Study, passed: bytes, timeout: float | None) -> None:
+    def __init__(
+        self,
+        study: Study,
+        passed: bytes,
+        timeout: float | None,
+        interrupted: Callable[[], None] = lambda: None,
+    ) -> None:
         super().__init__(study)
         self._study = study
         self._passed = passed
         self._timeout = timeout
-        self._process = AskedProcess(WORKER)
+        self._process = AskedProcess(WORKER, interrupted=interrupted)
 
     def open(self) -> None:
         """Start the process, and load the function there.
