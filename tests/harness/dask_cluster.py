@@ -125,7 +125,7 @@ class Cluster:
         """Wait until so many workers are there."""
         with Client(self.address, set_as_default=False) as client:
             wait_until(
-                lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == workers,
+                lambda: len(client.nthreads()) == workers,
                 f"{workers} workers",
                 self.scheduler,
                 self.log.read_text,

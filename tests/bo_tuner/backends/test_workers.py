@@ -106,15 +106,14 @@ class Deserted:
     """In place of a connection to a cluster whose workers have all gone."""
 
     key = "never"
+    status = "running"
+    scheduler = None
 
     def submit(self, *_arguments, **_options):
         return self
 
     def add_done_callback(self, _call):
         pass
-
-    def scheduler_info(self, n_workers):
-        return {"workers": {}}
 
 
 def test_workers_that_do_not_come_back_are_not_waited_for(monkeypatch):

@@ -258,10 +258,19 @@ class TestOptions:
 class Known:
     """In place of a connection: tells what its workers are."""
 
+    status = "running"
+
     def __init__(self, **workers):
         self._workers = workers
 
-    def scheduler_info(self, n_workers):
+    @property
+    def scheduler(self):
+        return self
+
+    def sync(self, act, **options):
+        return act(**options)
+
+    def identity(self, n_workers):
         assert n_workers == -1
         return {"workers": {name: {"nthreads": 1, "host": "h"} for name in self._workers}}
 

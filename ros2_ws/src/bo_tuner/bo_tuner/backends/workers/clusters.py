@@ -201,8 +201,12 @@ class RunningCluster:
 
 def workers_of(client: "Client") -> Mapping[str, Any]:
     """Return what the scheduler knows of its workers, by address; empty if it is gone."""
-    try:
-        known: Mapping[str, Any] = client.scheduler_info(n_workers=-1)["workers"]
-    except (KeyError, OSError):
+    if client.status != "running" or client.scheduler is None:
         return {}
+    try:
+        # What `scheduler_info` returns is replaced, beside, by an answer without the workers.
+        answer = client.sync(client.scheduler.identity, n_workers=-1)  # type: ignore[no-untyped-call]
+    except OSError:
+        return {}
+    known: Mapping[str, Any] = answer["workers"]
     return known
