@@ -98,7 +98,7 @@ class ContextSpace:
         Each takes v uniform numbers, so that the same generator state gives the same first contexts
         whatever the `count`.
         """
-        return self._at_quantiles(rng.random((count, len(self.names))))
+        return self.at_quantiles(rng.random((count, len(self.names))))
 
     def draw_stratified(self, count: int, rng: np.random.Generator) -> Array:
         """Draw a Latin hypercube sample of n = `count` contexts (n, v).
@@ -107,7 +107,15 @@ class ContextSpace:
         each of its n equally probable ranges. A mean over them has a smaller variance than one over
         independent draws.
         """
-        return self._at_quantiles(latin_hypercube(count, len(self.names), rng))
+        return self.at_quantiles(latin_hypercube(count, len(self.names), rng))
+
+    def at_quantiles(self, probability: Array) -> Array:
+        """Return the contexts (n, v) at quantiles (n, v), from 0 to 1, of each variable."""
+        contexts = np.empty_like(probability)
+        for column, item in enumerate(self.distributions):
+            quantile = item.integers if self._integer[column] else item.ppf
+            contexts[:, column] = quantile(probability[:, column])
+        return contexts
 
     def to_contexts(self, cube: ArrayLike) -> Array:
         """Map points (n, d) of the unit cube to contexts (n, v), linearly between the bounds.
@@ -221,14 +229,6 @@ class ContextSpace:
             if (np.abs(candidates - row) > DISTINCT).any(axis=1).all():
                 candidates = np.vstack([candidates, row])
         return candidates
-
-    def _at_quantiles(self, probability: Array) -> Array:
-        """Return the contexts at the quantiles of each variable, both of shape (n, v)."""
-        contexts = np.empty_like(probability)
-        for column, item in enumerate(self.distributions):
-            quantile = item.integers if self._integer[column] else item.ppf
-            contexts[:, column] = quantile(probability[:, column])
-        return contexts
 
     def _decoded(self, points: Array) -> Iterator[Array]:
         """Yield the positions (n,) of each variable between its bounds, at points (n, d)."""
