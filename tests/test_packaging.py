@@ -28,6 +28,7 @@ EXECUTABLES = {
         "validate",
         "replay",
         "recompute",
+        "identify",
         "apply",
         "guard",
     ],

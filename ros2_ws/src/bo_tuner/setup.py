@@ -7,7 +7,8 @@ from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
 COMMANDS = [
-    "tune", "init", "check", "report", "validate", "replay", "recompute", "apply", "guard",
+    "tune", "init", "check", "report", "validate", "replay", "recompute", "identify", "apply",
+    "guard",
 ]  # fmt: skip
 
 

@@ -112,7 +112,7 @@ class Certifier:
             )
         backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
         try:
-            bar, observers = _Bar(self.console), Observers()
+            bar, observers = Bar(self.console), Observers()
             observers.add(unfinished)
             observers.add(bar)
             certification = Certification(
@@ -182,8 +182,19 @@ class Certifier:
             )
 
 
-class _Bar(RunObserver):
-    """A bar for one phase after the other; without a terminal a line for each, and now and then."""
+class Bar(RunObserver):
+    """A bar for one phase after the other; without a terminal a line for each, and now and then.
+
+    Parameters
+    ----------
+    console
+        Shows it.
+
+    Attributes
+    ----------
+    progress
+        The bar, to be used in a ``with`` block.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -198,6 +209,7 @@ class _Bar(RunObserver):
         )
 
     def begin(self, phase: str, total: int) -> None:
+        """Show a bar for a phase in place of that of the one before."""
         for task in self.progress.task_ids:
             self.progress.remove_task(task)
         self.progress.add_task(phase, total=total)
@@ -206,6 +218,7 @@ class _Bar(RunObserver):
             self._print(f"{phase}: {most}")
 
     def advance(self) -> None:
+        """Show a step."""
         for task in self.progress.tasks:
             self.progress.advance(task.id)
             if self.progress.disable and self._lines.due:

@@ -65,12 +65,14 @@ class Parser(argparse.ArgumentParser):
             help="show version and commit, and exit",
         )
 
-    def add_run_argument(self, what: str = "run folder", *, several: bool = False) -> None:
+    def add_run_argument(
+        self, what: str = "run folder", *, several: bool = False, optional: bool = False
+    ) -> None:
         """Add the positional argument ``run``; if there may be `several`, it is a list."""
         self.add_argument(
             "run",
             type=Path,
-            nargs="+" if several else None,
+            nargs="+" if several else "?" if optional else None,
             metavar="RUN",
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )
@@ -244,6 +246,23 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number") from None
+
+
+def fraction(text: str) -> float:
+    """Read an option's number between 0 and 1.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
+    return value
 
 
 def recorded_backend(record: RunRecord) -> str:

@@ -18,6 +18,7 @@ from bo_tuner.cli.common import (
     allow_programs,
     attached,
     ended,
+    fraction,
     guarded,
     in_namespace_of,
     read_result,
@@ -26,6 +27,7 @@ from bo_tuner.cli.common import (
     trial_of,
     whole_number,
 )
+from bo_tuner.cli.drift import FALSE_ALARMS, RUNS, compare
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
@@ -81,13 +83,17 @@ CSV beside it; earlier certificates stay. For `apply` a certificate needs the
 draws and the confidence that the study requires, and no later FAIL of the same
 parameters.
 
+--against tests whether the machine has drifted since a certificate: with a few
+fresh runs of its parameter set, metric by metric, after each run. It writes
+RUN/drift/0001.json, or the next number, and no certificate.
+
 exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full); an
        existing certificate is kept, and the next call continues from here;
        or an attached node was not restored
   2    bad input: run, option or nodes
-  3    FAIL
+  3    FAIL; --against: a metric has drifted
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: the output pipe was closed); as 1
 
@@ -100,14 +106,22 @@ examples:
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
   validate runs/latest --with-default      the default, too, in the same draws
+  validate --against runs/latest/certificates/0001.json   the same machine still?
   validate runs/latest && echo fit for use
 """
+
+
+OF_DRIFT: tuple[str, ...] = ("runs", "metrics", "false_alarms")
+OF_CERTIFICATE: tuple[str, ...] = (
+    "run", "trial", "until_pass", "with_default", "draws", "confidence", "workers", "window",
+)  # fmt: skip
+"""Names of the arguments that only one of the two kinds of the command takes."""
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_run_argument()
+    parser.add_run_argument(optional=True)
     sets = parser.add_argument_group("what to certify")
     sets.add_argument(
         "--trial",
@@ -135,10 +149,33 @@ def make_parser() -> Parser:
     )
     evidence.add_argument(
         "--confidence",
-        type=_fraction,
+        type=fraction,
         metavar="P",
         help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
         "requires)",
+    )
+    drift = parser.add_argument_group("drift since a certificate, instead")
+    drift.add_argument(
+        "--against",
+        type=Path,
+        metavar="CERTIFICATE",
+        help="run its parameter set again, and compare the metrics with its runs; RUN is left out",
+    )
+    drift.add_argument(
+        "--runs", type=whole_number, metavar="N", help=f"fresh runs at most (default: {RUNS})"
+    )
+    drift.add_argument(
+        "--metrics",
+        metavar="NAME,...",
+        help="metrics to compare (default: all but measured times and what is computed from "
+        "others)",
+    )
+    drift.add_argument(
+        "--false-alarms",
+        type=fraction,
+        metavar="P",
+        help="probability of a drift in any metric where there is none, at most (default: "
+        f"{FALSE_ALARMS})",
     )
     parser.add_backend_arguments("as in the run")
     add_workers_arguments(parser, "as in the run")
@@ -151,6 +188,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    _check_kind(arguments, parser)
+    if arguments.against is not None:
+        return compare(arguments, parser, ros_arguments, interruption)
     record = read_result(arguments.run)
     # `latest` may name another run by the time that it ends.
     record = replace(record, path=record.path.resolve())
@@ -240,6 +280,21 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 # The verdict on it names the confidence of all certificates of the run.
                 write_deliverables(folder.path, show, show)
     return ended(left, exit_code(verdict))
+
+
+def _check_kind(arguments: argparse.Namespace, parser: Parser) -> None:
+    """Refuse options of a certificate in a comparison with one, and the other way round."""
+    if arguments.against is None and arguments.run is None:
+        parser.error("the following arguments are required: RUN")
+    names, why = (
+        (OF_DRIFT, "needs --against")
+        if arguments.against is None
+        else (OF_CERTIFICATE, "is not for --against")
+    )
+    for name in names:
+        if getattr(arguments, name) != parser.get_default(name):
+            option = "RUN" if name == "run" else f"--{name.replace('_', '-')}"
+            parser.error(f"{option} {why}")
 
 
 def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
@@ -348,14 +403,3 @@ def _report(verdict: Verdict, study: Study, path: Path) -> None:
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")
     print_next_steps(out, verdict, path.parent.parent)
-
-
-def _fraction(text: str) -> float:
-    """Read a number between 0 and 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value < 1.0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
-    return value

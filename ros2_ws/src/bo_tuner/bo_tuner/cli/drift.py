@@ -1,0 +1,181 @@
+"""``validate --against``: whether a machine has drifted since a certificate."""
+
+import argparse
+import contextlib
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from rich.table import Table
+
+from bo_tuner.backends.factory import make_backend
+from bo_tuner.cli.certifier import Bar
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    attached,
+    ended,
+    in_namespace_of,
+    opened,
+    read_result,
+)
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.streams import say_error
+from bo_tuner.errors import RunError, RunRecordError
+from bo_tuner.evidence.certificate.store import CERTIFICATES, read_certificate
+from bo_tuner.evidence.drift import (
+    POWER,
+    Drift,
+    DriftPlan,
+    baseline_runs,
+    next_number,
+    write_drift,
+)
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.parts import BACKENDS
+from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
+from bo_tuner.text import counted
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
+
+RUNS = 20
+"""Fresh runs, unless asked for."""
+FALSE_ALARMS = 0.05
+"""Probability of a false alarm, unless asked for."""
+
+
+def compare(
+    arguments: argparse.Namespace,
+    parser: Parser,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> int:
+    """Run the certificate's parameter set again, compare with its runs; returns the exit code.
+
+    Parameters
+    ----------
+    arguments
+        Of `validate`, with ``against``.
+    parser
+        Of `validate`.
+    ros_arguments
+        ``--ros-args`` of the command line.
+    interruption
+        Ends the runs on a signal.
+    """
+    path: Path = arguments.against.resolve()
+    if path.parent.name != CERTIFICATES:
+        raise RunRecordError(
+            f"{arguments.against}: expected a certificate in RUN/{CERTIFICATES}, such as "
+            f"runs/latest/{CERTIFICATES}/0001.json"
+        )
+    record = read_result(path.parent.parent)
+    study = record.study
+    certificate = read_certificate(path, study)
+    backend = certificate.provenance.get("backend", "")
+    if backend not in BACKENDS:
+        raise RunRecordError(f"{path}: was made on {backend or 'nothing known'}, on no nodes")
+    if arguments.backend not in (None, backend):
+        parser.error(f"--backend: expected {backend}, as the certificate was made on")
+    attach = attached(arguments, parser, backend, record)
+    baseline = baseline_runs(path, certificate, study)
+    runs = RUNS if arguments.runs is None else arguments.runs
+    if not 1 <= runs <= maxima.DRAWS:
+        parser.error(f"--runs: expected 1 to {maxima.DRAWS}, found {runs}")
+    allow_programs(record, trusted=arguments.trust, attach=attach)
+    console = plain_console(stderr=True)
+    started = _now()
+    folder = RunFolder(record.path)
+    with contextlib.closing(folder):
+        number = next_number(folder.path)
+        plan = DriftPlan(
+            study,
+            certificate.parameters,
+            baseline,
+            _metrics(arguments, study),
+            runs,
+            arguments.false_alarms or FALSE_ALARMS,
+            number,
+        )
+        effect = plan.test.effect(POWER)
+        nodes = make_backend(
+            backend,
+            study,
+            folder.log,
+            attach=attach,
+            ros_arguments=in_namespace_of(record, ros_arguments),
+            interrupted=interruption.check,
+            earlier=record.evaluations,
+        )
+        bar = Bar(console)
+        try:
+            with opened(nodes, interruption) as left, bar.progress:
+                driver = Driver(nodes, bar, gate=Gate(interruption.check, bar))
+                driver.complete(plan)
+        except RunError as error:
+            say_error(f"error: {error}")
+            return EXIT_FAULT
+        fresh = plan.evaluations
+        drift = Drift(
+            certificate=path.name,
+            parameters=certificate.parameters,
+            baseline=len(baseline),
+            fresh=len(fresh),
+            failed=sum(not run.outcome.complete for run in fresh),
+            false_alarms=arguments.false_alarms or FALSE_ALARMS,
+            effect=effect,
+            metrics=plan.compared,
+            started=started,
+            finished=_now(),
+        )
+        folder.check()
+        written = write_drift(folder.path, number, drift, fresh)
+    _show(drift, runs)
+    say(f"comparison: {written}")
+    return ended(left, EXIT_INFEASIBLE if drift.drifted else EXIT_OK)
+
+
+def _metrics(arguments: argparse.Namespace, study: Study) -> list[str]:
+    """Return the metrics to compare."""
+    if arguments.metrics is None:
+        return study.of_plant
+    names = [name.strip() for name in arguments.metrics.split(",")]
+    for name in names:
+        checks.reference(name, "metric", study.metrics, "--metrics")
+    return list(dict.fromkeys(names))
+
+
+def _show(drift: Drift, runs: int) -> None:
+    table = Table(title=f"fresh runs beside those of {drift.certificate}", title_justify="left")
+    for column in ("metric", "unit"):
+        table.add_column(column)
+    for column in ("then", "deviation", "now"):
+        table.add_column(column, justify="right")
+    table.add_column("")
+    for item in drift.metrics:
+        word = "" if item.found_after is None else f"DRIFTED, found after {item.found_after}"
+        numbers = (f"{v:.4g}" for v in (item.baseline, item.deviation, item.fresh))
+        table.add_row(item.metric, item.unit, *numbers, word)
+    print_table(plain_console(), table)
+    say(
+        f"medians of {counted(drift.baseline, 'run')} then and {drift.fresh} now; false alarms: "
+        f"{100.0 * drift.false_alarms:g} % of such comparisons, over all metrics"
+    )
+    if drift.failed:
+        say(f"{counted(drift.failed, 'fresh run')} failed, and count as beyond every other")
+    if drift.effect < float("inf"):
+        say(
+            f"a shift by {drift.effect:.2g} standard deviations is found within {runs} runs in "
+            f"{100.0 * POWER:g} % of cases; other changes of a distribution may not be"
+        )
+    else:
+        say(f"{counted(runs, 'run')} can hardly find any shift: allow more by --runs")
+    say(f"DRIFT: {', '.join(drift.drifted)}" if drift.drifted else "no drift found")
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")
