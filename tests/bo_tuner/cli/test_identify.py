@@ -102,7 +102,7 @@ class TestRefusals:
             (("--simulations", "3"), "--simulations: expected 10 to "),
             (("--credible", "1.5"), "argument --credible: 1.5: expected a number between 0 and 1"),
             (("--level", "no"), "argument --level: no: expected a number between 0 and 1"),
-            (("--metrics", "force"), "--metrics"),
+            (("--metrics", "error,force"), "expected some of error, peak, found 'force'"),
             (("--trial", "7"), "machine: has no complete run of trial 7"),
             (("--contexts", "nowhere.yaml"), "nowhere.yaml"),
         ],

@@ -7,9 +7,9 @@ import pytest
 from functions import FunctionBackend, failed, make_study
 from made_runs import INITIAL, make_run, write_certificate
 
-from bo_tuner.errors import RunRecordError
+from bo_tuner.errors import RunError, RunRecordError
 from bo_tuner.evidence.certificate.store import read_certificate
-from bo_tuner.evidence.drift import DriftPlan, baseline_runs, next_number
+from bo_tuner.evidence.drift import DriftPlan, baseline_runs, next_number, result_of
 from bo_tuner.trials import EvaluationState, Outcome
 from bo_tuner.tuning.driver import Driver
 
@@ -100,7 +100,7 @@ def record(tmp_path):
 def test_a_certificate_without_baseline_runs(record):
     path = write_certificate(record, record.trials[0])
     certificate = read_certificate(path, record.study)
-    with pytest.raises(RunRecordError, match="has 0 baseline runs; expected at least 10"):
+    with pytest.raises(RunRecordError, match="has 0 complete baseline runs; expected at least 10"):
         baseline_runs(path, certificate, record.study)
     evaluations = path.with_name("0001_evaluations.csv")
     evaluations.write_text("other")
@@ -109,6 +109,20 @@ def test_a_certificate_without_baseline_runs(record):
     evaluations.unlink()
     with pytest.raises(RunRecordError, match=r"has no baseline runs: .* cannot be read"):
         baseline_runs(path, certificate, record.study)
+
+
+def test_a_certificate_of_another_study(record):
+    other = make_study(contexts={}, budget=INITIAL, seed=9)
+    path = write_certificate(record, record.trials[0])
+    with pytest.raises(RunRecordError, match="belongs to another version of the study"):
+        baseline_runs(path, read_certificate(path, other), other)
+
+
+def test_no_usable_run():
+    plan = plan_of(1)
+    runs(plan, lambda **_: failed("gone", EvaluationState.LOST))
+    with pytest.raises(RunError, match="no fresh run was usable"):
+        result_of(plan, "0001.json", "", "")
 
 
 def test_the_number_of_the_next(tmp_path):

@@ -70,7 +70,7 @@ class TestRefusals:
             (["--with-default"], "--with-default is not for --against"),
             (["--runs", "0"], "--runs: expected 1 to "),
             (["--false-alarms", "2"], "argument --false-alarms: 2: expected a number between 0"),
-            (["--metrics", "force"], "--metrics"),
+            (["--metrics", "force"], "--metrics: expected some of error, peak, found 'force'"),
             (["--backend", "ros"], "--backend: expected inprocess, as the certificate was made"),
         ],
     )

@@ -22,8 +22,10 @@ from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
+from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import BACKENDS, ROS
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
 
@@ -263,6 +265,24 @@ def fraction(text: str) -> float:
     if not 0.0 < value < 1.0:
         raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
     return value
+
+
+def named_metrics(text: str, study: Study) -> list[str]:
+    """Return the metrics that an option ``--metrics`` names, each once.
+
+    Raises
+    ------
+    StudyError
+        If the study does not have one of them.
+    """
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in study.metrics:
+            raise StudyError(
+                f"--metrics: expected some of {', '.join(study.metrics)}, found "
+                f"{checks.quoted(name)}"
+            )
+    return list(dict.fromkeys(names))
 
 
 def recorded_backend(record: RunRecord) -> str:

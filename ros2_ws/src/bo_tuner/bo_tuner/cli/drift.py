@@ -16,12 +16,14 @@ from bo_tuner.cli.common import (
     attached,
     ended,
     in_namespace_of,
+    named_metrics,
     opened,
     read_result,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.streams import say_error
-from bo_tuner.errors import RunError, RunRecordError
+from bo_tuner.errors import RunError, RunRecordError, StudyError
+from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.store import CERTIFICATES, read_certificate
 from bo_tuner.evidence.drift import (
     POWER,
@@ -29,12 +31,14 @@ from bo_tuner.evidence.drift import (
     DriftPlan,
     baseline_runs,
     next_number,
+    result_of,
     write_drift,
 )
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import checks, maxima
+from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
@@ -76,32 +80,16 @@ def compare(
     record = read_result(path.parent.parent)
     study = record.study
     certificate = read_certificate(path, study)
-    backend = certificate.provenance.get("backend", "")
-    if backend not in BACKENDS:
-        raise RunRecordError(f"{path}: was made on {backend or 'nothing known'}, on no nodes")
-    if arguments.backend not in (None, backend):
-        parser.error(f"--backend: expected {backend}, as the certificate was made on")
+    backend = _backend(arguments, parser, path, certificate)
     attach = attached(arguments, parser, backend, record)
+    most = _most_runs(arguments, parser)
+    metrics = _metrics(arguments, study)
     baseline = baseline_runs(path, certificate, study)
-    runs = RUNS if arguments.runs is None else arguments.runs
-    if not 1 <= runs <= maxima.DRAWS:
-        parser.error(f"--runs: expected 1 to {maxima.DRAWS}, found {runs}")
     allow_programs(record, trusted=arguments.trust, attach=attach)
-    console = plain_console(stderr=True)
-    started = _now()
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        number = next_number(folder.path)
-        plan = DriftPlan(
-            study,
-            certificate.parameters,
-            baseline,
-            _metrics(arguments, study),
-            runs,
-            arguments.false_alarms or FALSE_ALARMS,
-            number,
-        )
-        effect = plan.test.effect(POWER)
+        with writing(folder.log):
+            folder.log.mkdir(exist_ok=True)
         nodes = make_backend(
             backend,
             study,
@@ -111,42 +99,56 @@ def compare(
             interrupted=interruption.check,
             earlier=record.evaluations,
         )
-        bar = Bar(console)
+        number, started = next_number(folder.path), _now()
+        false_alarms = arguments.false_alarms or FALSE_ALARMS
+        plan = DriftPlan(
+            study, certificate.parameters, baseline, metrics, most, false_alarms, number
+        )
+        bar = Bar(plain_console(stderr=True))
         try:
             with opened(nodes, interruption) as left, bar.progress:
-                driver = Driver(nodes, bar, gate=Gate(interruption.check, bar))
-                driver.complete(plan)
+                Driver(nodes, bar, gate=Gate(interruption.check, bar)).complete(plan)
+            drift = result_of(plan, path.name, started, _now())
         except RunError as error:
             say_error(f"error: {error}")
             return EXIT_FAULT
-        fresh = plan.evaluations
-        drift = Drift(
-            certificate=path.name,
-            parameters=certificate.parameters,
-            baseline=len(baseline),
-            fresh=len(fresh),
-            failed=sum(not run.outcome.complete for run in fresh),
-            false_alarms=arguments.false_alarms or FALSE_ALARMS,
-            effect=effect,
-            metrics=plan.compared,
-            started=started,
-            finished=_now(),
-        )
         folder.check()
-        written = write_drift(folder.path, number, drift, fresh)
-    _show(drift, runs)
+        written = write_drift(folder.path, number, drift, plan.evaluations)
+    _show(drift, most)
     say(f"comparison: {written}")
     return ended(left, EXIT_INFEASIBLE if drift.drifted else EXIT_OK)
+
+
+def _backend(
+    arguments: argparse.Namespace, parser: Parser, path: Path, certificate: Certificate
+) -> str:
+    """Return the name of the backend, which is that of the certificate."""
+    backend = certificate.provenance.get("backend", "")
+    if backend not in BACKENDS:
+        raise RunRecordError(
+            f"{path}: expected a certificate made on {' or '.join(BACKENDS)}, found "
+            f"{backend or 'none'} in it"
+        )
+    if arguments.backend not in (None, backend):
+        parser.error(f"--backend: expected {backend}, as the certificate was made on")
+    return backend
+
+
+def _most_runs(arguments: argparse.Namespace, parser: Parser) -> int:
+    """Return the largest number of fresh runs."""
+    most: int = RUNS if arguments.runs is None else arguments.runs
+    if not 1 <= most <= maxima.DRAWS:
+        parser.error(f"--runs: expected 1 to {maxima.DRAWS}, found {most}")
+    return most
 
 
 def _metrics(arguments: argparse.Namespace, study: Study) -> list[str]:
     """Return the metrics to compare."""
     if arguments.metrics is None:
+        if not study.of_plant:
+            raise StudyError("every metric is a measured time; name those to compare by --metrics")
         return study.of_plant
-    names = [name.strip() for name in arguments.metrics.split(",")]
-    for name in names:
-        checks.reference(name, "metric", study.metrics, "--metrics")
-    return list(dict.fromkeys(names))
+    return named_metrics(arguments.metrics, study)
 
 
 def _show(drift: Drift, runs: int) -> None:

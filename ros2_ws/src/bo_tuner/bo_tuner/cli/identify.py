@@ -8,7 +8,15 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.cli.common import Parser, fraction, guarded, opened, run_folder, whole_number
+from bo_tuner.cli.common import (
+    Parser,
+    fraction,
+    guarded,
+    named_metrics,
+    opened,
+    run_folder,
+    whole_number,
+)
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunError, RunRecordError, StudyError
@@ -156,13 +164,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         return EXIT_FAULT
     say(f"compared: {', '.join(machine.metrics)}")
     if misfits := identified.misfits(arguments.level):
-        say(f"no context explains the runs of the machine, at a level of {arguments.level:g}:")
-        for line in misfits:
-            say(f"  {line}")
-        say(
-            "nothing is written: the machine differs from the simulator in something else than "
-            "these contexts; give the simulator that as a context, or wider ones with --contexts"
-        )
+        _show_misfits(misfits, arguments.level)
         return EXIT_INFEASIBLE
     narrower = narrowed(box, identified.posterior.contexts, arguments.credible)
     _show(identified, narrower)
@@ -208,7 +210,7 @@ def _check_simulator(study: Study, source: str) -> None:
 
 def _machine(arguments: argparse.Namespace, study: Study) -> MachineRuns:
     """Return the runs of the machine."""
-    metrics = arguments.metrics and [name.strip() for name in arguments.metrics.split(",")]
+    metrics = None if arguments.metrics is None else named_metrics(arguments.metrics, study)
     paths = [run_folder(path) for path in arguments.run]
     machine = machine_runs(paths, study, metrics, arguments.trial)
     if len(machine.sets) > MOST_SETS:
@@ -225,6 +227,16 @@ def _announce(machine: MachineRuns, simulations: int) -> None:
     say(f"{counted(machine.count, 'run')} of the machine with {sets}; {total} simulations")
     if machine.left_out:
         say(f"left out: {counted(machine.left_out, 'run')} that did not complete")
+
+
+def _show_misfits(misfits: Sequence[str], level: float) -> None:
+    say(f"no context explains the runs of the machine, at a level of {level:g}:")
+    for line in misfits:
+        say(f"  {line}")
+    say(
+        "nothing is written: the machine differs from the simulator in something else than these "
+        "contexts; give the simulator that as a context, or wider ones with --contexts"
+    )
 
 
 def _show(identified: Identification, narrower: Study) -> None:

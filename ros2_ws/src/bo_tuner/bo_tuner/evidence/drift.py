@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bo_tuner.errors import RunRecordError
+from bo_tuner.errors import RunError, RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.evaluations_file import read_evaluations
 from bo_tuner.evidence.certificate.store import evaluations_problem
@@ -22,6 +22,7 @@ from bo_tuner.numerics.rank_drift import RankTest
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.storage.atomic import write_atomically, writing
+from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.typed_json import to_json
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNED, Evaluation, Outcome, Stage, Value
@@ -119,6 +120,8 @@ def baseline_runs(path: Path, certificate: Certificate, study: Study) -> list[Ou
     RunRecordError
         If there are too few, or they cannot be relied on.
     """
+    if certificate.study_sha256 != study_sha256(study):
+        raise RunRecordError(f"{path}: belongs to another version of the study; run validate again")
     if problem := evaluations_problem(path, certificate):
         raise RunRecordError(f"{path}: has no baseline runs: {problem}; run validate again")
     rows = [
@@ -128,10 +131,11 @@ def baseline_runs(path: Path, certificate: Certificate, study: Study) -> list[Ou
         and not row.outcome.unusable
         and (row.stage is Stage.VALIDATION or not study.contexts)
     ]
-    if len(rows) < LEAST_BASELINE:
+    complete = sum(outcome.complete for outcome in rows)
+    if complete < LEAST_BASELINE:
         raise RunRecordError(
-            f"{path}: has {len(rows)} baseline runs; expected at least {LEAST_BASELINE}: run "
-            "validate again, with more --draws"
+            f"{path}: has {complete} complete baseline runs; expected at least "
+            f"{LEAST_BASELINE}: run validate again, with more --draws"
         )
     return rows[-MOST_BASELINE:]
 
@@ -158,6 +162,8 @@ class DriftPlan(Plan[Run]):
 
     Attributes
     ----------
+    parameters, false_alarms
+        As given.
     evaluations
         The fresh runs that count, in their order.
     test
@@ -182,7 +188,8 @@ class DriftPlan(Plan[Run]):
         self.test = RankTest(len(baseline), most, false_alarms / len(metrics))
         self.evaluations: list[Evaluation] = []
         self._study = study
-        self._parameters = parameters
+        self.parameters = parameters
+        self.false_alarms = false_alarms
         self._metrics = {name: _values(baseline, name) for name in metrics}
         self._number = number
         contexts = study.context_space().draw(most, generator(study.seed, Stream.DRIFT, number))
@@ -196,7 +203,7 @@ class DriftPlan(Plan[Run]):
         k = self._planned
         self._planned += 1
         seed = noise_seed(self._study.seed, Stream.DRIFT, self._number, k)
-        return Run(Evaluation(0, k, Stage.VALIDATION, self._parameters, self._contexts[k], seed))
+        return Run(Evaluation(0, k, Stage.VALIDATION, self.parameters, self._contexts[k], seed))
 
     def tell(self, task: Run) -> bool:
         """Add a run, unless it says nothing of the parameters."""
@@ -233,6 +240,39 @@ class DriftPlan(Plan[Run]):
 def _values(outcomes: Sequence[Outcome], metric: str) -> list[float]:
     """Return the values of a metric; of a failed run an infinite one."""
     return [o.metrics[metric] if o.complete else inf for o in outcomes]
+
+
+def result_of(plan: DriftPlan, certificate: str, started: str, finished: str) -> Drift:
+    """Return the result of a plan that was carried out.
+
+    Parameters
+    ----------
+    plan
+        With its fresh runs.
+    certificate
+        Name of the certificate's file.
+    started, finished
+        When.
+
+    Raises
+    ------
+    RunError
+        If no run is usable.
+    """
+    if not plan.evaluations:
+        raise RunError("no fresh run was usable: nodes were lost or disturbed in all of them")
+    return Drift(
+        certificate=certificate,
+        parameters=plan.parameters,
+        baseline=plan.test.baseline,
+        fresh=len(plan.evaluations),
+        failed=sum(not run.outcome.complete for run in plan.evaluations),
+        false_alarms=plan.false_alarms,
+        effect=plan.test.effect(POWER),
+        metrics=plan.compared,
+        started=started,
+        finished=finished,
+    )
 
 
 def next_number(folder: Path) -> int:

@@ -8,7 +8,6 @@ from pathlib import Path
 from bo_tuner.errors import RunRecordError
 from bo_tuner.recording.retention import custom_data, is_bag
 from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, EvaluationState, ParameterSet, Value, parameter_set
 
@@ -64,7 +63,7 @@ def machine_runs(
     study
         Of the simulator.
     metrics
-        Which to compare; None for all that can be.
+        Of the study, which to compare; None for all that can be.
     trial
         The number of the trial whose runs are read; None for all.
 
@@ -116,9 +115,7 @@ def _compared(
         ]
         missing = [] if names else study.of_plant
     else:
-        names = list(dict.fromkeys(asked))
-        for name in names:
-            checks.reference(name, "metric", study.metrics, "--metrics")
+        names = list(asked)
         missing = [name for name in names if any(name not in run.metrics for run in runs)]
     if missing:
         raise RunRecordError(
