@@ -9,7 +9,7 @@ noise. The drift is of normal values, and of an axis that becomes stiffer.
 
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +125,14 @@ def hidden(count: int, rng: np.random.Generator) -> list[tuple[str, dict[str, fl
     return plants
 
 
+def all_plants(count: int, rng: np.random.Generator) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield the hidden plants, then as many of each kind that no context explains."""
+    yield from hidden(count, rng)
+    for name, change in UNEXPLAINED.items():
+        for _, plant in hidden(count, rng):
+            yield name, plant | change
+
+
 def tuned(text: str, plant_study: Study) -> dict[str, Any]:
     """Tune a study in process, and judge its result at the hidden plant."""
     with tempfile.TemporaryDirectory() as folder:
@@ -231,15 +239,12 @@ def main() -> None:
         row for most in (MOST, 2 * MOST) for row in drift_of_axis(study, pools, most)
     ]
     print(table(["stiffness", "at most", "found", "median runs"], result["stiffness"]))
-    plants = []
-    for k, (where, plant) in enumerate(hidden(arguments.plants, rng)):
-        plants.append({"where": where} | identified(study, plant, 10_000 + 100 * k))
-    for name, change in UNEXPLAINED.items():
-        for k, (_, plant) in enumerate(hidden(arguments.plants, rng)):
-            plants.append({"where": name} | identified(study, plant | change, 50_000 + 100 * k))
+    plants: list[dict[str, Any]] = []
     result["plants"] = plants
+    for k, (where, plant) in enumerate(all_plants(arguments.plants, rng)):
+        plants.append({"where": where} | identified(study, plant, 10_000 + 100 * k))
+        write_result(arguments.result, result)
     show_plants(plants)
-    write_result(arguments.result, result)
     for item in plants[: min(arguments.tuned, arguments.plants)]:
         if item["misfits"]:
             continue
