@@ -103,6 +103,8 @@ class TestRefusals:
             (("--credible", "1.5"), "argument --credible: 1.5: expected a number between 0 and 1"),
             (("--level", "no"), "argument --level: no: expected a number between 0 and 1"),
             (("--metrics", "error,force"), "expected some of error, peak, found 'force'"),
+            (("--output", "./axis.yaml"), "--output: axis.yaml: is an input; give another name"),
+            (("--output", "no/n.yaml"), "--output: no/n.yaml: there is no folder no"),
             (("--trial", "7"), "machine: has no complete run of trial 7"),
             (("--contexts", "nowhere.yaml"), "nowhere.yaml"),
         ],

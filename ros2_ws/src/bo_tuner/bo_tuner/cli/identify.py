@@ -149,6 +149,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             f"--simulations: expected {LEAST_SIMULATED} to {maxima.DRAWS}, "
             f"found {arguments.simulations}"
         )
+    _check_output(arguments, parser)
     study = load_study(arguments.study)
     box = study if arguments.contexts is None else _within(study, arguments.contexts)
     _check_simulator(box, str(arguments.study))
@@ -176,6 +177,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         for path in write_figure(context_figure(identified, narrower), arguments.figures, FORMATS):
             say(f"figure: {path}")
     return EXIT_OK
+
+
+def _check_output(arguments: argparse.Namespace, parser: Parser) -> None:
+    """Refuse, ahead of the simulation, a file that cannot be made or that is an input."""
+    output: Path = arguments.output
+    if not output.absolute().parent.is_dir():
+        parser.error(f"--output: {output}: there is no folder {output.parent}")
+    inputs = [Path(given) for given in (arguments.study, arguments.contexts) if given is not None]
+    if output.exists() and any(path.exists() and path.samefile(output) for path in inputs):
+        parser.error(f"--output: {output}: is an input; give another name")
 
 
 def _within(study: Study, path: Path) -> Study:
