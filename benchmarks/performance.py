@@ -30,6 +30,7 @@ What the tuner finds, beside the paper and beside other optimizers, is in `docs/
 SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
     "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
+    "identify": ("Where a machine is, and whether it drifts", answers.identification),
     "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
     "parameter_effects": ("What a parameter moves", answers.effects),
     "suggestion_time": ("Time of a proposal", cost.suggestion),

@@ -29,6 +29,7 @@ EXECUTABLES = {
         "validate",
         "replay",
         "recompute",
+        "identify",
         "apply",
         "guard",
     ],

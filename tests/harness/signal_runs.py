@@ -1,6 +1,9 @@
 """Runs whose metrics are those of recorded signals: a study of them, and their record."""
 
+import numpy as np
+
 from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -26,6 +29,19 @@ def signal_study(**sections):
         "objective": {"metric": "error"},
         "budget": {"trials": 1, "initial_trials": 1},
     } | sections
+
+
+def recording(seed):
+    """Signals at odd times, of which one began before the run."""
+    rng = np.random.default_rng(seed)
+    time = np.sort(rng.uniform(0.0, 2.0, 200))
+    angle = RecordedSignal(
+        time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), lost=2, late=1
+    )
+    return Recording(
+        {"setpoint": RecordedSignal(np.array([-0.1, 0.1]), np.array([1.0, 1.0])), "angle": angle},
+        2.0,
+    )
 
 
 def outcome_of(study, recording):

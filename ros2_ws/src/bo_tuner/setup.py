@@ -8,7 +8,8 @@ from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
 COMMANDS = [
-    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "apply", "guard",
+    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "identify",
+    "apply", "guard",
 ]  # fmt: skip
 
 

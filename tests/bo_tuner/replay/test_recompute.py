@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from commands import run
 from plans import PATH, plan
-from signal_runs import SETPOINT, record_run, signal_study
+from signal_runs import SETPOINT, record_run, recording, signal_study
 
 from bo_tuner.errors import RunRecordError
-from bo_tuner.metrics.recording import RecordedMessages, RecordedSignal, Recording
+from bo_tuner.metrics.recording import RecordedMessages
 from bo_tuner.recording.signal_bag import recorded_runs
 from bo_tuner.replay.recompute import differing, recompute
 from bo_tuner.storage.record import read_run
@@ -26,19 +26,6 @@ ODOMETRY = {"angle": {"topic": "/odom", "field": "x"}, "setpoint": SETPOINT}
 def make_study(**sections):
     metrics = STUDY["metrics"] | {"peak": {"of": "angle", "measure": "maximum"}}
     return study_from_mapping(STUDY | {"metrics": metrics} | sections)
-
-
-def recording(seed):
-    """Signals at odd times, of which one began before the run."""
-    rng = np.random.default_rng(seed)
-    time = np.sort(rng.uniform(0.0, 2.0, 200))
-    angle = RecordedSignal(
-        time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), lost=2, late=1
-    )
-    return Recording(
-        {"setpoint": RecordedSignal(np.array([-0.1, 0.1]), np.array([1.0, 1.0])), "angle": angle},
-        2.0,
-    )
 
 
 @pytest.fixture

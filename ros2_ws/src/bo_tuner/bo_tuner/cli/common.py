@@ -22,8 +22,10 @@ from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
+from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import BACKENDS, ROS
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
 
@@ -246,6 +248,41 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number") from None
+
+
+def fraction(text: str) -> float:
+    """Read an option's number between 0 and 1.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
+    return value
+
+
+def named_metrics(text: str, study: Study) -> list[str]:
+    """Return the metrics that an option ``--metrics`` names, each once.
+
+    Raises
+    ------
+    StudyError
+        If the study does not have one of them.
+    """
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in study.metrics:
+            raise StudyError(
+                f"--metrics: expected some of {', '.join(study.metrics)}, found "
+                f"{checks.quoted(name)}"
+            )
+    return list(dict.fromkeys(names))
 
 
 def recorded_backend(record: RunRecord) -> str:

@@ -17,7 +17,8 @@ ROS = (
 """What ROS installs; no requirement of the package, which is of use as a library without it."""
 
 COMMANDS = (
-    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "apply", "guard",
+    "tune", "init", "check", "try", "report", "validate", "replay", "recompute", "identify",
+    "apply", "guard",
 )  # fmt: skip
 
 
@@ -58,6 +59,6 @@ def _run_named(command: str) -> NoReturn:
 
 
 # One for each of the console scripts.
-tune, init, check, try_, report, validate, replay, recompute, apply, guard = (
+tune, init, check, try_, report, validate, replay, recompute, identify, apply, guard = (
     partial(_run_named, command) for command in COMMANDS
 )

@@ -18,6 +18,7 @@ from bo_tuner.cli.common import (
     allow_programs,
     attached,
     ended,
+    fraction,
     guarded,
     in_namespace_of,
     read_result,
@@ -26,6 +27,7 @@ from bo_tuner.cli.common import (
     trial_of,
     whole_number,
 )
+from bo_tuner.cli.drift import FALSE_ALARMS, RUNS, compare
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.given_values import add_given_arguments, given
 from bo_tuner.cli.notify import add_notify_argument, notify
@@ -86,13 +88,17 @@ CSV beside it; earlier certificates stay. For `apply` a certificate needs the
 draws and the confidence that the study requires, and no later FAIL of the same
 parameters.
 
+--against tests whether the machine has drifted since a certificate: with a few
+fresh runs of its parameter set, metric by metric, after each run. It writes
+RUN/drift/0001.json, or the next number, and no certificate.
+
 exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full, the
        --time is over); an existing certificate is kept, and the next call
        continues from here; or an attached node was not restored
   2    bad input: run, option or nodes
-  3    FAIL
+  3    FAIL; --against: a metric has drifted
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: the output pipe was closed); as 1
 
@@ -108,8 +114,17 @@ examples:
   validate runs/latest --with-default      the default, too, in the same draws
   validate --parameters my_params.yaml --study my_study.yaml    without a run
   validate latest --junit report.xml       for a CI server
+  validate --against runs/latest/certificates/0001.json   the same machine still?
   validate runs/latest && echo fit for use
 """
+
+
+OF_DRIFT: tuple[str, ...] = ("runs", "metrics", "false_alarms")
+OF_CERTIFICATE: tuple[str, ...] = (
+    "run", "trial", "until_pass", "with_default", "parameters", "study", "output", "draws",
+    "confidence", "time", "junit", "workers", "window",
+)  # fmt: skip
+"""Names of the arguments that only one of the two kinds of the command takes."""
 
 
 def make_parser() -> Parser:
@@ -144,7 +159,7 @@ def make_parser() -> Parser:
     )
     evidence.add_argument(
         "--confidence",
-        type=_fraction,
+        type=fraction,
         metavar="P",
         help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
         "requires)",
@@ -156,6 +171,29 @@ def make_parser() -> Parser:
         metavar="TIME",
         help="begin no more runs after this time, such as 90s, 10min or 2h, and say what is shown "
         "by then; the next call goes on",
+    )
+    drift = parser.add_argument_group("drift since a certificate, instead")
+    drift.add_argument(
+        "--against",
+        type=Path,
+        metavar="CERTIFICATE",
+        help="run its parameter set again, and compare the metrics with its runs; RUN is left out",
+    )
+    drift.add_argument(
+        "--runs", type=whole_number, metavar="N", help=f"fresh runs at most (default: {RUNS})"
+    )
+    drift.add_argument(
+        "--metrics",
+        metavar="NAME,...",
+        help="metrics to compare (default: all but measured times and what is computed from "
+        "others)",
+    )
+    drift.add_argument(
+        "--false-alarms",
+        type=fraction,
+        metavar="P",
+        help="probability of a drift in any metric where there is none, at most (default: "
+        f"{FALSE_ALARMS})",
     )
     parser.add_argument_group("files").add_argument(
         "--junit",
@@ -175,6 +213,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    _check_kind(arguments, parser)
+    if arguments.against is not None:
+        return compare(arguments, parser, ros_arguments, interruption)
     of_given = given(arguments, parser, ros_arguments, interruption)
     record = read_result(arguments.run) if of_given is None else of_given.record
     # `latest` may name another run by the time that it ends.
@@ -287,6 +328,19 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     return code
 
 
+def _check_kind(arguments: argparse.Namespace, parser: Parser) -> None:
+    """Refuse options of a certificate in a comparison with one, and the other way round."""
+    names, why = (
+        (OF_DRIFT, "needs --against")
+        if arguments.against is None
+        else (OF_CERTIFICATE, "is not for --against")
+    )
+    for name in names:
+        if getattr(arguments, name) != parser.get_default(name):
+            option = "RUN" if name == "run" else f"--{name.replace('_', '-')}"
+            parser.error(f"{option} {why}")
+
+
 def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
     """Return the largest number of parameter sets to certify."""
     most: int = arguments.until_pass
@@ -393,14 +447,3 @@ def _report(verdict: Verdict, study: Study, path: Path) -> None:
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")
     print_next_steps(out, verdict, path.parent.parent)
-
-
-def _fraction(text: str) -> float:
-    """Read a number between 0 and 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value < 1.0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
-    return value

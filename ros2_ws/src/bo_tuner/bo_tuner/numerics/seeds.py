@@ -27,6 +27,8 @@ class Stream(IntEnum):
     WEIGHTS = 13
     EFFECTS = 14
     FANTASIES = 15
+    IDENTIFICATION = 16
+    DRIFT = 17
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

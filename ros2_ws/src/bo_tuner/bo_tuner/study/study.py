@@ -21,7 +21,13 @@ from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.measured import check_measured, measured_names
 from bo_tuner.study.metric_scale import check_scales
-from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
+from bo_tuner.study.metrics import (
+    COMPUTED,
+    CombinedMetric,
+    PythonMetric,
+    RelativeMetric,
+    StudyMetric,
+)
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
@@ -326,6 +332,15 @@ class Study:
     def responses(self) -> list[str]:
         """Names of the metrics that may depend on the parameters: all but the measured contexts."""
         return [name for name in self.metrics if name not in self.measured]
+
+    @property
+    def of_plant(self) -> list[str]:
+        """Names of the metrics of the plant by themselves: no measured time, nothing computed."""
+        return [
+            name
+            for name in self.responses
+            if not isinstance(self.metrics[name], COMPUTED) and not self.metrics[name].measures_time
+        ]
 
     @property
     def logarithmic_metrics(self) -> list[str]:
