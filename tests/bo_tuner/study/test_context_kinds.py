@@ -77,6 +77,27 @@ class TestSpace:
         assert space.to_dict(space.nominal()) == {"room": "c"}
         assert named.probabilities == pytest.approx((1 / 3,) * 3)
 
+    def test_some_values_given_and_the_others_nominal(self):
+        given = {"count": 3, "room": "yard"}
+        completed = MIXED.completed(given)
+        assert completed == MIXED.to_dict(MIXED.nominal()) | given
+        assert [type(value) for value in completed.values()] == [float, int, bool, str]
+
+    @pytest.mark.parametrize(
+        ("given", "refusal"),
+        [
+            ({"lode": 1.0}, "expected load, count, brake, room, found 'lode'"),
+            ({"load": 2.5}, "load: expected a possible value, the nearest is 2, found 2.5"),
+            ({"load": 1.5, "count": 3.25}, "count: expected a possible value, the nearest is 3"),
+            ({"load": float("nan")}, "finite"),
+            ({"room": "attic"}, "room: expected one of"),
+            ({"load": 1.5, "brake": 1}, "brake: expected one of"),
+        ],
+    )
+    def test_values_that_are_not_possible(self, given, refusal):
+        with pytest.raises(ParameterError, match=refusal):
+            MIXED.completed(given)
+
     def test_corners_have_every_text_with_every_end(self):
         found = [tuple(MIXED.to_dict(row).values()) for row in MIXED.to_contexts(MIXED.corners())]
         expected = itertools.product([1.0, 2.0], [1, 4], [False, True], ROOM.values)

@@ -179,25 +179,25 @@ class ContextSpace:
         ParameterError
             If a name or a value is not possible.
         """
-        context = self.to_dict(self.nominal())
+        numbers = self.nominal()
         for name, value in given.items():
-            if name not in context:
-                names = ", ".join(self.names) or "no context: the study has none"
+            if name not in self.names:
+                names = ", ".join(self.names) or "none, as the study has no contexts"
                 raise ParameterError(f"expected {names}, found {checks.quoted(name)}")
-            context[name] = value
-        try:
-            rows = self.rows([context])
-        except ParameterError as error:
-            raise ParameterError(f"{', '.join(given)}: {error}") from None
-        nearest = self.clip(rows)
-        for column, name in enumerate(self.names):
-            if rows[0, column] != nearest[0, column]:
-                possible = self.to_dict(nearest[0])[name]
+            column = self.names.index(name)
+            try:
+                numbers[column] = self.distributions[column].number(value)
+            except ParameterError as error:
+                raise ParameterError(f"{name}: {error}") from None
+        possible = self.clip(numbers[None])[0]
+        nearest = self.to_dict(possible)
+        for name, number, other in zip(self.names, numbers, possible, strict=True):
+            if number != other:
                 raise ParameterError(
-                    f"{name}: expected a possible value, the nearest is {shown(possible)}, found "
-                    f"{checks.show(given[name])}"
+                    f"{name}: expected a possible value, the nearest is {shown(nearest[name])}, "
+                    f"found {checks.show(given[name])}"
                 )
-        return self.to_dict(nearest[0])
+        return nearest
 
     def corners(self) -> Array:
         """Return corners of the unit cube, shape (m, d).
