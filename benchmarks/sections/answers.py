@@ -182,8 +182,8 @@ def identification(result: Result) -> list[str]:
     found = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["drift"]]
     stiffer = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["stiffness"]]
     return [
-        f"The context of a hidden axis by {result['runs']} of its runs with the default, inferred "
-        "in a box wider than the certified one. *Within*: the axis is within the bounds written. "
+        f"The context of a hidden axis by {result['runs']} of its runs, inferred in "
+        "a box wider than the certified one. *Within*: the axis is within the bounds written. "
         "*Feasible*: the result that is tuned in these bounds, at the hidden axis, beside that of "
         "a tuner that knows the axis.",
         markdown(["plant", "within", "misfit said", "feasible", "feasible if known"], rows),

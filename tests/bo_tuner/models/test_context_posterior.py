@@ -38,6 +38,19 @@ def test_the_emulator_is_the_simulator(emulator):
     assert emulator.noise[0, 1] / deviations.prod() == pytest.approx(0.3, abs=0.2)
 
 
+def test_the_noise_is_that_of_the_latest_runs():
+    """Here it is a tenth of that of the first ones, which are farther away."""
+    rng = np.random.default_rng(0)
+    loads = np.concatenate([np.linspace(1.0, 3.0, 60), rng.uniform(1.9, 2.1, 60)])
+    values = np.vstack(
+        [simulate(loads[:60], rng), simulate(loads[60:], rng, covariance=0.01 * NOISE)]
+    )
+    cube = SPACE.to_cube(loads[:, None])
+    local = Emulator.fit(cube, values, rng, latest=60)
+    assert np.sqrt(np.diag(local.noise)) == pytest.approx([0.01, 0.02], rel=0.5)
+    assert np.diag(Emulator.fit(cube, values, rng).noise)[0] > 10.0 * local.noise[0, 0]
+
+
 def test_the_posterior_is_that_of_a_normal_mean(emulator):
     """Of y = a c with noise Σ and n runs it is normal with the variance 1 / (n aᵀ Σ⁻¹ a)."""
     values = simulate(np.full(8, 2.2), np.random.default_rng(4))

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.special import chdtrc, erfc
+from scipy.special import chdtrc, erfc, fdtrc
 
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
@@ -36,6 +36,8 @@ from bo_tuner.study.context_space import ContextSpace
 
 LEAST_SIMULATED = 10
 """Runs of the simulator at a parameter set that a Gaussian process takes at least."""
+MOST_LEVERAGE = 0.9
+"""Share of its own noise that a run has in the mean there, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +52,18 @@ class Emulator:
         Of each metric over the context.
     noise : ndarray, shape (k, k)
         Σ_g, the covariance of the metrics of one run.
+    freedom : float
+        Degrees of freedom of its estimate.
     """
 
     processes: tuple[GaussianProcess, ...]
     noise: Array
+    freedom: float
 
     @classmethod
-    def fit(cls, cube: Array, values: Array, rng: np.random.Generator) -> Self:
+    def fit(
+        cls, cube: Array, values: Array, rng: np.random.Generator, latest: int | None = None
+    ) -> Self:
         """Fit a process to each metric.
 
         Parameters
@@ -67,24 +74,33 @@ class Emulator:
             Their metrics.
         rng
             Draws starting points of the fits.
+        latest
+            The noise is that of so many runs, the last ones; None for all. It may differ over the
+            contexts, and counts where the machine may be.
         """
         processes = tuple(GaussianProcess.fit(cube, column, rng=rng) for column in values.T)
-        deviations = np.sqrt([process.noise_variance for process in processes])
-        means = np.stack([process.predict_mean(cube) for process in processes], axis=1)
-        residuals = (values - means) / np.maximum(deviations, np.finfo(float).tiny)
-        count, metrics = values.shape
-        products = residuals.T @ residuals
-        norms = np.sqrt(np.diag(products))
-        correlation = products / np.maximum(np.outer(norms, norms), np.finfo(float).tiny)
-        # Shrunk as if as many runs without a correlation had been made as there are metrics.
-        correlation = correlation * (count / (count + metrics))
-        np.fill_diagonal(correlation, 1.0)
-        return cls(processes, np.outer(deviations, deviations) * correlation)
+        last = slice(None if latest is None else -latest, None)
+        mean, variance = _predict(processes, cube[last])
+        assumed = np.array([process.noise_variance for process in processes])
+        # A run pulls the mean to itself, by the share of its noise that the mean then still has.
+        leverage = np.minimum(variance / np.maximum(assumed, np.finfo(float).tiny), MOST_LEVERAGE)
+        residuals = (values[last] - mean) / np.sqrt(1.0 - leverage)
+        count, metrics = residuals.shape
+        covariance = residuals.T @ residuals / count
+        # Correlations are shrunk as if as many runs without one had been made as there are metrics.
+        noise: Array = covariance * (count / (count + metrics))
+        np.fill_diagonal(noise, np.maximum(np.diag(covariance), np.finfo(float).tiny))
+        return cls(processes, noise, float((1.0 - leverage).sum(axis=0).mean()))
 
     def predict(self, cube: Array) -> tuple[Array, Array]:
         """Return means f_g and variances v_g, both (m, k), at contexts (m, d)."""
-        pairs = [process.predict(cube) for process in self.processes]
-        return np.stack([m for m, _ in pairs], axis=1), np.stack([v for _, v in pairs], axis=1)
+        return _predict(self.processes, cube)
+
+
+def _predict(processes: Sequence[GaussianProcess], cube: Array) -> tuple[Array, Array]:
+    """Return means and variances (m, k) of k processes at contexts (m, d)."""
+    pairs = [process.predict(cube) for process in processes]
+    return np.stack([m for m, _ in pairs], axis=1), np.stack([v for _, v in pairs], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +248,7 @@ def _tests(pairs: Sequence[tuple[Emulator, RealRuns]], cube: Array) -> tuple[Mis
     metrics = pairs[0][1].values.shape[1]
     joint = np.zeros(len(cube))
     weighted, precision = np.zeros((len(cube), metrics)), np.zeros((len(cube), metrics))
-    scatter, freedom = np.zeros(metrics), 0
+    scatter, freedom, of_simulator = np.zeros(metrics), 0, 0.0
     for emulator, runs in pairs:
         residuals, covariance = _of_means(emulator, runs, cube)
         joint += _squared(residuals, covariance)
@@ -241,6 +257,7 @@ def _tests(pairs: Sequence[tuple[Emulator, RealRuns]], cube: Array) -> tuple[Mis
         precision += 1.0 / variance
         scatter += runs.scatter / np.diag(emulator.noise)
         freedom += len(runs.values) - 1
+        of_simulator += emulator.freedom
     tests = [MisfitTest(None, False, float(chdtrc(len(pairs) * metrics, joint).mean()))]
     z = weighted / np.sqrt(precision)
     for metric in range(metrics):
@@ -248,6 +265,7 @@ def _tests(pairs: Sequence[tuple[Emulator, RealRuns]], cube: Array) -> tuple[Mis
         tests.append(MisfitTest(metric, False, p_value, float(np.median(z[:, metric]))))
     if freedom:
         for metric in range(metrics):
-            ratio = float(np.sqrt(scatter[metric] / freedom))
-            tests.append(MisfitTest(metric, True, float(chdtrc(freedom, scatter[metric])), ratio))
+            ratio = float(scatter[metric] / freedom)
+            p_value = float(fdtrc(freedom, of_simulator, ratio))
+            tests.append(MisfitTest(metric, True, p_value, float(np.sqrt(ratio))))
     return tuple(tests)

@@ -112,7 +112,9 @@ def identify(
         driver.complete(plan)
         for evaluation in plan.evaluations:
             known[evaluation.parameter_set].append(evaluation)
-        emulators = [_emulator(study, runs, scale, noise, rng) for runs in known.values()]
+        emulators = [
+            _emulator(study, runs, simulations, scale, noise, rng) for runs in known.values()
+        ]
         posterior = infer_context(space, emulators, real, rng)
         chosen = rng.choice(len(posterior.contexts), simulations, replace=False)
         design = posterior.contexts[chosen]
@@ -150,10 +152,12 @@ def _planned(study: Study, machine: MachineRuns, design: Array, wave: int) -> li
 def _emulator(
     study: Study,
     runs: list[Evaluation],
+    latest: int,
     scale: "_Scale",
     noise: Array | None,
     rng: np.random.Generator,
 ) -> Emulator:
+    """Return the emulator of runs at one parameter set, with the noise of the `latest` ones."""
     complete = [run for run in runs if run.outcome.complete]
     if len(complete) < max(LEAST_SIMULATED, len(runs) // 2):
         reason = next(run.outcome.reason for run in runs if not run.outcome.complete)
@@ -162,7 +166,9 @@ def _emulator(
             f"parameters of the machine: {reason}"
         )
     cube = study.context_space().cube_of([run.context for run in complete])
-    emulator = Emulator.fit(cube, scale.of([run.outcome.metrics for run in complete]), rng)
+    values = scale.of([run.outcome.metrics for run in complete])
+    of_latest = sum(run.outcome.complete for run in runs[-latest:])
+    emulator = Emulator.fit(cube, values, rng, max(of_latest, LEAST_SIMULATED))
     return emulator if noise is None else replace(emulator, noise=noise)
 
 
