@@ -20,7 +20,7 @@ from bo_tuner.errors import (
     UnknownRunError,
     WindowFull,
 )
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, problem_of
+from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.plans import Phases
 from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
@@ -297,7 +297,7 @@ def opened(
 ) -> Tuner:
     """Begin a run in a folder, or continue the one that is there; raises as `Study.tuner`."""
     checks.integer(window, "window", at_least=1, at_most=LARGEST_WINDOW)
-    name = algorithm or DEFAULT_METHOD
+    name = algorithm or method_of(study)
     checks.choice(name, tuple(METHODS), "algorithm")
     record = _recorded(study, path, algorithm)
     if record is not None:

@@ -25,7 +25,7 @@ from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import Workers, workers_of
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
+from bo_tuner.methods.registry import SAFE, method_of, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -239,7 +239,7 @@ def _new(
     if named in shipped_studies() and not attach:
         _check_installed(load_study(named), backend)
     study = _given(named, attach, arguments, ros_arguments, interruption)
-    algorithm = arguments.algorithm or DEFAULT_METHOD
+    algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)

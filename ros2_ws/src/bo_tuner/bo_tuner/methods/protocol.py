@@ -17,7 +17,7 @@ from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context, Evaluation, Stage, Trial
+from bo_tuner.trials import Context, Evaluation, Outcome, Stage, Trial
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 
@@ -68,6 +68,10 @@ class Method(Protocol):
         self, study: Study, number: int, proposal: Proposal
     ) -> list[tuple[Stage, Context]]:
         """Return the contexts that a trial begins in, by its number, each with its stage."""
+
+    def ends_trial(self, study: Study, outcome: Outcome) -> bool:
+        """Return whether a trial ends with a run that is complete; with one that failed it does."""
+        return False
 
     @abstractmethod
     def worst_case_searches(

@@ -13,6 +13,7 @@ from bo_tuner.trials import Trial, Value
 DEFAULT, START = "default", "start"
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
 RANDOM, SPACE_FILLING = "random", "space-filling"
+EXPANSION, REPETITION = "expansion", "repetition"
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Proposal:
         Every parameter of the study.
     origin
         How it was proposed: ``default``, ``start``, ``initial``, ``acquisition``, ``refinement``,
-        ``random`` or ``space-filling``.
+        ``random``, ``space-filling``, ``expansion`` or ``repetition``.
     warnings
         Numerical problems while it was proposed, one line each.
     hyperparameters
@@ -52,7 +53,11 @@ class Optimizer(Protocol):
     a run can be resumed.
     """
 
-    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+    @property
+    def standstill(self) -> str:
+        """Why it cannot go on, and what would help, in one line; empty while it can."""
+
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal | None:
         """Propose the parameter set of the next trial.
 
         Parameters
@@ -60,6 +65,12 @@ class Optimizer(Protocol):
         pending
             Trials that were proposed later and have no results yet, in their order. Their
             evaluations are planned ones, in the contexts that they begin in.
+
+        Returns
+        -------
+        Proposal or None
+            None while something is pending: not before more is told; else: for the reason of
+            `standstill`.
         """
 
     def tell(self, trial: Trial) -> None:
@@ -84,7 +95,11 @@ class DesignedOptimizer:
         All trials passed to `tell`.
     pending
         As passed to `ask`.
+    standstill
+        See `Optimizer`; most can always go on.
     """
+
+    standstill = ""
 
     def __init__(self, study: Study) -> None:
         self.study = study

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
+from bo_tuner.trials import Evaluation, Outcome, Trial, TrialState, WorstCase
 
 WITHIN = "within limits"
 
@@ -160,6 +160,17 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     z = constraint.deviations
     error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(beyond))
     return mean + z * noise - error > 0.0
+
+
+def broken_limits(study: Study, outcome: Outcome) -> tuple[str, ...]:
+    """Return the names of the constraints beyond whose limit a single run is; none if it failed."""
+    if not outcome.complete:
+        return ()
+    return tuple(
+        constraint.name
+        for constraint in study.constraints.values()
+        if constraint.violations(outcome.metrics[constraint.metric])
+    )
 
 
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:

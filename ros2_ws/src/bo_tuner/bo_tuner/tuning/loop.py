@@ -17,6 +17,7 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
+    WorstCase,
     count_evaluations,
     count_trials,
 )
@@ -30,7 +31,7 @@ ATTEMPTS = 2
 class TrialTask:
     """A trial: evaluations in its first contexts, then those of the search for the worst one.
 
-    It ends with the first evaluation that fails.
+    It ends with the first evaluation that fails, or as the method says.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ class TrialTask:
     def ask(self) -> Evaluation | None:
         """Return the next evaluation; None when the trial has ended."""
         done = self._done
-        if done and not done[-1].outcome.complete:
+        if done and self._ends_with(done[-1]):
             return None
         if len(done) < len(self._first):
             return self._planned(*self._first[len(done)])
@@ -93,7 +94,7 @@ class TrialTask:
 
     def trial(self) -> Trial:
         """Return the trial, once it has ended."""
-        proposal, searches = self._proposal, self._searches
+        proposal = self._proposal
         failed = [e.outcome for e in self._done if not e.outcome.complete]
         return Trial(
             number=self._number,
@@ -102,7 +103,7 @@ class TrialTask:
             state=TrialState.FAILED if failed else TrialState.COMPLETE,
             reason=failed[0].reason if failed else "",
             evaluations=tuple(self._done),
-            worst_cases={} if failed or not searches else searches.worst_cases(self._rng()),
+            worst_cases={} if failed else self._worst_cases(),
             warnings=proposal.warnings,
             hyperparameters=proposal.hyperparameters,
             seconds=self._seconds,
@@ -112,6 +113,15 @@ class TrialTask:
     def pending(self) -> Trial:
         """What others can know of it before it has ended."""
         return pending_trial(self._study, self._method, self._number, self._proposal)
+
+    def _ends_with(self, evaluation: Evaluation) -> bool:
+        outcome = evaluation.outcome
+        return not outcome.complete or self._method.ends_trial(self._study, outcome)
+
+    def _worst_cases(self) -> dict[str, WorstCase]:
+        # One that ended early has not searched yet.
+        searches = self._searches or self._begin_search()
+        return searches.worst_cases(self._rng())
 
     def _begin_search(self) -> WorstCaseSearches:
         searches = self._method.worst_case_searches(self._study, self._proposal, self._known)
@@ -273,8 +283,15 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         begin = time.monotonic()
         proposal = self._optimizer.ask(planned)
         seconds = time.monotonic() - begin
+        if proposal is None:
+            return None
         self._planned += 1
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
+
+    @property
+    def standstill(self) -> str:
+        """Why it has ended before the budget, with what would help; empty if it has not."""
+        return self._optimizer.standstill
 
     def tell(self, task: TrialTask | RecordedTask) -> bool:
         """Add a trial; observers are notified of it as a trial and not as a step."""
