@@ -26,8 +26,8 @@ from bo_tuner.backends.function import FunctionBackend
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.methods.safe.trust import is_within_limits
 from bo_tuner.study.function_study import with_function
+from bo_tuner.study.limits import is_within_limits
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import Evaluation, Stage, Trial, Value
@@ -161,7 +161,9 @@ def runs_to(result: Mapping[str, Any], objective: float) -> int | None:
     return int(np.cumsum(result["runs"])[reached[0]]) if len(reached) else None
 
 
-def compared(plain: Sequence[Mapping[str, Any]], safe: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def compared(
+    plain: Sequence[Mapping[str, Any]], safe: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """Return the shares of trials that break a limit, and the runs to the same objective."""
     pairs = []
     for one, other in zip(plain, safe, strict=True):
@@ -169,8 +171,10 @@ def compared(plain: Sequence[Mapping[str, Any]], safe: Sequence[Mapping[str, Any
         pairs.append((runs_to(one, target), runs_to(other, target)))
     ratios = [safe_runs / runs for runs, safe_runs in pairs if runs and safe_runs]
     return {
-        "plain": {"trials": sum(r["trials"] for r in plain), "broken": sum(r["broken"] for r in plain)},
-        "safe": {"trials": sum(r["trials"] for r in safe), "broken": sum(r["broken"] for r in safe)},
+        **{
+            search: {key: sum(r[key] for r in results) for key in ("trials", "broken")}
+            for search, results in (("plain", plain), ("safe", safe))
+        },
         "runs": pairs,
         "reached": len(ratios),
         "ratio": float(np.median(ratios)) if ratios else None,
@@ -198,7 +202,8 @@ def main() -> None:
             shares = [
                 f"{summary[search]['broken']} of {summary[search]['trials']}" for search in SEARCHES
             ]
-            rows.append([case, *shares, f"{summary['reached']} of {arguments.runs}", summary["ratio"]])
+            reached = f"{summary['reached']} of {arguments.runs}"
+            rows.append([case, *shares, reached, summary["ratio"]])
             print(f"{case}: {summary}", flush=True)
             write_result(Path(arguments.result), result)
     columns = ["case", "plain breaks a limit", "safe", "reaches plain's objective", "runs, ratio"]

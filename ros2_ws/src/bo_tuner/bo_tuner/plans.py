@@ -29,6 +29,7 @@ class EventKind(StrEnum):
     PAUSE = "pause"
     GUARD = "guard"
     CONTINUE = "continue"
+    STANDSTILL = "standstill"
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,10 @@ class Event:
         Number of tasks that were planned in this phase until then, in all sessions.
     kind
         A request to finish the phase early, or to go on with it all the same in a later session; a
-        pause, on request or because the guard had taken over, or its end.
+        pause, on request or because the guard had taken over, or its end; that the phase has ended
+        early because its plan cannot go on.
     detail
-        More in a line; of the guard what it says.
+        More in a line: what the guard says, or why the plan cannot go on.
     """
 
     phase: str
@@ -55,18 +57,30 @@ class Event:
 
 
 def finished_after(events: Iterable[Event]) -> int | None:
-    """Return the number of trials after which a run was to finish; None if it goes on.
+    """Return the number of trials after which a run has none to come; None if it goes on.
 
     Parameters
     ----------
     events
         Of the run, in the order of the record.
     """
+    latest = _latest_end(events)
+    return None if latest is None else latest.tasks
+
+
+def standstill_in(events: Iterable[Event]) -> str:
+    """Return why the trials of a run could not go on; empty if they can, or were asked to end."""
+    latest = _latest_end(events)
+    return latest.detail if latest is not None and latest.kind is EventKind.STANDSTILL else ""
+
+
+def _latest_end(events: Iterable[Event]) -> Event | None:
+    """Return the latest event that ended the trials early; None if they went on after it."""
     latest: Event | None = None
     for event in events:
-        if event.kind in (EventKind.FINISH, EventKind.EXTEND):
+        if event.kind in (EventKind.FINISH, EventKind.STANDSTILL, EventKind.EXTEND):
             latest = event
-    return latest.tasks if latest is not None and latest.kind is EventKind.FINISH else None
+    return None if latest is None or latest.kind is EventKind.EXTEND else latest
 
 
 class Task(Protocol):
@@ -102,12 +116,18 @@ class Plan(ABC, Generic[TaskT]):
         How many steps the phase has at most.
     attempts : int
         Runs of an evaluation that is lost or disturbed.
+    standstill : str
+        Why it has ended before its time of itself, with what would help; empty if it has not.
     """
 
     phase: str = ""
     what: str = "evaluations"
     steps: int = 0
     attempts: int = 1
+
+    @property
+    def standstill(self) -> str:  # noqa: D102
+        return ""
 
     @abstractmethod
     def ask(self, pending: Sequence[TaskT]) -> TaskT | None:

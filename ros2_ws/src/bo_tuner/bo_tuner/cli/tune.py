@@ -25,7 +25,7 @@ from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import Workers, workers_of
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import SAFE, method_of, problem_of
+from bo_tuner.methods.registry import method_of, problem_of
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (

@@ -137,7 +137,7 @@ class PooledResponse(LimitedResponse):
 
     @abstractmethod
     def on_runs(self, level: float) -> Self:
-        """Return the limit that single runs keep with a probability of `level`, or as it is higher."""
+        """Return the limit that runs keep with the probability `level`, or more if it is so now."""
 
     @abstractmethod
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:

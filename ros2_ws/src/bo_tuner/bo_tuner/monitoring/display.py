@@ -76,12 +76,14 @@ class Display(RunObserver):
         self._console.print(text, soft_wrap=True)
 
     def event(self, event: Event) -> None:
-        """Show that the run was asked to finish, whoever has asked."""
+        """Show that the run was asked to finish, whoever has asked, or cannot go on."""
         if event.kind is EventKind.FINISH:
             self.inform(
                 f"asked to finish after {counted(event.tasks, 'trial')}; the best so far is then "
                 "settled and validated"
             )
+        elif event.kind is EventKind.STANDSTILL:
+            self.warn(f"the search ends after {counted(event.tasks, 'trial')}: {event.detail}")
 
     def result(self, result: Result) -> None:
         """Show the result on standard output."""

@@ -119,7 +119,7 @@ class Steps(Generic[TaskT]):
 
     def begin(self) -> Iterator[TaskT]:
         """Plan the first tasks; yields those that have nothing to run, as `take` does."""
-        self._window.fill()
+        self._fill()
         yield from self._tell()
 
     def due(self) -> Iterator[Evaluation]:
@@ -150,17 +150,22 @@ class Steps(Generic[TaskT]):
             yield ended.task
             self._pass_gate()
             self._losses.check()
-            self._window.fill()
+            self._fill()
+
+    def _fill(self) -> None:
+        """Plan what can be planned; an observer is told if the plan cannot go on."""
+        self._window.fill()
+        if self.over and self._plan.standstill:
+            self._note(EventKind.STANDSTILL, self._plan.standstill)
 
     def _pass_gate(self) -> None:
         """Take requests from outside, and pass them to observers as events."""
-
-        def note(kind: EventKind, detail: str = "") -> None:
-            self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
-
-        self._gate.wait(note)
+        self._gate.wait(self._note)
         if self._gate.finishing and self._plan.finish():
-            note(EventKind.FINISH)
+            self._note(EventKind.FINISH)
+
+    def _note(self, kind: EventKind, detail: str = "") -> None:
+        self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
 
 
 class _Planned(Generic[TaskT]):

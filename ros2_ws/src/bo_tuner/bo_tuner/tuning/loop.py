@@ -289,8 +289,7 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
 
     @property
-    def standstill(self) -> str:
-        """Why it has ended before the budget, with what would help; empty if it has not."""
+    def standstill(self) -> str:  # noqa: D102
         return self._optimizer.standstill
 
     def tell(self, task: TrialTask | RecordedTask) -> bool:

@@ -29,6 +29,8 @@ class PeerOptimizer:
         It is told of every trial; of the initial ones when they are all done.
     """
 
+    standstill = ""
+
     def __init__(self, study: Study, optimizer: Optimizer) -> None:
         self._study = study
         self._space = study.search_space()

@@ -1,18 +1,17 @@
 """The method `safe`: as `boundary`, but it tries only what it expects to be safe."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.safe.stage_one import SafeOptimization
-from bo_tuner.methods.safe.trust import kept_by
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import DEFAULT, START, Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.study.limits import broken_limits
+from bo_tuner.study.limits import broken_limits, kept_by
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context, Outcome, Stage, Trial
+from bo_tuner.trials import Context, Outcome, Stage, Trial, Value, parameter_set
 
 MOST_CORNERS = 8
 """Largest number of corners of the contexts in all of which a parameter set to start from is run.
@@ -23,9 +22,9 @@ Of more of them, so many are taken evenly.
 
 @dataclass(frozen=True)
 class KeptRanking(PooledRanking):
-    """Ranks only parameter sets all runs of which kept their limits, as long as there are any.
+    """Ranks only parameter sets all runs of which kept their limits.
 
-    No others are run again in the search for the answer.
+    No others are run again in the search for the answer, or are one.
     """
 
     def ranked_by(  # noqa: D102
@@ -41,7 +40,7 @@ class KeptRanking(PooledRanking):
 
 def _ranked(study: Study, trials: Sequence[Trial]) -> Sequence[Trial]:
     kept = {trial.parameter_set for trial in kept_by(study, trials)}
-    return [trial for trial in trials if trial.parameter_set in kept] or trials
+    return [trial for trial in trials if trial.parameter_set in kept]
 
 
 @dataclass(frozen=True)
@@ -77,6 +76,12 @@ class Safe(Boundary):
     def ends_trial(self, study: Study, outcome: Outcome) -> bool:
         """Return whether a run broke a limit: there is no need to break it again."""
         return bool(broken_limits(study, outcome))
+
+    def runs_again(
+        self, study: Study, trials: Sequence[Trial], parameters: Mapping[str, Value]
+    ) -> bool:
+        """Return whether a parameter set was tried, and has kept all limits in its runs."""
+        return parameter_set(parameters) in {t.parameter_set for t in kept_by(study, trials)}
 
     def most_evaluations(self, study: Study) -> int:
         """Return the largest number of evaluations, those of the starts in the corners included."""

@@ -74,7 +74,8 @@ class SafeSet:
     def contains(self, x: Array) -> NDArray[np.bool_]:
         """Return which (m,) of the points x (m, d) are safe."""
         log_least = self._log_least
-        safe = self.surrogates.crashes.log_complement(x) >= np.log1p(-self.risk)
+        log_complement = self.surrogates.crashes.log_complement(x)
+        safe: NDArray[np.bool_] = log_complement >= np.log1p(-self.risk)
         for limit in self.limits.values():
             rows = np.flatnonzero(safe)
             # Where the mean is beyond the limit no uncertainty need be computed.

@@ -1,4 +1,4 @@
-"""Stage one of `safe`: grow the set of parameter sets that are expected to be safe, and improve in it.
+"""Stage one of `safe`: grow the set that is expected to be safe, and improve within it.
 
 The first trials are the parameter sets that the study names. Those all runs of which keep the
 limits are where it starts; without any it goes no further. No model knows yet what a parameter
@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from bo_tuner.acquisition.acquisition import AcquisitionRule
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.safe.safe_set import CONFIDENCE, Reach, SafeSet
-from bo_tuner.methods.safe.trust import kept_by, trust_after
+from bo_tuner.methods.safe.trust import trust_after
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import (
@@ -44,6 +44,7 @@ from bo_tuner.optimizers.base import (
     Proposal,
 )
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization
+from bo_tuner.study.limits import kept_by
 from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.study import Study
 from bo_tuner.text import percent
@@ -85,9 +86,7 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         Makes the acquisition function.
     """
 
-    def __init__(
-        self, study: Study, ranking: PooledRanking, acquisition: AcquisitionRule
-    ) -> None:
+    def __init__(self, study: Study, ranking: PooledRanking, acquisition: AcquisitionRule) -> None:
         super().__init__(study, ranking.fit, acquisition)
         self._how = study.safe_search or SafeSearch()
         # Nothing is tried that nobody knows to be safe.

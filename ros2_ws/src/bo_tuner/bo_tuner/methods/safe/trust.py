@@ -14,42 +14,15 @@ Bayesian optimization. NeurIPS 32.
 
 from collections.abc import Sequence
 
-from bo_tuner.study.limits import broken_limits
+from bo_tuner.study.limits import is_within_limits
 from bo_tuner.study.study import Study
-from bo_tuner.trials import ParameterSet, Trial
+from bo_tuner.trials import Trial
 
 FIRST = 0.25
 """Trust before the first trial: little is known of how far an effect goes."""
 
 IN_A_ROW = 3
 """Trials in a row, all within the limits, that double the trust."""
-
-
-def is_within_limits(study: Study, trial: Trial) -> bool:
-    """Return whether every usable run of a trial was complete and kept all limits.
-
-    False if there is no such run.
-    """
-    outcomes = [e.outcome for e in trial.evaluations if not e.outcome.unusable]
-    return bool(outcomes) and not any(
-        broken_limits(study, outcome) or not outcome.complete for outcome in outcomes
-    )
-
-
-def kept_by(study: Study, trials: Sequence[Trial]) -> list[Trial]:
-    """Return the trials of parameter sets all runs of which, in all trials, kept the limits.
-
-    The first trial of each parameter set, in the order of the run.
-    """
-    sets: dict[ParameterSet, list[Trial]] = {}
-    for trial in trials:
-        if not trial.unusable:
-            sets.setdefault(trial.parameter_set, []).append(trial)
-    return [
-        of_set[0]
-        for of_set in sets.values()
-        if all(is_within_limits(study, trial) for trial in of_set)
-    ]
 
 
 def trust_after(study: Study, trials: Sequence[Trial]) -> float:
