@@ -15,6 +15,7 @@ from bo_tuner.study.limits import is_within_limits, kept_by
 from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.trials import EvaluationState, Outcome, Stage
 from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Answer, Gate
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import conclude
 
@@ -174,6 +175,58 @@ class TestSearch:
         known = [*trials[:5], broken, *trials[6:]]
         ranked = METHOD.ranking.rank(study, known)
         assert {c.trial.number for c in ranked} == {t.number for t in known} - {5}
+
+
+class Refusing:
+    """Refuses the proposals of some numbers, in the order in which they are asked about."""
+
+    def __init__(self, refused):
+        self.refused = refused
+        self.asked = []
+
+    def concerns(self, task):
+        return not task.recorded
+
+    def ask(self, task, wait):
+        self.asked.append(dict(task.parameters))
+        return Answer(len(self.asked) - 1 not in self.refused, False, "")
+
+
+@pytest.fixture(scope="module")
+def refused(study_of, function_backend):
+    """A run in which the second and the sixth proposal were refused, and what was asked."""
+    study, gate, watcher = study_of(trials=8), Gate(), Watcher()
+    gate.admission = Refusing({1, 5})
+    driver = Driver(function_backend(study, ramp), watcher, gate=gate)
+    trials = list(Tuning(study, driver, METHOD))
+    return study, gate.admission.asked, trials, watcher.events
+
+
+class TestRefusal:
+    def test_is_not_run_and_does_not_count(self, refused):
+        _, asked, trials, events = refused
+        assert len(asked) == len(trials) + 2
+        assert [t.parameters for t in trials] == [a for k, a in enumerate(asked) if k not in (1, 5)]
+        assert [e.tasks for e in events if e.kind is EventKind.REFUSE] == [1, 4]
+
+    def test_what_is_proposed_in_its_place_differs(self, refused):
+        _, asked, trials, _ = refused
+        later = [trial.parameters["x"] for trial in trials[4:]]
+        # Half of the largest step at the trust of a quarter or a half.
+        assert all(abs(x - asked[5]["x"]) > 0.5 * TRAVEL * FIRST for x in later)
+
+    def test_a_run_that_continues_knows_of_it(self, refused, function_backend):
+        study, asked, trials, _ = refused
+        driver = Driver(function_backend(study, ramp))
+        again = Tuning(study, driver, METHOD, trials=trials[:6], refused=[asked[1], asked[5]])
+        assert [*trials[:6], *again] == trials
+
+    def test_of_the_only_start_ends_the_search(self, study_of, function_backend):
+        study, gate = study_of(trials=3), Gate()
+        gate.admission = Refusing({0})
+        tuning = Tuning(study, Driver(function_backend(study, ramp), gate=gate), METHOD)
+        assert list(tuning) == []
+        assert tuning.plan.standstill == NO_SAFE_START
 
 
 class TestStandstill:

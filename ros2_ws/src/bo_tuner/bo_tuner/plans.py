@@ -30,6 +30,8 @@ class EventKind(StrEnum):
     GUARD = "guard"
     CONTINUE = "continue"
     STANDSTILL = "standstill"
+    ACCEPT = "accept"
+    REFUSE = "refuse"
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,10 @@ class Event:
     kind
         A request to finish the phase early, or to go on with it all the same in a later session; a
         pause, on request or because the guard had taken over, or its end; that the phase has ended
-        early because its plan cannot go on.
+        early because its plan cannot go on; that somebody has allowed a task, or has not.
     detail
-        More in a line: what the guard says, or why the plan cannot go on.
+        More in a line: what the guard says, why the plan cannot go on, or as JSON who has allowed
+        or refused which parameters, when and where.
     """
 
     phase: str
@@ -147,6 +150,16 @@ class Plan(ABC, Generic[TaskT]):
     @abstractmethod
     def tell(self, task: TaskT) -> bool:
         """Take the result of a task, in the order of the tasks; returns whether it ends a step."""
+
+    def refuse(self, task: TaskT) -> None:
+        """Take back the task that was asked for last; it is not carried out, nor asked for again.
+
+        Raises
+        ------
+        ValueError
+            If no task of this plan can be refused.
+        """
+        raise ValueError(f"no {self.what} can be refused")
 
     def finish(self) -> bool:
         """Plan no more tasks on request; returns whether that ends the phase before its time."""

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import importlib.util
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,13 +20,15 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
+from bo_tuner.cli.confirm import NO_TERMINAL
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import Workers, workers_of
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import method_of, problem_of
+from bo_tuner.methods.registry import SAFE, method_of, problem_of
+from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -125,6 +128,7 @@ def _run(
         carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web),
         web_control=arguments.web_control,
+        confirm=arguments.confirm,
     )
     if plan.resumed is not None:
         folder = RunFolder(plan.resumed.path.resolve())
@@ -308,6 +312,15 @@ def _check_options(
     """Refuse options that do not go with the run."""
     if plan.stop_early and len(plan.study.objectives) > 1:
         parser.error("--stop-early: expected a study with one objective; leave it out")
+    if arguments.confirm:
+        if plan.algorithm != SAFE:
+            parser.error("--confirm: expected a safe search; add --safe")
+        if workers.window > 1:
+            parser.error(f"--confirm: expected 1 worker, found {workers.window}")
+        if arguments.output_mode is Output.JSON_LINES:
+            parser.error("--confirm: asks in words; leave --json-lines out")
+        if not sys.stdin.isatty():
+            parser.error(f"--confirm: {NO_TERMINAL}")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:

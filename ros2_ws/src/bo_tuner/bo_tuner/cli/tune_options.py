@@ -50,6 +50,7 @@ examples:
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
   tune --safe --attach                 from what runs now on, in small steps
+  tune --safe --attach --confirm       the same, and ask before each step
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -157,6 +158,12 @@ def _add_method(group: Group) -> None:
         const=SAFE,
         help="try only parameter sets that are expected to keep all limits, from the default or "
         f"those of --start on, in bounded steps; the same as --algorithm {SAFE}",
+    )
+    group.add_argument(
+        "--confirm",
+        action="store_true",
+        help="with a safe search: show each parameter set before it is tried, and wait until you "
+        "allow it, refuse it or end the trials",
     )
     group.add_argument(
         "--stop-early",

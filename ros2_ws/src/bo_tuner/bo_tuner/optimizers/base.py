@@ -76,6 +76,9 @@ class Optimizer(Protocol):
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
 
+    def refuse(self, parameters: Mapping[str, Value]) -> None:
+        """Never propose a parameter set again: somebody does not allow it."""
+
 
 class DesignedOptimizer:
     """Base of the optimizers that start with what the study names, and a Latin hypercube.
@@ -95,6 +98,8 @@ class DesignedOptimizer:
         All trials passed to `tell`.
     pending
         As passed to `ask`.
+    refused
+        Parameter sets that somebody does not allow.
     standstill
         See `Optimizer`; most can always go on.
     """
@@ -106,6 +111,7 @@ class DesignedOptimizer:
         self.space = study.search_space()
         self.trials: list[Trial] = []
         self.pending: tuple[Trial, ...] = ()
+        self.refused: list[dict[str, Value]] = []
         self._keys: set[tuple[Value, ...]] = set()
         self._judged: set[tuple[Value, ...]] = set()
         self._starts = study.starting_sets()
@@ -122,6 +128,12 @@ class DesignedOptimizer:
         self._keys.add(key)
         if not trial.disturbed:
             self._judged.add(key)
+
+    def refuse(self, parameters: Mapping[str, Value]) -> None:
+        """Never propose a parameter set again: somebody does not allow it."""
+        self.refused.append(dict(parameters))
+        self._keys.add(self.space.key(parameters))
+        self._judged.add(self.space.key(parameters))
 
     @property
     def number(self) -> int:
@@ -143,12 +155,19 @@ class DesignedOptimizer:
         key = self.space.key(parameters)
         return any(self.space.key(trial.parameters) == key for trial in self.pending)
 
-    def initial(self) -> Proposal | None:
-        """Return the initial design's proposal for the next trial, or None after the last."""
+    def start(self) -> Proposal | None:
+        """Return the first parameter set to start from that was not tried, or None after all."""
         for parameters in self._starts:
             if not self.has_tried(parameters):
                 is_default = parameters == self.space.defaults
                 return Proposal(parameters, DEFAULT if is_default else START)
+        return None
+
+    def initial(self) -> Proposal | None:
+        """Return the initial design's proposal for the next trial, or None after the last."""
+        start = self.start()
+        if start is not None:
+            return start
         # Trials of an earlier run take the place of as many points.
         number = self.number - len(self._starts)
         if number >= len(self._design):

@@ -6,7 +6,7 @@ sequence for given q, in whatever order results come; those that come early wait
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Generic
 
 from bo_tuner.backends.protocol import Backend
@@ -154,9 +154,21 @@ class Steps(Generic[TaskT]):
 
     def _fill(self) -> None:
         """Plan what can be planned; an observer is told if the plan cannot go on."""
-        self._window.fill()
+        self._window.fill(self._admit)
         if self.over and self._plan.standstill:
             self._note(EventKind.STANDSTILL, self._plan.standstill)
+
+    def _admit(self, task: TaskT) -> bool:
+        """Return whether a task may be carried out; the answer of whoever is asked is an event."""
+        answer = self._gate.admit(task)
+        if answer is not None:
+            self._note(EventKind.ACCEPT if answer.allowed else EventKind.REFUSE, answer.detail)
+        if answer is None or answer.allowed:
+            return True
+        self._plan.refuse(task)
+        if answer.ends and self._plan.finish():
+            self._note(EventKind.FINISH)
+        return False
 
     def _pass_gate(self) -> None:
         """Take requests from outside, and pass them to observers as events."""
@@ -223,12 +235,18 @@ class _Window(Generic[TaskT]):
         self.tasks: deque[_Planned[TaskT]] = deque()
         self.planned = 0
 
-    def fill(self) -> None:
-        """Plan tasks until the window is full or the plan has none now."""
+    def fill(self, admit: Callable[[TaskT], bool]) -> None:
+        """Plan tasks until the window is full or the plan has none now.
+
+        `admit` returns whether a task may be carried out; another one is asked for in place of one
+        that may not.
+        """
         while len(self.tasks) < self._size:
             task = self._plan.ask([planned.task for planned in self.tasks])
             if task is None:
                 return
+            if not admit(task):
+                continue
             planned = _Planned(task, self._plan.attempts)
             self.tasks.append(planned)
             self.planned += 1

@@ -1,7 +1,7 @@
 """The trials of a run as a plan: parameter sets of stage one, each with stage two as its task."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
+    Value,
     WorstCase,
     count_evaluations,
     count_trials,
@@ -72,6 +73,11 @@ class TrialTask:
         self._first = method.first_contexts(study, number, proposal)
         self._searches: WorstCaseSearches | None = None
         self._done: list[Evaluation] = []
+
+    @property
+    def parameters(self) -> Mapping[str, Value]:
+        """The proposed parameter set."""
+        return self._proposal.parameters
 
     def ask(self) -> Evaluation | None:
         """Return the next evaluation; None when the trial has ended."""
@@ -233,6 +239,8 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         planned and told like others, so that those after them are planned as they were before.
     finished
         Number of trials after which an earlier session was asked to finish.
+    refused
+        Parameter sets that somebody did not allow in an earlier session.
 
     Attributes
     ----------
@@ -250,11 +258,14 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         method: Method,
         recorded: Sequence[Trial] = (),
         finished: int | None = None,
+        refused: Iterable[Mapping[str, Value]] = (),
     ) -> None:
         self._study = study
         self._method = method
         self._recorded = tuple(recorded)
         self._optimizer = method.optimizer(study)
+        for parameters in refused:
+            self._optimizer.refuse(parameters)
         self._finished = finished
         self._planned = 0
         self.steps = study.budget.trials
@@ -288,6 +299,12 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         self._planned += 1
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
 
+    def refuse(self, task: TrialTask | RecordedTask) -> None:
+        """Take back a trial; another parameter set is proposed in its place."""
+        if isinstance(task, TrialTask):
+            self._planned -= 1
+            self._optimizer.refuse(task.parameters)
+
     @property
     def standstill(self) -> str:  # noqa: D102
         return self._optimizer.standstill
@@ -315,6 +332,8 @@ class Tuning:
         Those on record, which are not run again.
     finished
         Number of trials after which an earlier session was asked to finish.
+    refused
+        Parameter sets that somebody did not allow in an earlier session.
 
     Attributes
     ----------
@@ -330,8 +349,9 @@ class Tuning:
         *,
         trials: Sequence[Trial] = (),
         finished: int | None = None,
+        refused: Iterable[Mapping[str, Value]] = (),
     ) -> None:
-        self.plan = TrialPlan(study, method, trials, finished)
+        self.plan = TrialPlan(study, method, trials, finished, refused)
         self._driver = driver
         self._recorded = trials
 

@@ -56,6 +56,9 @@ FIRST_STEP = 0.1
 REPEATED = 3
 """Trials in a row of known parameter sets after which the search stands still."""
 
+CLOSE = 0.5
+"""Share of the largest step, in each number, within which points are close to a refused one."""
+
 OPTIMISM = 2.0
 """Standard deviations by which the cost may be less than its mean where the set may grow."""
 
@@ -89,15 +92,14 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
     def __init__(self, study: Study, ranking: PooledRanking, acquisition: AcquisitionRule) -> None:
         super().__init__(study, ranking.fit, acquisition)
         self._how = study.safe_search or SafeSearch()
-        # Nothing is tried that nobody knows to be safe.
         self._starts = self._starts or [self.space.defaults]
-        self._design = self._design[:0]
         self._in_the_way = ALL_TRIED
 
     def ask(self, pending: Sequence[Trial] = ()) -> Proposal | None:
         """Propose the next trial; None if none is expected to be safe."""
         self.pending = tuple(pending)
-        start = self.initial()
+        # No design beyond these: nothing is tried that nobody knows to be safe.
+        start = self.start()
         if start is not None:
             return start
         if not self._kept:
@@ -108,7 +110,8 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         if step is not None:
             return Proposal(step, EXPANSION)
         proposal = self.propose(self._safe)
-        if proposal.origin == REPETITION and self._repeated >= REPEATED:
+        refused = any(proposal.parameters == parameters for parameters in self.refused)
+        if proposal.origin == REPETITION and (refused or self._repeated >= REPEATED):
             self.standstill = "" if pending else self._in_the_way
             return None
         return proposal
@@ -121,7 +124,8 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
             mean = trial.mean(objective.metric)
             return np.inf if mean is None else objective.sign * mean
 
-        return dict(min(self._kept, key=cost).parameters), REPETITION
+        free = [trial for trial in self._kept if trial.parameters not in self.refused]
+        return dict(min(free or self._kept, key=cost).parameters), REPETITION
 
     def _first_step(self) -> dict[str, Value] | None:
         """Return the start with one number changed that no trial has changed; None after all."""
@@ -140,7 +144,9 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
                 points = space.repair(start + inwards * FIRST_STEP * np.diag(travel)[[column]])
             if len(points):
                 step = points[int((inwards * points[:, column]).argmax())]
-                return space.to_parameters(step)
+                parameters = space.to_parameters(step)
+                if not self.has_judged(parameters):
+                    return parameters
         return None
 
     @property
@@ -166,7 +172,7 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         goal = search.maximize().position
         reach = Reach.of(self.study, kept, self._how.travel, trust)
         safe_set = SafeSet(surrogates, trust * self._how.risk)
-        candidates = reach.candidates(goal, rng)
+        candidates = self._allowed(reach.candidates(goal, rng), reach.travel)
         safe = candidates[safe_set.contains(candidates)]
         if not len(safe):
             self._in_the_way = self._obstacle(safe_set, candidates)
@@ -181,6 +187,15 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         first, second = (growing, improving) if self._grows else (improving, growing)
         yield from first
         yield from second
+
+    def _allowed(self, x: Array, travel: Array) -> Array:
+        """Return the points x (m, d) that are not close to one that somebody has refused.
+
+        Else the next proposal would be nearly the same.
+        """
+        for refused in self.space.cube_of(self.refused):
+            x = x[(np.abs(x - refused) > CLOSE * travel).any(axis=1)]
+        return x
 
     def _may_improve(
         self, surrogates: PooledSurrogates, x: Array, incumbent: float | None
@@ -199,6 +214,8 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
 
     def _obstacle(self, safe_set: SafeSet, candidates: Array) -> str:
         """Return which limit keeps all candidates (m, d) from being safe, and what would help."""
+        if not len(candidates):
+            return ALL_TRIED
         name, sure = safe_set.most_doubtful(candidates) if safe_set.limits else ("", 0.0)
         limit = f"the limit {name}" if name else "that no run fails"
         return (
