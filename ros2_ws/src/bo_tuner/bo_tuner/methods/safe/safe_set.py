@@ -43,7 +43,7 @@ from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
-CONFIDENCE = 0.99
+CONFIDENCE = 0.999
 """How sure it must be that a run keeps a limit with the probability that it must."""
 
 CANDIDATES = 1500
