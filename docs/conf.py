@@ -30,8 +30,8 @@ suppress_warnings = ["misc.highlighting_failure", "myst.xref_ambiguous"]
 CONTENTS = {
     "Tutorials": ["tutorial_first_run", "tutorial_unchanged_system", "tutorial_your_own_node"],
     "How to": [
-        "live", "deploy", "guard", "safe_search", "procedure", "systems", "workers", "python", "campaigns",
-        "security", "troubleshooting",
+        "live", "deploy", "guard", "safe_search", "procedure", "systems", "workers", "python",
+        "campaigns", "security", "troubleshooting",
     ],
     "Reference": ["commands", "study_file", "glossary", "interfaces", "python_reference"],
     "Explanation": [
