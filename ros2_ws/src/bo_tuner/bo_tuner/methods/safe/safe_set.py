@@ -6,9 +6,10 @@ q(x, c) of runs in the context c, its standard deviation s(x, c) and the limit L
 
     max_c q(x, c) + t s(x, c) <= L
 
-where t is the `CONFIDENCE` quantile of Student's distribution with as many degrees of freedom as
-parameter sets were tried: the spread and the length scales of a process are learnt from these, and
-from few of them its own deviation is too small.
+where t is the `CONFIDENCE` quantile of the normal distribution, or the `AMONG_FEW` quantile of
+Student's with as many degrees of freedom as parameter sets were tried, if that is larger: the
+spread and the length scales of a process are learnt from these, and from few of them its own
+deviation is too small.
 
 This is the safe set of SafeOpt (Sui et al. 2015, Algorithm 1) without a Lipschitz constant, by the
 confidence interval of the process itself (Berkenkamp et al. 2016), where what is limited is a
@@ -33,7 +34,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.models.pooled_responses import PooledResponse
@@ -45,6 +46,9 @@ from bo_tuner.trials import Trial
 
 CONFIDENCE = 0.999
 """How sure it must be that a run keeps a limit with the probability that it must."""
+
+AMONG_FEW = 0.997
+"""The same while few parameter sets were tried, with the quantile of Student's distribution."""
 
 CANDIDATES = 1500
 """Random points within reach among which the next one is chosen."""
@@ -90,7 +94,8 @@ class SafeSet:
         """Least log probability of a limit that is kept: log Φ(t)."""
         objective = self.surrogates.objective
         tried = 1 if objective is None else len(objective.points)
-        return float(log_normal_cdf(stdtrit(tried, CONFIDENCE)))
+        t = max(ndtri(CONFIDENCE), stdtrit(tried, AMONG_FEW))
+        return float(log_normal_cdf(t))
 
     def uncertainty(self, x: Array) -> Array:
         """Return the largest standard deviation (m,) of a limited quantile at x (m, d).
