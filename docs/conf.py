@@ -37,8 +37,8 @@ suppress_warnings = ["misc.highlighting_failure", "myst.xref_ambiguous"]
 CONTENTS = {
     "Tutorials": ["tutorial_first_run", "tutorial_unchanged_system", "tutorial_your_own_node"],
     "How to": [
-        "live", "deploy", "identify", "guard", "procedure", "systems", "workers", "cluster",
-        "python", "campaigns", "security", "troubleshooting",
+        "live", "deploy", "identify", "guard", "safe_search", "procedure", "systems", "workers",
+        "cluster", "python", "campaigns", "security", "troubleshooting",
     ],
     "Notebooks": [
         "notebooks/pid", "notebooks/worst_case", "notebooks/mpc_weights",

@@ -145,6 +145,10 @@ class Watcher(RunObserver):
     def __init__(self):
         self.evaluations = []
         self.steps = []
+        self.events = []
+
+    def event(self, event):
+        self.events.append(event)
 
     def evaluation(self, evaluation):
         self.evaluations.append(evaluation)

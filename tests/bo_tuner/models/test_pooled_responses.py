@@ -221,6 +221,9 @@ class Known(PooledResponse):
         self.limit, self.sign = limit, sign
         self._mean, self._variance, self._run = mean, variance, run
 
+    def on_runs(self, level):
+        return self
+
     def predict(self, x):
         return self.forecast(x)[:2]
 
@@ -257,3 +260,32 @@ class TestFutureBound:
         _, _, of_runs = EveryContext(process, 1.5, CORNERS, z).forecast(x)
         assert of_mean == pytest.approx([0.05**2], rel=0.5)
         assert of_runs / of_mean == pytest.approx([1.0 + z**2 / 2.0])
+
+
+class TestLimitOnSingleRuns:
+    """A limit on the mean as one that runs keep, with normal noise of a known deviation."""
+
+    NOISE = 0.2
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def process(cls):
+        rng = np.random.default_rng(3)
+        x, c = rng.random((400, 1)), rng.random((400, 1))
+        y = x[:, 0] + c[:, 0] + cls.NOISE * rng.standard_normal(400)
+        return fitted(x, c, y)
+
+    def test_in_every_context(self, process):
+        """In the worst context, c = 1, the 97.5 % quantile is x + 1 + 1.96 σ."""
+        limit = EveryContext(process, 2.0, np.array([[0.0], [1.0]]))
+        x = np.array([[0.3], [0.6]])
+        quantile = limit.on_runs(0.975).predict_mean(x)
+        expected = x[:, 0] + 1.0 + norm.ppf(0.975) * self.NOISE
+        assert quantile == pytest.approx(expected, abs=0.1)
+        assert limit.predict_mean(x) == pytest.approx(x[:, 0] + 1.0, abs=0.06)
+
+    def test_never_asks_for_less_than_the_limit_does(self, process):
+        limit = EveryContext(process, 2.0, CORNERS, deviations=3.0)
+        assert limit.on_runs(0.9).deviations == 3.0
+        over = OverContexts(process, 2.0, CORNERS, 0.99)
+        assert (over.on_runs(0.9).probability, over.on_runs(0.999).probability) == (0.99, 0.999)

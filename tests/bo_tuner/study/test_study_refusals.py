@@ -383,3 +383,36 @@ def test_a_symlog_scale_needs_bounds_from_0_on(bounds):
         "parameters.kd.scale: the symlog scale needs bounds from 0 on, found lower bound "
         f"{bounds[0]}; leave it out"
     )
+
+
+class TestSafeSearch:
+    @pytest.mark.parametrize(
+        ("section", "message"),
+        [
+            ({"risk": 0.5}, "safe_search.risk: expected at most 0.2, found 0.5"),
+            (
+                {"risk": 0.0},
+                "safe_search.risk: expected a number between 0 and 1, both excluded, found 0.0",
+            ),
+            (
+                {"travel": 1.0},
+                "safe_search.travel: expected a number between 0 and 1, both excluded, found 1.0",
+            ),
+            ("yes", "safe_search: expected a mapping, found text 'yes'"),
+        ],
+    )
+    def test_section(self, section, message):
+        assert refusal(put(section, "safe_search")) == message
+
+    def test_travel_of_a_parameter(self):
+        message = refusal(put(0.0, "parameters", "gains.kp", "travel"))
+        assert message.startswith("parameters.gains.kp.travel: expected a number between 0 and 1")
+
+    def test_travel_of_one_that_is_no_number(self):
+        changed = put(
+            {"node": "drive", "type": "boolean", "default": True, "travel": 0.1},
+            "parameters",
+            "window",
+        )
+        message = refusal(changed)
+        assert message == "parameters.window.travel: a boolean has no travel; leave it out"

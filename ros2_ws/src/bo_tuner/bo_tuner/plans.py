@@ -29,6 +29,9 @@ class EventKind(StrEnum):
     PAUSE = "pause"
     GUARD = "guard"
     CONTINUE = "continue"
+    STANDSTILL = "standstill"
+    ACCEPT = "accept"
+    REFUSE = "refuse"
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,11 @@ class Event:
         Number of tasks that were planned in this phase until then, in all sessions.
     kind
         A request to finish the phase early, or to go on with it all the same in a later session; a
-        pause, on request or because the guard had taken over, or its end.
+        pause, on request or because the guard had taken over, or its end; that the phase has ended
+        early because its plan cannot go on; that somebody has allowed a task, or has not.
     detail
-        More in a line; of the guard what it says.
+        More in a line: what the guard says, why the plan cannot go on, or as JSON who has allowed
+        or refused which parameters, when and where.
     """
 
     phase: str
@@ -55,7 +60,7 @@ class Event:
 
 
 def finished_after(events: Iterable[Event], phase: Phase = Phase.TUNING) -> int | None:
-    """Return the number of tasks after which a phase was to finish early; None if it goes on.
+    """Return the number of tasks after which a phase has none to come; None if it goes on.
 
     Parameters
     ----------
@@ -64,12 +69,24 @@ def finished_after(events: Iterable[Event], phase: Phase = Phase.TUNING) -> int 
     phase
         The phase, such as the trials; those after them begin anew in a run that goes on with these.
     """
+    latest = _latest_end(events, phase)
+    return None if latest is None else latest.tasks
+
+
+def standstill_in(events: Iterable[Event]) -> str:
+    """Return why the trials of a run could not go on; empty if they can, or were asked to end."""
+    latest = _latest_end(events, Phase.TUNING)
+    return latest.detail if latest is not None and latest.kind is EventKind.STANDSTILL else ""
+
+
+def _latest_end(events: Iterable[Event], phase: Phase) -> Event | None:
+    """Return the latest event that ended a phase early; None if it went on after it."""
     latest: Event | None = None
     for event in events:
-        finishes = event.kind is EventKind.FINISH and event.phase == phase
-        if finishes or event.kind is EventKind.EXTEND:
+        ends = event.kind in (EventKind.FINISH, EventKind.STANDSTILL) and event.phase == phase
+        if ends or event.kind is EventKind.EXTEND:
             latest = event
-    return latest.tasks if latest is not None and latest.kind is EventKind.FINISH else None
+    return None if latest is None or latest.kind is EventKind.EXTEND else latest
 
 
 class Task(Protocol):
@@ -105,12 +122,18 @@ class Plan(ABC, Generic[TaskT]):
         How many steps the phase has at most.
     attempts : int
         Runs of an evaluation that is lost or disturbed.
+    standstill : str
+        Why it has ended before its time of itself, with what would help; empty if it has not.
     """
 
     phase: str = ""
     what: str = "evaluations"
     steps: int = 0
     attempts: int = 1
+
+    @property
+    def standstill(self) -> str:  # noqa: D102
+        return ""
 
     @abstractmethod
     def ask(self, pending: Sequence[TaskT]) -> TaskT | None:
@@ -130,6 +153,16 @@ class Plan(ABC, Generic[TaskT]):
     @abstractmethod
     def tell(self, task: TaskT) -> bool:
         """Take the result of a task, in the order of the tasks; returns whether it ends a step."""
+
+    def refuse(self, task: TaskT) -> None:
+        """Take back the task that was asked for last; it is not carried out, nor asked for again.
+
+        Raises
+        ------
+        ValueError
+            If no task of this plan can be refused.
+        """
+        raise ValueError(f"no {self.what} can be refused")
 
     def finish(self) -> bool:
         """Plan no more tasks on request; returns whether that ends the phase before its time."""

@@ -22,7 +22,7 @@ from bo_tuner.errors import (
     UnknownRunError,
     WindowFull,
 )
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, problem_of
+from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.plans import Phases, Plan
 from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
@@ -348,7 +348,7 @@ def opened(
         relative to that.
     """
     checks.integer(window, "window", at_least=1, at_most=LARGEST_WINDOW)
-    name = algorithm or DEFAULT_METHOD
+    name = algorithm or method_of(study)
     checks.choice(name, tuple(METHODS), "algorithm")
     record = _recorded(study, path, algorithm)
     if record is not None:

@@ -32,7 +32,7 @@ from bo_tuner.evidence.certificate.judgement import least_evaluations
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
@@ -328,7 +328,7 @@ def probable_certificate(study: Study) -> Outlook | None:
 
 def evaluations_at_most(study: Study) -> tuple[int, int]:
     """Return the largest numbers of evaluations of a study and of the certificate of its result."""
-    tuning = METHODS[DEFAULT_METHOD].most_evaluations(study)
+    tuning = METHODS[method_of(study)].most_evaluations(study)
     # A trial has a suspected context for each worst-case limit.
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())

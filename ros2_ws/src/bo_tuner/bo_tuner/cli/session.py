@@ -16,6 +16,7 @@ from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
 from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
+from bo_tuner.cli.confirm import Confirmation, refused_in
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.web_options import tell_address
@@ -109,6 +110,8 @@ class RunOptions:
         Where to serve the live page; None for no page.
     web_control
         Whether the page may pause and end the run.
+    confirm
+        Whether to ask on the terminal before each trial.
     """
 
     algorithm: str = DEFAULT_METHOD
@@ -124,6 +127,7 @@ class RunOptions:
     carried: Carried | None = None
     web: Address | None = None
     web_control: bool = False
+    confirm: bool = False
 
 
 class Session:
@@ -351,7 +355,17 @@ class Session:
             finished=finished,
         )
         driver = Driver(backend, observers, window=options.workers.window, gate=self._gate)
-        tuning = Tuning(study, driver, self._method, trials=known, finished=finished)
+        refused = refused_in(earlier.events)
+        tuning = Tuning(
+            study, driver, self._method, trials=known, finished=finished, refused=refused
+        )
+        if options.confirm:
+            self._gate.admission = Confirmation(
+                study,
+                self._method,
+                lambda: tuning.trials,
+                self._interruption,
+            )
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
             if finished is not None:

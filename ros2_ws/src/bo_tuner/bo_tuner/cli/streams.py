@@ -5,6 +5,7 @@ import io
 import os
 import select
 import sys
+from collections.abc import Callable
 from io import TextIOWrapper
 from typing import TextIO
 
@@ -48,13 +49,19 @@ def say_error(text: str) -> None:
         sys.stderr.flush()
 
 
-def ask(question: str, interruption: Interruption) -> str | None:
-    """Return the line that the user answers, without its end; None at the end of the input."""
+def ask(
+    question: str, interruption: Interruption, waiting: Callable[[], None] = lambda: None
+) -> str | None:
+    """Return the line that the user answers, without its end; None at the end of the input.
+
+    `waiting` is called again and again until it is there.
+    """
     sys.stdout.write(question)
     sys.stdout.flush()
     # A read would continue after a signal, so wait until there is input.
     while not select.select([sys.stdin], [], [], 0.1)[0]:
         interruption.check()
+        waiting()
     return line.strip() if (line := sys.stdin.readline()) else None
 
 

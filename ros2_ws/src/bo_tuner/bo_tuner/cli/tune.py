@@ -2,6 +2,7 @@
 
 import argparse
 import importlib.util
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
+from bo_tuner.cli.confirm import NO_TERMINAL
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
@@ -26,7 +28,8 @@ from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import DEFAULT_METHOD, problem_of
+from bo_tuner.methods.registry import SAFE, method_of, problem_of
+from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -129,6 +132,7 @@ def _run(
         carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
+        confirm=arguments.confirm,
     )
     if plan.resumed is not None:
         folder = RunFolder(plan.resumed.path.resolve())
@@ -246,7 +250,7 @@ def _new(
     if named in shipped_studies() and not attach:
         _check_installed(load_study(named), backend)
     study = _given(named, attach, arguments, ros_arguments, interruption)
-    algorithm = arguments.algorithm or DEFAULT_METHOD
+    algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
@@ -309,6 +313,15 @@ def _check_options(
     """Refuse options that do not go with the run."""
     if plan.stop_early and len(plan.study.objectives) > 1:
         parser.error("--stop-early: expected a study with one objective; leave it out")
+    if arguments.confirm:
+        if plan.algorithm != SAFE:
+            parser.error("--confirm: expected a safe search; add --safe")
+        if workers.window > 1:
+            parser.error(f"--confirm: expected 1 worker, found {workers.window}")
+        if arguments.output_mode is Output.JSON_LINES:
+            parser.error("--confirm: asks in words; leave --json-lines out")
+        if not sys.stdin.isatty():
+            parser.error(f"--confirm: {NO_TERMINAL}")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
     if arguments.web_host is not None and arguments.web is None:

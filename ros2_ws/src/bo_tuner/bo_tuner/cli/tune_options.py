@@ -12,7 +12,7 @@ from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.errors import StudyError
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SAFE
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
@@ -54,6 +54,8 @@ examples:
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
   tune --time 30min                    have the result by then
+  tune --safe --attach                 from what runs now on, in small steps
+  tune --safe --attach --confirm       the same, and ask before each step
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -160,7 +162,21 @@ def _add_method(group: Group) -> None:
         "--algorithm",
         choices=tuple(METHODS),
         help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
-        + f" (default: {DEFAULT_METHOD})",
+        + f" (default: {SAFE} for a study with safe_search, else {DEFAULT_METHOD})",
+    )
+    group.add_argument(
+        "--safe",
+        action="store_const",
+        dest="algorithm",
+        const=SAFE,
+        help="try only parameter sets that are expected to keep all limits, from the default or "
+        f"those of --start on, in bounded steps; the same as --algorithm {SAFE}",
+    )
+    group.add_argument(
+        "--confirm",
+        action="store_true",
+        help="with a safe search: show each parameter set before it is tried, and wait until you "
+        "allow it, refuse it or end the trials",
     )
     group.add_argument(
         "--stop-early",

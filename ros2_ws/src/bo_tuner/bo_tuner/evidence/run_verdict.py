@@ -30,6 +30,7 @@ from bo_tuner.evidence.validated import (
     validated,
 )
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.plans import standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.measured import seen_in, seen_in_words
@@ -68,8 +69,12 @@ def run_verdict(record: RunRecord) -> Verdict:
 
 def _latest(record: RunRecord) -> Verdict:
     by_validation, trial = _by_validation(record), record.result
+    standstill = standstill_in(record.events)
     if by_validation is None or trial is None:
-        return open_verdict(record.study, record.trials)
+        return open_verdict(record.study, record.trials, standstill)
+    if standstill:
+        remark = f"The search ended after {counted(len(record.trials), 'trial')}: {standstill}."
+        by_validation = replace(by_validation, remarks=(*by_validation.remarks, remark))
     try:
         path = latest_certificate(record, trial)
         return by_validation if path is None else _certified(record, trial, path, by_validation)

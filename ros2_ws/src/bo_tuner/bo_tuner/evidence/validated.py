@@ -8,7 +8,7 @@ from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.study.limits import Standing, worst_case_holds
+from bo_tuner.study.limits import Standing, kept_by, worst_case_holds
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
 from bo_tuner.trials import (
@@ -31,8 +31,19 @@ FAILURES = "failed evaluations"
 """Stands for them where problems have the names of constraints, which have no space."""
 
 
-def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
-    """Return the verdict of a run that has no result, or none yet."""
+def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") -> Verdict:
+    """Return the verdict of a run that has no result, or none yet.
+
+    Parameters
+    ----------
+    study, trials
+        Of the run.
+    standstill
+        Why its search could not go on; empty if it can.
+    """
+    if standstill and not kept_by(study, trials):
+        reasons = (f"{standstill[0].upper()}{standstill[1:]}",)
+        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
     done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)
@@ -84,7 +95,8 @@ def validated(
     state = State.INFEASIBLE if reasons else State.INCOMPLETE if lost else State.VALIDATED
     same = is_default(study, tuned.parameters)
     of_default = _found_by_search(study, trials) | _problems(study, default, default_limits)
-    default_reasons = tuple(of_default.values()) if of_default or not default.lost else None
+    known = default.draws > 0 and not default.lost
+    default_reasons = tuple(of_default.values()) if of_default or known else None
     if same:
         default_reasons = None if lost and not reasons else reasons
     sides = (
@@ -191,8 +203,9 @@ def _problems(
     problems = {
         name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
         for name, limit in limits.items()
-        # All of the test runs may have been lost, which shows nothing.
-        if limit.standing is Standing.VIOLATED and (limit.runs or not validation.lost)
+        # All of the test runs may have been lost, or none made, which shows nothing.
+        if limit.standing is Standing.VIOLATED
+        and (limit.runs or (validation.draws and not validation.lost))
     }
     if validation.failures:
         problems[FAILURES] = (

@@ -17,7 +17,7 @@ from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate, Ranking
 from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context, Evaluation, Stage, Trial
+from bo_tuner.trials import Context, Evaluation, Outcome, Stage, Trial, Value
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
 
 
@@ -73,6 +73,10 @@ class Method(Protocol):
     ) -> list[tuple[Stage, Context]]:
         """Return the contexts that a trial begins in, by its number, each with its stage."""
 
+    def ends_trial(self, study: Study, outcome: Outcome) -> bool:
+        """Return whether a trial ends with a run that is complete; with one that failed it does."""
+        return False
+
     @abstractmethod
     def worst_case_searches(
         self, study: Study, proposal: Proposal, trials: Sequence[Trial]
@@ -119,6 +123,12 @@ class Method(Protocol):
             Largest number of evaluations, where these follow from the budget; by default as many
             as are due to the trials.
         """
+
+    def runs_again(
+        self, study: Study, trials: Sequence[Trial], parameters: Mapping[str, Value]
+    ) -> bool:
+        """Return whether a parameter set may be run in the validation."""
+        return True
 
     def doubt(self, feasibility: float) -> str:
         """Return why an answer that is not `Recommendation.feasible` is doubtful.

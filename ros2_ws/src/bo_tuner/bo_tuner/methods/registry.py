@@ -1,4 +1,4 @@
-"""Methods by name: `boundary`, the default; I to IV of the paper (Sec. 5.1); V, a joint model."""
+"""Methods by name: `boundary`, the default; `safe`; I to IV of the paper (Sec. 5.1); V, joint."""
 
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.contexts import NominalContext
@@ -7,10 +7,11 @@ from bo_tuner.methods.paper.method import PaperMethod
 from bo_tuner.methods.paper.random_search import RandomSearch
 from bo_tuner.methods.paper.searches import Joint, NoSearch
 from bo_tuner.methods.protocol import Method
+from bo_tuner.methods.safe.method import Safe
 from bo_tuner.models.trial_models import TrialModels, over_contexts
 from bo_tuner.study.study import Study
 
-BOUNDARY = "boundary"
+BOUNDARY, SAFE = "boundary", "safe"
 DEFAULT_METHOD = BOUNDARY
 
 METHODS: dict[str, Method] = {
@@ -35,7 +36,13 @@ METHODS: dict[str, Method] = {
     BOUNDARY: Boundary(
         "search, then repeated runs at the boundary of the limits, all pooled in one joint model"
     ),
+    SAFE: Safe("as boundary, in bounded steps among what is expected to keep all limits"),
 }
+
+
+def method_of(study: Study) -> str:
+    """Return the name of the method of a study, unless the user names another one."""
+    return DEFAULT_METHOD if study.safe_search is None else SAFE
 
 
 def problem_of(name: str, study: Study) -> str:

@@ -136,6 +136,10 @@ class PooledResponse(LimitedResponse):
     scale: ModelScale
 
     @abstractmethod
+    def on_runs(self, level: float) -> Self:
+        """Return the limit that runs keep with the probability `level`, or more if it is so now."""
+
+    @abstractmethod
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return mean and variance (m,) of the limited quantile at x (m, d), and that of a run.
 
@@ -218,6 +222,9 @@ class EveryContext(PooledResponse):
         if not self.deviations:
             return 0.0
         return self.process.noise_deviations(self.deviations, self.sign)
+
+    def on_runs(self, level: float) -> Self:  # noqa: D102
+        return replace(self, deviations=max(self.deviations, float(ndtri(level))))
 
     def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
@@ -352,6 +359,9 @@ class OverContexts(PooledResponse):
     probability: float
     sign: float = 1.0
     scale: ModelScale = NO_COMPRESSION
+
+    def on_runs(self, level: float) -> Self:  # noqa: D102
+        return replace(self, probability=max(self.probability, level))
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""

@@ -77,7 +77,9 @@ class Display(RunObserver):
         print_line(self._console, text, INDENT)
 
     def event(self, event: Event) -> None:
-        """Show that the run was asked to finish, whoever has asked."""
+        """Show that the run was asked to finish, whoever has asked, or cannot go on."""
+        if event.kind is EventKind.STANDSTILL:
+            self.warn(f"the search ends after {counted(event.tasks, 'trial')}: {event.detail}")
         if event.kind is not EventKind.FINISH:
             return
         if event.phase == Phase.TUNING:

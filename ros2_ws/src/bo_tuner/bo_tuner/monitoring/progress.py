@@ -128,6 +128,13 @@ class RunProgress(Display):
         self._show()
         self.inform(f"paused; {self._going_on}" if paused else "continuing")
 
+    def asking(self, asked: bool) -> None:
+        """Leave the terminal to a question."""
+        if asked:
+            self._progress.stop()
+        else:
+            self._progress.start()
+
     def inform(self, text: str) -> None:
         """Show a line of information above the bar."""
         self._print(text, "  ")

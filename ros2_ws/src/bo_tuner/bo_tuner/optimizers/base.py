@@ -13,6 +13,7 @@ from bo_tuner.trials import Trial, Value
 DEFAULT, START = "default", "start"
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
 RANDOM, SPACE_FILLING = "random", "space-filling"
+EXPANSION, REPETITION = "expansion", "repetition"
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Proposal:
         Every parameter of the study.
     origin
         How it was proposed: ``default``, ``start``, ``initial``, ``acquisition``, ``refinement``,
-        ``random`` or ``space-filling``.
+        ``random``, ``space-filling``, ``expansion`` or ``repetition``.
     warnings
         Numerical problems while it was proposed, one line each.
     hyperparameters
@@ -52,7 +53,11 @@ class Optimizer(Protocol):
     a run can be resumed.
     """
 
-    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+    @property
+    def standstill(self) -> str:
+        """Why it cannot go on, and what would help, in one line; empty while it can."""
+
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal | None:
         """Propose the parameter set of the next trial.
 
         Parameters
@@ -60,10 +65,19 @@ class Optimizer(Protocol):
         pending
             Trials that were proposed later and have no results yet, in their order. Their
             evaluations are planned ones, in the contexts that they begin in.
+
+        Returns
+        -------
+        Proposal or None
+            None while something is pending: not before more is told; else: for the reason of
+            `standstill`.
         """
 
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
+
+    def refuse(self, parameters: Mapping[str, Value]) -> None:
+        """Never propose a parameter set again: somebody does not allow it."""
 
 
 class DesignedOptimizer:
@@ -84,13 +98,20 @@ class DesignedOptimizer:
         All trials passed to `tell`.
     pending
         As passed to `ask`.
+    refused
+        Parameter sets that somebody does not allow.
+    standstill
+        See `Optimizer`; most can always go on.
     """
+
+    standstill = ""
 
     def __init__(self, study: Study) -> None:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
         self.pending: tuple[Trial, ...] = ()
+        self.refused: list[dict[str, Value]] = []
         self._keys: set[tuple[Value, ...]] = set()
         self._judged: set[tuple[Value, ...]] = set()
         self._starts = study.starting_sets()
@@ -107,6 +128,12 @@ class DesignedOptimizer:
         self._keys.add(key)
         if not trial.disturbed:
             self._judged.add(key)
+
+    def refuse(self, parameters: Mapping[str, Value]) -> None:
+        """Never propose a parameter set again: somebody does not allow it."""
+        self.refused.append(dict(parameters))
+        self._keys.add(self.space.key(parameters))
+        self._judged.add(self.space.key(parameters))
 
     @property
     def number(self) -> int:
@@ -128,12 +155,19 @@ class DesignedOptimizer:
         key = self.space.key(parameters)
         return any(self.space.key(trial.parameters) == key for trial in self.pending)
 
-    def initial(self) -> Proposal | None:
-        """Return the initial design's proposal for the next trial, or None after the last."""
+    def start(self) -> Proposal | None:
+        """Return the first parameter set to start from that was not tried, or None after all."""
         for parameters in self._starts:
             if not self.has_tried(parameters):
                 is_default = parameters == self.space.defaults
                 return Proposal(parameters, DEFAULT if is_default else START)
+        return None
+
+    def initial(self) -> Proposal | None:
+        """Return the initial design's proposal for the next trial, or None after the last."""
+        start = self.start()
+        if start is not None:
+            return start
         # Trials of an earlier run take the place of as many points.
         number = self.number - len(self._starts)
         if number >= len(self._design):

@@ -30,7 +30,7 @@ from bo_tuner.optimizers.base import (
 )
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial
+from bo_tuner.trials import Trial, Value
 
 NEGLIGIBLE = 1e-3
 """Largest acquisition, in standard deviations of the cost, that is not worth a trial.
@@ -215,7 +215,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         self._models = models
         self._acquisition = acquisition
 
-    def ask(self, pending: Sequence[Trial] = ()) -> Proposal:
+    def ask(self, pending: Sequence[Trial] = ()) -> Proposal | None:
         """Propose the parameter set of the next trial."""
         self.pending = tuple(pending)
         return self.initial() or self.propose(self._most_promising)
@@ -244,9 +244,13 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cause = f"{type(error).__name__}: {error}"
             warnings += (f"the acquisition function could not be maximized: {cause}",)
+        parameters, origin = self.without_point(rng)
+        return Proposal(parameters, origin, warnings, warm, protocol, outliers)
+
+    def without_point(self, rng: np.random.Generator) -> tuple[dict[str, Value], str]:
+        """Return the parameter set where no point is proposed, with its origin."""
         tried = self.space.cube_of(t.parameters for t in (*self.trials, *self.pending))
-        parameters = self.space.to_parameters(space_filling(self.space, tried, rng))
-        return Proposal(parameters, SPACE_FILLING, warnings, warm, protocol, outliers)
+        return self.space.to_parameters(space_filling(self.space, tried, rng)), SPACE_FILLING
 
     def _fantasies(self) -> list[Trial]:
         """Return what is believed of the trials that are pending."""

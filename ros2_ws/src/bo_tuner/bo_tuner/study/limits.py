@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
+from bo_tuner.trials import Evaluation, Outcome, ParameterSet, Trial, TrialState, WorstCase
 
 WITHIN = "within limits"
 OVER = "over the limit"
@@ -165,6 +165,44 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     z = constraint.deviations
     error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(beyond))
     return mean + z * noise - error > 0.0
+
+
+def broken_limits(study: Study, outcome: Outcome) -> tuple[str, ...]:
+    """Return the names of the constraints beyond whose limit a single run is; none if it failed."""
+    if not outcome.complete:
+        return ()
+    return tuple(
+        constraint.name
+        for constraint in study.constraints.values()
+        if constraint.violations(outcome.metrics[constraint.metric])
+    )
+
+
+def is_within_limits(study: Study, trial: Trial) -> bool:
+    """Return whether every usable run of a trial was complete and kept all limits.
+
+    False if there is no such run.
+    """
+    outcomes = [e.outcome for e in trial.evaluations if not e.outcome.unusable]
+    return bool(outcomes) and not any(
+        broken_limits(study, outcome) or not outcome.complete for outcome in outcomes
+    )
+
+
+def kept_by(study: Study, trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials of parameter sets all runs of which, in all trials, kept the limits.
+
+    The first trial of each parameter set, in the order of the run.
+    """
+    sets: dict[ParameterSet, list[Trial]] = {}
+    for trial in trials:
+        if not trial.unusable:
+            sets.setdefault(trial.parameter_set, []).append(trial)
+    return [
+        of_set[0]
+        for of_set in sets.values()
+        if all(is_within_limits(study, trial) for trial in of_set)
+    ]
 
 
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from bo_tuner.trials import Value
 Number = int | float
 
 TYPES = ("double", "integer", "boolean", "string")
-_TUNED_ONLY = ("bounds", "step", "choices", "minimum_correlation")
+_TUNED_ONLY = ("bounds", "step", "choices", "minimum_correlation", "travel")
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
@@ -57,6 +57,9 @@ class Parameter(Titled):
         Unit, for display only.
     minimum_correlation : float, optional
         Lower bound of the surrogates' correlation between neighbouring integers.
+    travel : float, optional
+        Largest distance, in a safe search, from a parameter set that was tried and has kept its
+        limits, as a share of the range on the scale; that of `safe_search` unless given.
     parameter : str
         Name of the parameter in the node, whatever ROS takes, such as ``gains.ur5e/wrist-1.p``; the
         name of this entry unless given. ``covariance[7]`` is an item of the array `covariance`,
@@ -76,6 +79,7 @@ class Parameter(Titled):
     label: str = ""
     unit: str = ""
     minimum_correlation: float | None = None
+    travel: float | None = None
     parameter: str = ""
 
     def __post_init__(self) -> None:
@@ -174,9 +178,11 @@ class Parameter(Titled):
                 raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
             correlation = checks.fraction(self.minimum_correlation, "minimum_correlation")
             object.__setattr__(self, "minimum_correlation", correlation)
+        if self.travel is not None:
+            object.__setattr__(self, "travel", checks.fraction(self.travel, "travel"))
 
     def _check_levels(self) -> None:
-        self._refuse(f"a {self.type}", "bounds", "step", "minimum_correlation")
+        self._refuse(f"a {self.type}", "bounds", "step", "minimum_correlation", "travel")
         if self.type == "boolean":
             self._refuse("a boolean", "choices")
         else:

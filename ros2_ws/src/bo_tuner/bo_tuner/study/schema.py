@@ -27,6 +27,7 @@ from bo_tuner.study.parameter import TYPES, Parameter
 from bo_tuner.study.parts import ContextVariable
 from bo_tuner.study.profiles import Profile
 from bo_tuner.study.run import End
+from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
@@ -52,6 +53,12 @@ CHOICES: dict[tuple[type, str], tuple[str, ...]] = {
     (Parameter, "type"): TYPES,
     (ContextVariable, "type"): TYPES,
 }
+WORDS: dict[type, Schema] = {
+    End: {"const": "result"},
+    Guarding: {"type": "boolean"},
+    SafeSearch: {"type": "boolean"},
+}
+"""Single words that can stand for a mapping."""
 
 
 def schema() -> Schema:
@@ -179,9 +186,8 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
     if cls is Constraint and field.name in (UPPER, LOWER):
         # A text is a limit relative to the default.
         return {"anyOf": [schema, {"type": "string"}]}
-    for part, alone in ((End, {"const": "result"}), (Guarding, {"type": "boolean"})):
+    for part, alone in WORDS.items():
         if schema.get("$ref") == f"#/$defs/{part.__name__}":
-            # A single word can stand for the mapping.
             return {"anyOf": [schema, alone]}
     return schema
 

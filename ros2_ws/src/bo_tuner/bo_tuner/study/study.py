@@ -53,6 +53,7 @@ from bo_tuner.study.references import (
     node_references,
 )
 from bo_tuner.study.run import Run
+from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_contexts import check_contexts
@@ -106,6 +107,9 @@ class Study:
     guard : Guarding
         Whether a guard watches also over nodes that the tuner starts, and its patience; or
         ``true``.
+    safe_search : SafeSearch, optional
+        The search tries only parameter sets that it expects to keep all limits, as with
+        ``tune --safe``; or ``true``.
     further_objectives : tuple of Objective
         One or two more objectives. The run then searches the Pareto front of all, and its result is
         the compromise between them, while the limits hold as with one.
@@ -157,6 +161,7 @@ class Study:
     signals: Mapping[str, Signal] = field(default_factory=dict)
     park: Park = field(default_factory=Park)
     guard: Guarding = field(default_factory=Guarding)
+    safe_search: SafeSearch | None = None
     further_objectives: tuple[Objective, ...] = ()
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     measured: tuple[str, ...] = ()

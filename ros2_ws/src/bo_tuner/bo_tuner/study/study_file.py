@@ -24,6 +24,7 @@ from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trig
 from bo_tuner.study.references import check_names
 from bo_tuner.study.relative_limits import written_out
 from bo_tuner.study.run import Run, build_run
+from bo_tuner.study.safe_search import SafeSearch, build_safe_search
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
@@ -33,7 +34,11 @@ MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
 
 # Sections that may be, in whole or in part, a single word.
-_BUILDERS: dict[type[Any], Callable[[object], Any]] = {Run: build_run, Guarding: build_guarding}
+_BUILDERS: dict[type[Any], Callable[[object], Any]] = {
+    Run: build_run,
+    Guarding: build_guarding,
+    SafeSearch: build_safe_search,
+}
 # Sections with one object, and sections with objects by name.
 _SINGLE: dict[str, type[Any]] = {
     "trigger": Trigger,
@@ -43,6 +48,7 @@ _SINGLE: dict[str, type[Any]] = {
     "run": Run,
     "park": Park,
     "guard": Guarding,
+    "safe_search": SafeSearch,
     "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {

@@ -6,7 +6,7 @@ sequence for given q, in whatever order results come; those that come early wait
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Generic
 
 from bo_tuner.backends.protocol import Backend
@@ -119,7 +119,7 @@ class Steps(Generic[TaskT]):
 
     def begin(self) -> Iterator[TaskT]:
         """Plan the first tasks; yields those that have nothing to run, as `take` does."""
-        self._window.fill()
+        self._fill()
         yield from self._tell()
 
     def due(self) -> Iterator[Evaluation]:
@@ -150,17 +150,34 @@ class Steps(Generic[TaskT]):
             yield ended.task
             self._pass_gate()
             self._losses.check()
-            self._window.fill()
+            self._fill()
+
+    def _fill(self) -> None:
+        """Plan what can be planned; an observer is told if the plan cannot go on."""
+        self._window.fill(self._admit)
+        if self.over and self._plan.standstill:
+            self._note(EventKind.STANDSTILL, self._plan.standstill)
+
+    def _admit(self, task: TaskT) -> bool:
+        """Return whether a task may be carried out; the answer of whoever is asked is an event."""
+        answer = self._gate.admit(task)
+        if answer is not None:
+            self._note(EventKind.ACCEPT if answer.allowed else EventKind.REFUSE, answer.detail)
+        if answer is None or answer.allowed:
+            return True
+        self._plan.refuse(task)
+        if answer.ends and self._plan.finish():
+            self._note(EventKind.FINISH)
+        return False
 
     def _pass_gate(self) -> None:
         """Take requests from outside, and pass them to observers as events."""
-
-        def note(kind: EventKind, detail: str = "") -> None:
-            self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
-
-        self._gate.wait(note)
+        self._gate.wait(self._note)
         if self._gate.finishing(self._plan.phase) and self._plan.finish():
-            note(EventKind.FINISH)
+            self._note(EventKind.FINISH)
+
+    def _note(self, kind: EventKind, detail: str = "") -> None:
+        self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))
 
 
 class _Planned(Generic[TaskT]):
@@ -218,12 +235,18 @@ class _Window(Generic[TaskT]):
         self.tasks: deque[_Planned[TaskT]] = deque()
         self.planned = 0
 
-    def fill(self) -> None:
-        """Plan tasks until the window is full or the plan has none now."""
+    def fill(self, admit: Callable[[TaskT], bool]) -> None:
+        """Plan tasks until the window is full or the plan has none now.
+
+        `admit` returns whether a task may be carried out; another one is asked for in place of one
+        that may not.
+        """
         while len(self.tasks) < self._size:
             task = self._plan.ask([planned.task for planned in self.tasks])
             if task is None:
                 return
+            if not admit(task):
+                continue
             planned = _Planned(task, self._plan.attempts)
             self.tasks.append(planned)
             self.planned += 1

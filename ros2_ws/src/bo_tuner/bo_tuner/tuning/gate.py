@@ -1,10 +1,41 @@
 """Where a run takes requests from outside: to wait, to end, or to finish a phase early."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from bo_tuner.interruption import Pause
 from bo_tuner.plans import EventKind, Phase
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What somebody answers who is asked about a task.
+
+    Attributes
+    ----------
+    allowed
+        Whether it may be carried out.
+    ends
+        Whether the phase is to end.
+    detail
+        Who has answered, when and where, and what it was about, as JSON.
+    """
+
+    allowed: bool
+    ends: bool
+    detail: str
+
+
+class Admission(Protocol):
+    """Asks somebody whether a task may be carried out."""
+
+    def concerns(self, task: object) -> bool:
+        """Return whether it is a task to ask about."""
+
+    def ask(self, task: Any, wait: Callable[[], None]) -> Answer:
+        """Ask, and wait for the answer; `wait` is called again and again until it is there."""
 
 
 class Gate:
@@ -28,6 +59,9 @@ class Gate:
     ----------
     requests
         Takes the requests to pause and to continue.
+    admission
+        Is asked about each task of a phase that can be refused before it begins; None if nobody
+        wants to be asked.
     """
 
     def __init__(
@@ -43,6 +77,22 @@ class Gate:
         self.requests = Pause()
         self._finishing = finishing
         self._asked_to_finish = False
+        self.admission: Admission | None = None
+
+    def admit(self, task: object) -> Answer | None:
+        """Return what somebody answers about a task; None if nobody is asked about it.
+
+        The run is paused all the while, so that the machine is parked.
+        """
+        if self.admission is None or not self.admission.concerns(task):
+            return None
+        self._check()
+        self._observer.asking(True)
+        answer = self.admission.ask(task, self._look)
+        self._observer.asking(False)
+        if answer.ends:
+            self.finish()
+        return answer
 
     def halt(self, reason: str) -> None:
         """Let the run wait because the guard has taken over, for a reason in one line."""

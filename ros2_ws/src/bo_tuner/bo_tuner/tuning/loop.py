@@ -1,7 +1,7 @@
 """The trials of a run as a plan: parameter sets of stage one, each with stage two as its task."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,8 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
+    Value,
+    WorstCase,
     count_evaluations,
     count_trials,
 )
@@ -30,7 +32,7 @@ ATTEMPTS = 2
 class TrialTask:
     """A trial: evaluations in its first contexts, then those of the search for the worst one.
 
-    It ends with the first evaluation that fails.
+    It ends with the first evaluation that fails, or as the method says.
 
     Parameters
     ----------
@@ -75,10 +77,15 @@ class TrialTask:
         self._searches: WorstCaseSearches | None = None
         self._done: list[Evaluation] = []
 
+    @property
+    def parameters(self) -> Mapping[str, Value]:
+        """The proposed parameter set."""
+        return self._proposal.parameters
+
     def ask(self) -> Evaluation | None:
         """Return the next evaluation; None when the trial has ended."""
         done = self._done
-        if done and not done[-1].outcome.complete:
+        if done and self._ends_with(done[-1]):
             return None
         if len(done) < len(self._first):
             return self._planned(*self._first[len(done)])
@@ -101,7 +108,7 @@ class TrialTask:
 
     def trial(self) -> Trial:
         """Return the trial, once it has ended."""
-        proposal, searches = self._proposal, self._searches
+        proposal = self._proposal
         failed = [e.outcome for e in self._done if not e.outcome.complete]
         return Trial(
             number=self._number,
@@ -110,7 +117,7 @@ class TrialTask:
             state=TrialState.FAILED if failed else TrialState.COMPLETE,
             reason=failed[0].reason if failed else "",
             evaluations=tuple(self._done),
-            worst_cases={} if failed or not searches else searches.worst_cases(self._rng()),
+            worst_cases={} if failed else self._worst_cases(),
             warnings=proposal.warnings,
             hyperparameters=proposal.hyperparameters,
             seconds=self._seconds,
@@ -120,6 +127,15 @@ class TrialTask:
     def pending(self) -> Trial:
         """What others can know of it before it has ended."""
         return pending_trial(self._study, self._method, self._number, self._proposal)
+
+    def _ends_with(self, evaluation: Evaluation) -> bool:
+        outcome = evaluation.outcome
+        return not outcome.complete or self._method.ends_trial(self._study, outcome)
+
+    def _worst_cases(self) -> dict[str, WorstCase]:
+        # One that ended early has not searched yet.
+        searches = self._searches or self._begin_search()
+        return searches.worst_cases(self._rng())
 
     def _begin_search(self) -> WorstCaseSearches:
         searches = self._method.worst_case_searches(self._study, self._proposal, self._known)
@@ -231,6 +247,8 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         planned and told like others, so that those after them are planned as they were before.
     finished
         Number of trials after which an earlier session was asked to finish.
+    refused
+        Parameter sets that somebody did not allow in an earlier session.
 
     Attributes
     ----------
@@ -248,11 +266,14 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         method: Method,
         recorded: Sequence[Trial] = (),
         finished: int | None = None,
+        refused: Iterable[Mapping[str, Value]] = (),
     ) -> None:
         self._study = study
         self._method = method
         self._recorded = tuple(recorded)
         self._optimizer = method.optimizer(study)
+        for parameters in refused:
+            self._optimizer.refuse(parameters)
         self._finished = finished
         self._planned = 0
         self.steps = study.budget.trials
@@ -281,8 +302,20 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         begin = time.monotonic()
         proposal = self._optimizer.ask(planned)
         seconds = time.monotonic() - begin
+        if proposal is None:
+            return None
         self._planned += 1
         return TrialTask(self._study, self._method, number, proposal, self.trials, seconds)
+
+    def refuse(self, task: TrialTask | RecordedTask) -> None:
+        """Take back a trial; another parameter set is proposed in its place."""
+        if isinstance(task, TrialTask):
+            self._planned -= 1
+            self._optimizer.refuse(task.parameters)
+
+    @property
+    def standstill(self) -> str:  # noqa: D102
+        return self._optimizer.standstill
 
     def tell(self, task: TrialTask | RecordedTask) -> bool:
         """Add a trial; observers are notified of it as a trial and not as a step."""
@@ -307,6 +340,8 @@ class Tuning:
         Those on record, which are not run again.
     finished
         Number of trials after which an earlier session was asked to finish.
+    refused
+        Parameter sets that somebody did not allow in an earlier session.
 
     Attributes
     ----------
@@ -322,8 +357,9 @@ class Tuning:
         *,
         trials: Sequence[Trial] = (),
         finished: int | None = None,
+        refused: Iterable[Mapping[str, Value]] = (),
     ) -> None:
-        self.plan = TrialPlan(study, method, trials, finished)
+        self.plan = TrialPlan(study, method, trials, finished, refused)
         self._driver = driver
         self._recorded = trials
 

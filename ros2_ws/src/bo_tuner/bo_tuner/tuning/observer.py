@@ -44,6 +44,10 @@ class RunObserver:
     def pause(self, paused: bool) -> None:
         """Handle the start of a pause between two evaluations, or its end."""
 
+    def asking(self, asked: bool) -> None:
+        """Handle that somebody is asked about the next task, or has answered: it is a pause."""
+        self.pause(asked)
+
     def waiting(self) -> None:
         """Handle that a pause lasts; called again and again."""
 
@@ -110,6 +114,11 @@ class Observers(RunObserver):
         """Pass on a pause or its end."""
         for observer in self._observers:
             observer.pause(paused)
+
+    def asking(self, asked: bool) -> None:
+        """Pass on a question, or that it was answered."""
+        for observer in self._observers:
+            observer.asking(asked)
 
     def waiting(self) -> None:
         """Pass on that a pause lasts."""

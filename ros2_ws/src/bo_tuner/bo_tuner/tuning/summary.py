@@ -57,7 +57,8 @@ def concluding(
 ) -> Phases[Conclusion | None]:
     """Yield the plans that check the best candidates, and validate the recommended one.
 
-    It is validated beside the default. Each plan is carried out before the next is asked for.
+    It is validated beside the default, unless the method forbids to run that. Each plan is carried
+    out before the next is asked for.
 
     Parameters
     ----------
@@ -80,12 +81,12 @@ def concluding(
     best = search.answer
     if best is None:
         return None
-    validation = ValidationPlan(
-        study, [study.search_space().defaults, best.candidate.trial.parameters]
-    )
+    default = study.search_space().defaults
+    spared = () if method.runs_again(study, trials, default) else (0,)
+    validation = ValidationPlan(study, [default, best.candidate.trial.parameters], spared)
     yield validation
-    default, tuned = validation.results
-    return Conclusion(best, default, tuned, effects_in(study, trials))
+    of_default, of_tuned = validation.results
+    return Conclusion(best, of_default, of_tuned, effects_in(study, trials))
 
 
 def conclude(

@@ -1,6 +1,6 @@
 """Validation of parameter sets on fresh draws of context and noise (Sec. 5.2)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -90,13 +90,21 @@ class ValidationPlan(Plan[Run]):
         The study; its budget sets the number of draws.
     candidates
         The parameter sets; all get the same contexts and seeds.
+    spared
+        Numbers of those that are not run, and have no draws.
     """
 
     phase = Phase.VALIDATION
 
-    def __init__(self, study: Study, candidates: Sequence[Mapping[str, Value]]) -> None:
+    def __init__(
+        self,
+        study: Study,
+        candidates: Sequence[Mapping[str, Value]],
+        spared: Collection[int] = (),
+    ) -> None:
         self._study = study
         self._candidates = candidates
+        self._run = [number for number in range(len(candidates)) if number not in spared]
         self._planned = self._evaluations()
         self._results: list[list[Evaluation]] = [[] for _ in candidates]
         self.steps = study.budget.validation_draws
@@ -109,7 +117,7 @@ class ValidationPlan(Plan[Run]):
     def tell(self, task: Run) -> bool:
         """Add an evaluation; a draw of all parameter sets is a step."""
         self._results[task.evaluation.trial].append(task.evaluation)
-        return sum(map(len, self._results)) % len(self._candidates) == 0
+        return sum(map(len, self._results)) % len(self._run) == 0
 
     @property
     def results(self) -> list[Validation]:
@@ -120,7 +128,7 @@ class ValidationPlan(Plan[Run]):
     def _evaluations(self) -> Iterator[Evaluation]:
         study, contexts = self._study, self._study.context_space()
         rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
-        numbers = range(len(self._candidates))
+        numbers = self._run
         for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
             seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0 if study.is_noiseless else k)
             context = contexts.to_dict(row)

@@ -1,6 +1,6 @@
 """Another optimizer in the place of the tuner's: the same trials, evaluated in the same way."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from bo_tuner.models.observations import single_evaluation_margin
 from bo_tuner.optimizers import base
 from bo_tuner.optimizers.base import DesignedOptimizer, Proposal
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import Trial, TrialState, Value
 from tuning_benchmark.peers.optimizer import Observation, Optimizer, best_observed
 
 ORIGIN = "asked"
@@ -28,6 +28,8 @@ class PeerOptimizer:
     optimizer
         It is told of every trial; of the initial ones when they are all done.
     """
+
+    standstill = ""
 
     def __init__(self, study: Study, optimizer: Optimizer) -> None:
         self._study = study
@@ -65,6 +67,16 @@ class PeerOptimizer:
         self._trials.append(trial)
         if not self._designing:
             self._show(trial)
+
+    def refuse(self, parameters: Mapping[str, Value]) -> None:
+        """Refuse to refuse: a peer decides by itself what it proposes.
+
+        Raises
+        ------
+        ParameterError
+            Always.
+        """
+        raise ParameterError(f"{dict(parameters)}: a peer takes no refusal")
 
     def recommend(self) -> int | None:
         """Return the number of the trial that the optimizer recommends; None if it has none.

@@ -1,0 +1,183 @@
+"""``tune --confirm``: shows the next parameter set, and asks whether it may be tried."""
+
+import getpass
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+
+import numpy as np
+from scipy.special import ndtri
+
+from bo_tuner.cli.streams import ask
+from bo_tuner.interruption import Interruption
+from bo_tuner.methods.protocol import Method
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.monitoring.display import say
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.plans import Event, EventKind
+from bo_tuner.study.study import Study
+from bo_tuner.text import shown, values, with_unit
+from bo_tuner.trials import Trial, Value
+from bo_tuner.tuning.gate import Answer
+from bo_tuner.tuning.loop import TrialTask
+
+BAND = 0.95
+"""Probability of the bands that are shown."""
+
+NEAREST = 2
+"""Tried parameter sets that are shown beside the next one."""
+
+REMINDER = 60.0
+"""Time [s] after which a run that waits for an answer says so again."""
+
+QUESTION = "try it? [y]es, [n]o but another one, [e]nd the trials: "
+NO_TERMINAL = "no terminal to ask on"
+
+
+class Confirmation:
+    """Asks on the terminal about each trial; see `bo_tuner.tuning.gate.Admission`.
+
+    Parameters
+    ----------
+    study, method
+        Of the run.
+    trials
+        Returns all trials so far.
+    interruption
+        Ends the run on a signal.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        method: Method,
+        trials: Callable[[], Sequence[Trial]],
+        interruption: Interruption,
+    ) -> None:
+        self._study = study
+        self._method = method
+        self._trials = trials
+        self._interruption = interruption
+
+    def concerns(self, task: object) -> bool:
+        """Return whether a task is a trial that is not on record."""
+        return isinstance(task, TrialTask)
+
+    def ask(self, task: TrialTask, wait: Callable[[], None]) -> Answer:
+        """Show the parameter set of a trial, and wait for the answer."""
+        for line in described(self._study, self._method, self._trials(), task.parameters):
+            say(line)
+        given, reminded = "", time.monotonic()
+
+        def waiting() -> None:
+            nonlocal reminded
+            wait()
+            if time.monotonic() >= reminded + REMINDER:
+                reminded = time.monotonic()
+                say("still waiting for an answer; the machine keeps its safe parameters")
+
+        while given not in ("y", "n", "e"):
+            answer = ask(QUESTION, self._interruption, waiting)
+            # Without a terminal any more nobody can allow anything.
+            given = "e" if answer is None else answer.lower()[:1]
+        return Answer(given == "y", given == "e", self._signed(task.parameters))
+
+    def _signed(self, parameters: Mapping[str, Value]) -> str:
+        return json.dumps(
+            {
+                "by": _user(),
+                "at": datetime.now().astimezone().isoformat(timespec="seconds"),
+                "on": "terminal",
+                "parameters": dict(parameters),
+            }
+        )
+
+
+def refused_in(events: Iterable[Event]) -> list[dict[str, Value]]:
+    """Return the parameter sets that somebody has refused in a run."""
+    return [
+        json.loads(event.detail)["parameters"] for event in events if event.kind is EventKind.REFUSE
+    ]
+
+
+def described(
+    study: Study, method: Method, trials: Sequence[Trial], parameters: Mapping[str, Value]
+) -> Iterator[str]:
+    """Yield in lines what there is to know of a parameter set before it is tried.
+
+    Parameters
+    ----------
+    study, method
+        Of the run.
+    trials
+        All trials so far.
+    parameters
+        The next parameter set.
+    """
+    space = study.search_space()
+    now = trials[-1].parameters if trials else study.safe_parameters
+    before = "trial before" if trials else "safe parameters"
+    yield f"next, trial {len(trials)}:"
+    for name in space.names:
+        unit = study.parameters[name].unit
+        compared = f"{before} {shown(now[name])}, default {shown(space.defaults[name])}"
+        yield f"  {with_unit(name, unit)}: {shown(parameters[name])} ({compared})"
+    complete = [trial for trial in trials if not trial.unusable]
+    if not complete:
+        yield "  nothing is known yet to predict it by"
+        return
+    x = space.to_cube(parameters)[None]
+    try:
+        models = method.ranking.models(study, trials)
+        yield from _predicted(study, models, x)
+    except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+        yield f"  cannot be predicted: {error}"
+    points = space.cube_of(trial.parameters for trial in complete)
+    for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
+        trial = complete[k]
+        tried = values({name: trial.parameters[name] for name in space.names})
+        yield f"  nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}"
+
+
+def _predicted(study: Study, models: Surrogates, x: Array) -> Iterator[str]:
+    """Yield what models predict at x (1, d), with bands."""
+    reach = float(ndtri(0.5 + 0.5 * BAND))
+    if models.objective is not None and len(study.objectives) == 1:
+        mean, variance = models.objective.predict(x)
+        half = reach * np.sqrt(variance)
+        ends = study.from_predicted_cost(np.concatenate([mean, mean - half, mean + half]))
+        yield f"  predicted {_band(study, study.objective.metric, ends)}"
+    for name, limit in models.constraints.items():
+        constraint = study.constraints[name]
+        ends = np.concatenate(limit.band(x, reach))
+        band = _band(study, constraint.metric, ends)
+        words = constraint.rule.predicted(study.metrics[constraint.metric].title, quantile=True)
+        yield f"  predicted {band}: {words}; limit {shown(constraint.limit)}"
+
+
+def _band(study: Study, metric: str, ends: Array) -> str:
+    """Return mean and both ends (3,) of a metric in words."""
+    mean, *sides = ends.tolist()
+    low, high = sorted(sides)
+    unit = study.metrics[metric].unit
+    return f"{with_unit(metric, unit)} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
+
+
+def _observed(study: Study, trial: Trial) -> str:
+    """Return the farthest values that the runs of a trial had of each limited metric, in words."""
+    outcomes = [e.outcome for e in trial.evaluations if e.outcome.complete]
+    if not outcomes:
+        return trial.reason or trial.ending
+    return ", ".join(
+        f"{c.metric} {c.farthest(np.array([o.metrics[c.metric] for o in outcomes])):.4g}"
+        for c in study.constraints.values()
+    )
+
+
+def _user() -> str:
+    """Return who answers, as the system knows him; empty if it does not."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return ""

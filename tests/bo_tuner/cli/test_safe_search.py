@@ -1,0 +1,55 @@
+"""``tune --safe`` as a user sees it."""
+
+import pytest
+from axis import write_study
+from in_process import call
+
+from bo_tuner.cli import tune
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.methods.registry import SAFE
+from bo_tuner.methods.safe.stage_one import NO_SAFE_START
+from bo_tuner.storage.record import read_run
+
+
+@pytest.fixture
+def study_file(tmp_path, make_study):
+    return write_study(tmp_path, make_study())
+
+
+def test_without_a_safe_start_it_ends_with_what_would_help(
+    tmp_path, study_file, capsys, monkeypatch, handlers
+):
+    """The peak is limited to 1; nothing more is run, neither now nor when it is resumed."""
+    monkeypatch.setenv("PEAK", "2")
+    monkeypatch.chdir(tmp_path)
+    options = ("--backend", "inprocess", "--study", study_file, "--safe", "--quiet")
+    code, _, err = call(tune, capsys, *options)
+    record = read_run(tmp_path / "runs" / "latest")
+    assert (code, record.algorithm, len(record.evaluations)) == (3, SAFE, 1)
+    assert NO_SAFE_START in " ".join(err.split())
+    (reason,) = run_verdict(record).reasons
+    assert reason == f"{NO_SAFE_START[0].upper()}{NO_SAFE_START[1:]}"
+    code, _, _ = call(tune, capsys, "--resume", "latest", "--quiet")
+    assert (code, len(read_run(tmp_path / "runs" / "latest").evaluations)) == (3, 1)
+
+
+def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch, handlers):
+    study = write_study(tmp_path, make_study(safe_search={"travel": 0.2}))
+    monkeypatch.chdir(tmp_path)
+    code, _, _ = call(tune, capsys, "--backend", "inprocess", "--study", study, "--quiet")
+    record = read_run(tmp_path / "runs" / "latest")
+    assert (code, record.algorithm) == (0, SAFE)
+    gains = [trial.parameters["gain"] for trial in record.trials]
+    assert gains[0] == 0.5
+    assert all(
+        min(abs(gain - other) for other in gains[:k]) <= 0.2 + 1e-9
+        for k, gain in enumerate(gains[1:], 1)
+    )
+
+
+def test_without_a_limit_it_is_refused(tmp_path, make_study, capsys, monkeypatch):
+    study = write_study(tmp_path, make_study(constraints={}))
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(tune, capsys, "--backend", "inprocess", "--study", study, "--safe")
+    assert code == 2
+    assert err.startswith("error: --algorithm: safe needs a limit to keep, and the study has none")
