@@ -79,7 +79,7 @@ def write_study(tmp_path, **changes):
         },
     }
     for section, items in changes.items():
-        sections[section] = sections.get(section, {}) | items
+        sections[section] = sections.get(section, {}) | items if isinstance(items, dict) else items
     mapping = {
         "name": "servo",
         "nodes": {"servo": node},

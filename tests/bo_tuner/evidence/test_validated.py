@@ -118,6 +118,7 @@ def quantity(change):
     return Quantity(
         label="mean peak",
         metric="peak",
+        title="peak",
         unit="",
         default=4.0,
         tuned=8.0,

@@ -19,11 +19,12 @@ def numbers(mean, *, sign=1.0, default_over=0):
     difference = Difference(mean, mean - 0.1, mean + 0.1, 25)
     base = {"unit": "mm", "remark": "", "bound": float("nan")}
     objective = Quantity(
-        label="mean error", metric="error", default=10.0, tuned=10.0 + mean, difference=difference,
+        label="mean error", metric="error", title="error", default=10.0,
+        tuned=10.0 + mean, difference=difference,
         change=difference.change(sign), limit=float("nan"), objective=True, **base,
     )  # fmt: skip
     limited = Quantity(
-        label="largest peak", metric="peak", default=0.0, tuned=0.0, difference=None,
+        label="largest peak", metric="peak", title="peak", default=0.0, tuned=0.0, difference=None,
         change=difference.change(0.0), limit=1.0, constraint="peak", limit_verdict=OPEN,
         default_limit_verdict=replace(OPEN, violations=default_over), **base,
     )  # fmt: skip

@@ -151,8 +151,8 @@ class Study:
         algorithm
             As ``--algorithm`` of ``tune``; unless given that of the run, or the default.
         workers
-            Number of runs at once, each in a process of its own, to which the function is passed by
-            pickle; unless given ``budget.workers`` of the study, or 1.
+            Number of runs at once, each in a process of its own, to which the function is passed;
+            unless given ``budget.workers`` of the study, or 1.
         window
             How many trials are planned at once; the result depends on it and not on the workers.
             Unless given that of the run, or as many as there are workers.

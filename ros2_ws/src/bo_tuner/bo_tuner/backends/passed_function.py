@@ -128,6 +128,7 @@ def _of_worker(
     passed: bytes,
     timeout: float | None,
     _number: int,
+    _folder: Path,
     interrupted: Callable[[], None],
 ) -> Backend:
     """Make the backend of a worker."""

@@ -34,9 +34,9 @@ DESCRIPTION = """\
 Explain a run in one HTML file: the result first, then the evidence for it, the
 signals, what the parameters do, the trials, and details.
 The file needs no network; the run may still be in progress. Of several runs,
-compare verdicts, parameters, numbers, convergence and trajectories. With --serve,
-look at all runs of a folder in a browser: list, filter, compare, trials, notes,
-files.
+compare verdicts, parameters, numbers, convergence and trajectories. With
+--serve, look at all runs of a folder in a browser: list, filter, compare,
+trials, notes, files.
 """
 
 EPILOG = """\

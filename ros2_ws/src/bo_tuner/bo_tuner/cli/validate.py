@@ -114,7 +114,7 @@ examples:
   validate runs/latest --with-default      the default, too, in the same draws
   validate --parameters my_params.yaml --study my_study.yaml    without a run
   validate latest --junit report.xml       for a CI server
-  validate --against runs/latest/certificates/0001.json   the same machine still?
+  validate --against runs/latest/certificates/0001.json    drifted since?
   validate runs/latest && echo fit for use
 """
 

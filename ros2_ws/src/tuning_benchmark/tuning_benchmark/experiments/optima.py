@@ -86,15 +86,16 @@ def _path(node: type) -> str:
 def study_digest(study: Study) -> str:
     """Digest of what decides over the truth of a study's parameter sets.
 
-    It leaves out the seed, the budget, what is tried first, the scale of a metric's model, and the
-    probability of the worst-case constraint, which is on record with each search.
+    It leaves out the seed, the budget, what is tried first, the scale of a metric's model,
+    labels, and the probability of the worst-case constraint, which is on record with each search.
     """
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
-    judged["metrics"] = {
-        name: {key: value for key, value in item.items() if key != "scale"}
-        for name, item in content["metrics"].items()
-    }
+    for section, ignored in (("metrics", ("scale", "label")), ("parameters", ("label",))):
+        judged[section] = {
+            name: {key: value for key, value in item.items() if key not in ignored}
+            for name, item in content[section].items()
+        }
     judged["constraints"] = {
         name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != "worst_case"}
         for name, item in content.get("constraints", {}).items()
