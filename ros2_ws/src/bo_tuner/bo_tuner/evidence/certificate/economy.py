@@ -80,7 +80,9 @@ def said_of_draws(constraint: Constraint, draws: Array, others: Array) -> str:
     deviation = float(draws.std(ddof=1))
     far = ""
     if deviation > 0.0:
-        far = f", by {_margin(constraint, draws) / deviation:.3g} of their standard deviations"
+        times = _margin(constraint, draws) / deviation
+        # Runs that differ by rounding alone have a deviation, too.
+        far = f", by {f'{times:.3g}' if times < 1e3 else 'over 1000'} of their standard deviations"
     return (
         f"{len(others)} runs in other contexts count with the {len(draws)} draws, as all of them "
         f"keep the limit by far{far}"
