@@ -71,11 +71,11 @@ class SingleRun:
             limits = [item for item in self.study.constraints.values() if item.metric == name]
             for limit in limits:
                 yield Row(
-                    name,
+                    metric.title,
                     metric.unit,
                     shown_beside(metrics[name], limit.limit),
                     f"{'≤' if limit.sign > 0.0 else '≥'} {limit.limit:.4g}",
                     BEYOND if limit in self.beyond else WITHIN,
                 )
             if not limits:
-                yield Row(name, metric.unit, shown(metrics[name]))
+                yield Row(metric.title, metric.unit, shown(metrics[name]))

@@ -201,7 +201,9 @@ def _trust(analysis: Analysis) -> Tile:
     verdict = analysis.verdict
     certificate, result = analysis.certificate, analysis.answer
     if certificate is not None and result is not None and certificate.is_of(result):
-        return Tile("trust", verdict.certificate, "", [certificate.scope], verdict.status)
+        # An objective that got worse is no matter of trust.
+        status = Status.GOOD if verdict.state is State.CERTIFIED else verdict.status
+        return Tile("trust", verdict.certificate, "", [certificate.scope], status)
     if certificate is not None:
         scope = f"of trial {certificate.trial}, which is not the result"
         value = PASS if certificate.passed else FAIL
