@@ -287,13 +287,17 @@ def test_sentences_in_the_list_of_runs_have_room(chromium, feed_axis_run, tmp_pa
     page = tmp_path / "runs.html"
     page.write_text(Runs(tmp_path / "runs", "").listing(), encoding="utf-8")
     browser = opened(chromium, page, width=width)
-    heads = browser.evaluate(
-        "[...document.querySelectorAll('#runs th[scope=col]')].map(h => "
-        "[h.textContent.trim(), h.getBoundingClientRect().width])"
+    # On a phone each run is a card, without the head of the table.
+    sentences = browser.evaluate(
+        "[...document.querySelectorAll('#runs tbody td')].filter(c => "
+        "c.textContent.trim().length > 40).map(c => c.getBoundingClientRect().width)"
     )
-    widths = dict(heads)
-    assert min(widths["verdict"], widths["evidence"]) > 180
-    assert widths["run"] <= 15 * 16 + 1
+    assert sentences
+    assert min(sentences) > 180
+    names = browser.evaluate(
+        "[...document.querySelectorAll('#runs tbody a')].map(a => a.getBoundingClientRect().right)"
+    )
+    assert max(names) <= width
 
 
 def test_the_figures_follow_the_theme(chromium, feed_axis_page):
