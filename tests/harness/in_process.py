@@ -1,5 +1,9 @@
 """Commands in this process."""
 
+import sys
+import tempfile
+from contextlib import contextmanager
+
 
 class Uninterrupted:
     """In place of the interruption by signals."""
@@ -19,7 +23,8 @@ class Uninterrupted:
 def call(command, capsys, *arguments):
     """Run the command of a module; returns its exit code, output and errors."""
     try:
-        code = command.run([str(argument) for argument in arguments], Uninterrupted())
+        with _own_modules():
+            code = command.run([str(argument) for argument in arguments], Uninterrupted())
     except SystemExit as end:
         code = end.code
     out, err = capsys.readouterr()
@@ -35,3 +40,21 @@ def complaint(command, capsys, *arguments, code=2, warnings=0):
     assert len(warned) == warnings, err
     assert line.startswith("error: ")
     return line
+
+
+@contextmanager
+def _own_modules():
+    """Let a command import the objects of its study, whatever others of their name were before."""
+    path = list(sys.path)
+    _forget_objects()
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        _forget_objects()
+
+
+def _forget_objects():
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None)).startswith(f"{tempfile.gettempdir()}/pytest-"):
+            del sys.modules[name]

@@ -3,7 +3,7 @@
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.methods.registry import METHODS
+from bo_tuner.methods.registry import METHODS, SAFE
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 NODE = {"node": "axis"}
@@ -29,7 +29,8 @@ def test_the_default_comes_first(make_study, make_trial, algorithm):
     """Unless the study says otherwise, whatever the algorithm."""
     study = make_study(parameters=PARAMETERS, start=None)
     found = proposals(study, make_trial, 3, algorithm)
-    assert [p.origin for p in found] == ["default", "initial", "initial"]
+    then = "expansion" if algorithm == SAFE else "initial"
+    assert [p.origin for p in found] == ["default", then, then]
     assert found[0].parameters == DEFAULT
     assert len({tuple(p.parameters.values()) for p in found}) == 3
 
