@@ -1,7 +1,6 @@
 """Commands in this process."""
 
 import sys
-import tempfile
 from contextlib import contextmanager
 
 
@@ -23,7 +22,7 @@ class Uninterrupted:
 def call(command, capsys, *arguments):
     """Run the command of a module; returns its exit code, output and errors."""
     try:
-        with _own_modules():
+        with _own_objects():
             code = command.run([str(argument) for argument in arguments], Uninterrupted())
     except SystemExit as end:
         code = end.code
@@ -43,18 +42,12 @@ def complaint(command, capsys, *arguments, code=2, warnings=0):
 
 
 @contextmanager
-def _own_modules():
-    """Let a command import the objects of its study, whatever others of their name were before."""
+def _own_objects():
+    """Let a command import the `axis` of its folder, not one of that name from another test."""
     path = list(sys.path)
-    _forget_objects()
+    sys.modules.pop("axis_objects", None)
     try:
         yield
     finally:
         sys.path[:] = path
-        _forget_objects()
-
-
-def _forget_objects():
-    for name, module in list(sys.modules.items()):
-        if str(getattr(module, "__file__", None)).startswith(f"{tempfile.gettempdir()}/pytest-"):
-            del sys.modules[name]
+        sys.modules.pop("axis_objects", None)
