@@ -193,6 +193,8 @@ import os
 import runpy
 import sys
 
+# A thread of OpenBLAS that is busy at a fork lets the child wait for ever at its end.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import bo_tuner.cli.tune
 
 for arguments in json.loads(sys.argv[1]):
