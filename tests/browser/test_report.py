@@ -287,6 +287,11 @@ def test_sentences_in_the_list_of_runs_have_room(chromium, feed_axis_run, tmp_pa
     page = tmp_path / "runs.html"
     page.write_text(Runs(tmp_path / "runs", "").listing(), encoding="utf-8")
     browser = opened(chromium, page, width=width)
+    heads = browser.evaluate(
+        "[...document.querySelectorAll('#runs th[scope=col]')].map(h => "
+        "[h.textContent.trim(), h.getBoundingClientRect().width])"
+    )
+    assert dict(heads)["run"] <= 15 * 16 + 1
     # On a phone each run is a card, without the head of the table.
     sentences = browser.evaluate(
         "[...document.querySelectorAll('#runs tbody td')].filter(c => "
