@@ -417,7 +417,7 @@ class Session:
             for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
-                ros.after_default = recording.skip
+                ros.after_extra_run = recording.skip
                 self._show_on_ros(ros.context, ros.park, stack)
             elif isinstance(pool, WorkerPool) and pool.name == ROS:
                 context = stack.enter_context(
