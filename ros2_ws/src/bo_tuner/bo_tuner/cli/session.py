@@ -33,6 +33,7 @@ from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Event, EventKind, Phase, finished_after
+from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
@@ -418,6 +419,7 @@ class Session:
                 self._observers.add(observer)
             if ros is not None:
                 ros.after_extra_run = recording.skip
+                ros.at_abort = AbortBags(self._folder.path, self._study, self._display.warn)
                 self._show_on_ros(ros.context, ros.park, stack)
             elif isinstance(pool, WorkerPool) and pool.name == ROS:
                 context = stack.enter_context(

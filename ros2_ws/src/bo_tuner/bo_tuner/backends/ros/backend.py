@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -42,6 +42,7 @@ from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNod
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.message_rates import MessageRates
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
@@ -70,6 +71,10 @@ ATTEMPTS = 3
 
 FORGOTTEN = 1.5
 """Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
+
+
+AtAbort = Callable[[Evaluation, Outcome, Sequence[LatestMessage]], object]
+"""Takes an evaluation whose run was aborted, its outcome, and the messages until then."""
 
 
 class _Opened(NamedTuple):
@@ -115,6 +120,9 @@ class RosBackend(SequentialBackend):
     ----------
     at_nodes : callable
         Called with the tuner's node once the nodes are there, ahead of anything that is set.
+    at_abort : callable
+        Called with each evaluation whose run was aborted, by the tuner or the guard, its outcome,
+        and what the signals said in the 5 s before, in messages.
     """
 
     name = ROS
@@ -157,6 +165,7 @@ class RosBackend(SequentialBackend):
         self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
         self.at_nodes: Callable[[TunerNode], None] = lambda tuner: None
+        self.at_abort: AtAbort = lambda planned, outcome, latest: None
         self._claim: DomainClaim | None = None
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
@@ -370,12 +379,14 @@ class RosBackend(SequentialBackend):
         safe_state.take_unfinished()
         try:
             outcome = self._watched_over(self._evaluated(planned))
-        except BaseException:
+        except BaseException as error:
             # Such as a signal. Records are closed before this backend is, and may take their time.
             for problem in [*safe_state.stop(), *safe_state.take_unfinished()]:
                 self._opened.tuner.warn(problem)
+            self._tell_of_abort(planned, Outcome(EvaluationState.LOST, {}, brief(str(error))))
             raise
         self._latest_run = time.monotonic()
+        self._tell_of_abort(planned, outcome)
         try:
             problems = self._leave_safe(outcome.state)
         except Interrupted:
@@ -391,6 +402,10 @@ class RosBackend(SequentialBackend):
             self._opened.tuner.warn(text)
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
+
+    def _tell_of_abort(self, planned: Evaluation, outcome: Outcome) -> None:
+        if self._procedure is not None and self._procedure.before_abort:
+            self.at_abort(planned, outcome, self._procedure.before_abort)
 
     def _watched_over(self, outcome: Outcome) -> Outcome:
         """Return an outcome, or that it was lost since the guard has acted meanwhile.

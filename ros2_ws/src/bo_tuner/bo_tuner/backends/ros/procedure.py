@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from itertools import takewhile
 
@@ -27,6 +27,7 @@ from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
+from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     FailedRunError,
@@ -83,6 +84,8 @@ class Procedure:
     ----------
     recording : Recording
         What was recorded of the last run.
+    before_abort : sequence of LatestMessage
+        What the signals said in the 5 s until the last run was aborted; empty if it was not.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class Procedure:
         self._recorder = SignalRecorder(tuner.context, study.signals, guarded)
         self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
+        self.before_abort: Sequence[LatestMessage] = ()
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
         self._topics: dict[str, OwnTopic] = {}
@@ -178,8 +182,9 @@ class Procedure:
         return watch.seconds
 
     def forget(self) -> None:
-        """Empty `recording` and `counts`: the run may not come about."""
+        """Empty `recording`, `counts` and `before_abort`: the run may not come about."""
         self.recording = NOTHING_RECORDED
+        self.before_abort = ()
         self._streams.begin_run()
 
     def prepare(self) -> None:
@@ -361,10 +366,15 @@ class Procedure:
             with guarded:
                 self._perform(START)
                 return self._recorder.recording(self._watch.wait_for_end())
+        except FailedRunError:
+            if self.reason_of_abort:
+                self.before_abort = self._recorder.latest_messages.now()
+            raise
         except GuardActedError:
             # It may only have been quicker.
             with contextlib.suppress(FailedRunError):
                 self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
+            self.before_abort = self._recorder.latest_messages.now()
             raise
         finally:
             self._is_recording = False
