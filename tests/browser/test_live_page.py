@@ -1,9 +1,12 @@
 """The page of a run in progress as a reader sees it: it goes on by itself."""
 
 import pytest
+from axis import write_study
+from commands import Fork
 from functions import NODE
-from live_run import Run
+from live_run import Page, Run
 from report_runs import axis_study
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.study.study_file import study_from_mapping
 
@@ -100,6 +103,27 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
         chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path, make_study):
+    write_study(tmp_path, make_study())
+    file = tmp_path / "said.txt"
+    options = ("--backend", "inprocess", "--study", "axis.yaml", "--safe", "--confirm")
+    with file.open("w") as said:
+        process = Fork("tune", *options, "--web", "--web-control", folder=tmp_path, stderr=said)
+    try:
+        wait_until(lambda: "token=" in file.read_text(), "the address", process, file.read_text)
+        chromium.open(Page(process, file).entrance)
+        heading = "(document.querySelector('.question pre') || {}).textContent"
+        chromium.wait_for(f"String({heading}).startsWith('next, trial 0:')")
+        chromium.evaluate("document.querySelector('[data-request=accept]').click()")
+        chromium.wait_for(f"String({heading}).startsWith('next, trial 1:')")
+        chromium.evaluate("document.querySelector('[data-request=end]').click()")
+        chromium.wait_for("document.querySelector('.question').hidden")
+        assert process.wait(DEADLINE) == 0, file.read_text()
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_it_pauses_continues_and_ends_the_run(chromium, run):
