@@ -6,10 +6,10 @@ They end as soon as the verdict is clear; `most_evaluations` says when at the la
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.certificate.decisions import contradiction
 from bo_tuner.evidence.certificate.draws import REPEATS, DrawPlan, FurtherDrawPlan, RepeatedDraws
 from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.independent_search import most_searched
-from bo_tuner.evidence.certificate.judgement import contradiction
 from bo_tuner.evidence.certificate.plan import Case, CertificatePlan, Subject
 from bo_tuner.evidence.certificate.worst_contexts import WorstCasePlan, most_places
 from bo_tuner.study.study import Study

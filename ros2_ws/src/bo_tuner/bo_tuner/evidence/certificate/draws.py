@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from bo_tuner.evidence.certificate.decisions import contradiction
 from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.findings import Evidence
-from bo_tuner.evidence.certificate.judgement import contradiction
 from bo_tuner.evidence.certificate.plan import CHECKED, Case, CertificatePlan, Subject
 from bo_tuner.plans import Run
 from bo_tuner.trials import Evaluation, Stage

@@ -4,8 +4,8 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.certificate.decisions import decide_context, decide_draws
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
-from bo_tuner.evidence.certificate.judgement import decide_context, decide_draws
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.study.study import Study

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_tuner.evidence.certificate.decisions import is_failed
 from bo_tuner.evidence.certificate.findings import Evidence, Ranking
 from bo_tuner.evidence.certificate.independent_search import (
     CANDIDATES,
@@ -15,7 +16,6 @@ from bo_tuner.evidence.certificate.independent_search import (
     rank,
     worst_of_all,
 )
-from bo_tuner.evidence.certificate.judgement import is_failed
 from bo_tuner.evidence.certificate.plan import REPEATED, SEARCHED, Case, CertificatePlan, Subject
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.plans import Batches, BatchPlan, Plan, Run
