@@ -6,8 +6,10 @@ from commands import Fork
 from functions import NODE
 from live_run import Page, Run
 from report_runs import axis_study
-from waiting import DEADLINE, wait_until
+from waiting import wait_until
 
+from bo_tuner.plans import EventKind
+from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.slow
@@ -15,10 +17,14 @@ pytestmark = pytest.mark.slow
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 
+STUDY = study_from_mapping(
+    axis_study(nodes={"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}})
+)
+
+
 def held_run(folder):
     """A run of a small object with a page, held at its 21st evaluation."""
-    nodes = {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}}
-    return Run(folder, study_from_mapping(axis_study(nodes=nodes)), 21, "--web-control")
+    return Run(folder, STUDY, 21, "--web-control")
 
 
 @pytest.fixture
@@ -105,8 +111,8 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path, make_study):
-    write_study(tmp_path, make_study())
+def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path):
+    write_study(tmp_path, STUDY)
     file = tmp_path / "said.txt"
     options = ("--backend", "inprocess", "--study", "axis.yaml", "--safe", "--confirm")
     with file.open("w") as said:
@@ -114,13 +120,19 @@ def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path, make_study):
     try:
         wait_until(lambda: "token=" in file.read_text(), "the address", process, file.read_text)
         chromium.open(Page(process, file).entrance)
-        heading = "(document.querySelector('.question pre') || {}).textContent"
-        chromium.wait_for(f"String({heading}).startsWith('next, trial 0:')")
+        question = "document.querySelector('.question')"
+        chromium.wait_for(f"{question}?.querySelector('pre').textContent.startsWith('next, trial')")
+        assert not chromium.evaluate(f"{question}.hidden")
+        chromium.evaluate("document.querySelector('[data-request=refuse]').click()")
+        chromium.wait_for(f"{question}.dataset.number === '2'")
         chromium.evaluate("document.querySelector('[data-request=accept]').click()")
-        chromium.wait_for(f"String({heading}).startsWith('next, trial 1:')")
-        chromium.evaluate("document.querySelector('[data-request=end]').click()")
-        chromium.wait_for("document.querySelector('.question').hidden")
-        assert process.wait(DEADLINE) == 0, file.read_text()
+        journal = tmp_path / "runs" / "latest" / "journal.sqlite"
+
+        def answered():
+            return [event.kind for event in read_journal(journal).events][:2]
+
+        kinds = [EventKind.REFUSE, EventKind.ACCEPT]
+        wait_until(lambda: answered() == kinds, "the answers", process, file.read_text)
     finally:
         process.kill()
         process.communicate()

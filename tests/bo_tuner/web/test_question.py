@@ -21,9 +21,7 @@ def asking(tmp_path, make_study):
     write_study(tmp_path, make_study())
     file = tmp_path / "said.txt"
     with file.open("w") as said:
-        process = Fork(
-            *("tune", *OPTIONS, "--web", "--web-control"), folder=tmp_path, stderr=said
-        )
+        process = Fork(*("tune", *OPTIONS, "--web", "--web-control"), folder=tmp_path, stderr=said)
     wait_until(lambda: "token=" in file.read_text(), "the address", process, file.read_text)
     yield Page(process, file)
     process.kill()
