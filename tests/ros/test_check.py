@@ -165,6 +165,15 @@ def test_a_limit_relative_to_the_default_takes_a_second_run(servo, tmp_path):
     assert said in " ".join(out.split())
 
 
+def test_a_machine_that_warms_up_and_rests_takes_longer(servo, tmp_path):
+    code, out, err = study(tmp_path, run={"warm_up": 2, "rest": 3})
+    assert code == 0, err
+    assert re.search(r"^2 runs to warm up took [\d.]+ s: once for each command$", out, re.MULTILINE)
+    rested = re.search(r"^the machine rested ([\d.]+) s ahead of one, which counts$", out, re.M)
+    # 3 s from the end of a run on, of which setting parameters back takes a part.
+    assert 0.0 < float(rested[1]) < 3.5
+
+
 def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):
     spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
     code, _, err = study(

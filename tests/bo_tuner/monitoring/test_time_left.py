@@ -19,11 +19,15 @@ class Machine:
         self._make_trial = make_trial
         self._number = 0
 
-    def trial(self, evaluations=2, *, proposal=0.0, evaluation=1.0, ranking=0.0):
+    def trial(self, evaluations=2, *, proposal=0.0, evaluation=1.0, ranking=0.0, warm_up=0.0):
         trial = self._make_trial(self._number, {"gain": 0.5}, [1.0] * evaluations)
         self._number += 1
         self.now += proposal
         done = [dataclasses.replace(item, seconds=evaluation) for item in trial.evaluations]
+        if warm_up:
+            warmed = done[0].outcome.with_warm_up(3, warm_up)
+            done[0] = dataclasses.replace(done[0], outcome=warmed)
+            self.now += warm_up
         for item in done:
             self.now += evaluation
             self.left.evaluation(item)
@@ -190,6 +194,16 @@ def test_what_a_phase_takes_shows_in_it(machine):
     run.left.begin(Phase.VALIDATION)
     run.evaluations(5, evaluation=7.0)
     assert run.left.estimate() == 5 * 7.0
+
+
+def test_the_warm_up_is_no_time_of_what_is_to_come(machine):
+    cold, warm = machine("IV"), machine("IV")
+    for run, seconds in ((cold, 100.0), (warm, 0.0)):
+        run.left.begin(Phase.TUNING)
+        run.trial(warm_up=seconds)
+        run.trial()
+    assert cold.now == warm.now + 100.0
+    assert cold.left.estimate() == warm.left.estimate()
 
 
 @pytest.mark.parametrize("phase", [Phase.TUNING, Phase.CHECKING, Phase.VALIDATION])

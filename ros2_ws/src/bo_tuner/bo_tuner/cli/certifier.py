@@ -9,6 +9,7 @@ from rich.console import Console
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import opened
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.evidence.certificate.certificate import Certificate
@@ -22,6 +23,7 @@ from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.numerics.sequential import spent
+from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.terminal import print_line
@@ -117,6 +119,8 @@ class Certifier:
         """
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
+        if isinstance(nodes, RosBackend):
+            nodes.at_abort = AbortBags(folder.path, study, self.console.print)
         subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
         self._show_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))

@@ -42,7 +42,7 @@ from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.study import Study
-from bo_tuner.text import duration, durations, shown
+from bo_tuner.text import counted, duration, durations, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 
@@ -345,8 +345,15 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     """Show how long tuning and certificate will take, by test runs that completed."""
     starting = sum(e.outcome.starts[1] for e in complete)
-    seconds = (sum(e.seconds for e in complete) - starting) / len(complete)
+    resting = max(e.outcome.rested for e in complete)
+    seconds = (sum(e.seconds - e.outcome.rested for e in complete) - starting) / len(complete)
     say(f"an evaluation took {seconds:.3g} s")
+    if resting:
+        seconds += resting
+        say(f"the machine rested {resting:.3g} s ahead of one, which counts")
+    runs, warming = complete[0].outcome.warm_up
+    if runs:
+        say(f"{counted(runs, 'run')} to warm up took {warming:.3g} s: once for each command")
     if study.relative_metrics:
         seconds *= 2.0
         say(
@@ -362,11 +369,11 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
             f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
             f"once for {'each evaluation' if each else 'each parameter set'}"
         )
-    seconds_of_study = tuning * seconds + starts_of_study * starting
+    seconds_of_study = tuning * seconds + starts_of_study * starting + warming
 
     def of_certificate(evaluations: int) -> float:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
-        return evaluations * seconds + starts * starting
+        return evaluations * seconds + starts * starting + warming
 
     say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"

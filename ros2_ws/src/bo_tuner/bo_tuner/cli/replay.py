@@ -169,8 +169,8 @@ def _run_both(
     listener = listen_to(ros, inbox)
     try:
         inbox.collect(listener.take)
-        # The bag is of the two evaluations, and of no run of the default beside one.
-        ros.after_default = lambda: inbox.collect(listener.take)
+        # The bag is of the two evaluations, and of no run beside or ahead of one.
+        ros.after_extra_run = lambda: inbox.collect(listener.take)
         result = replay(record, recorded, ros)
         sides = {TUNED: inbox.collect(listener.take)}
         # Nodes that were lost have been restarted, and may have other topics.

@@ -33,6 +33,7 @@ from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Event, EventKind, Phase, finished_after
+from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
@@ -111,7 +112,7 @@ class RunOptions:
     web_control
         Whether the page may pause and end the run.
     confirm
-        Whether to ask on the terminal before each trial.
+        Whether to ask before each trial.
     """
 
     algorithm: str = DEFAULT_METHOD
@@ -216,7 +217,10 @@ class Session:
         status, display = self._status, self._display
         control = self._control if self._options.web_control else None
         folder = self._folder.path
-        with LivePage(self._study, folder, status, address, display.warn, control) as page:
+        question = self._gate.question
+        with LivePage(
+            self._study, folder, status, address, display.warn, control, question
+        ) as page:
             self._live_page = page
             show = display.warn if self._options.output is Output.QUIET else display.inform
             tell_address(address, "live page", show, code=self._options.output is Output.PROGRESS)
@@ -364,7 +368,7 @@ class Session:
                 study,
                 self._method,
                 lambda: tuning.trials,
-                self._interruption,
+                list(self._ways("/accept or /refuse (std_srvs/srv/Trigger)")),
             )
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
@@ -417,7 +421,8 @@ class Session:
             for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
-                ros.after_default = recording.skip
+                ros.after_extra_run = recording.skip
+                ros.at_abort = AbortBags(self._folder.path, self._study, self._display.warn)
                 self._show_on_ros(ros.context, ros.park, stack)
             elif isinstance(pool, WorkerPool) and pool.name == ROS:
                 context = stack.enter_context(
@@ -470,12 +475,15 @@ class Session:
     @property
     def _ways_to_continue(self) -> Iterator[str]:
         """Ways in which a paused run can be continued, in words."""
+        return self._ways("/pause (std_srvs/srv/SetBool, data: false)")
+
+    def _ways(self, service: str) -> Iterator[str]:
+        """Yield in words the ways to tell the run something, elsewhere than on the terminal."""
         options = self._options
         if options.web is not None and options.web_control:
             yield "on the live page"
         if options.backend == ROS:
-            service = f"{full_name(self._namespace, LIVE_NODE)}/pause"
-            yield f"by the service {service} (std_srvs/srv/SetBool, data: false)"
+            yield f"by the service {full_name(self._namespace, LIVE_NODE)}{service}"
 
     @property
     def _namespace(self) -> str:

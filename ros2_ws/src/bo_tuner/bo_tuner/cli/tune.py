@@ -320,7 +320,8 @@ def _check_options(
             parser.error(f"--confirm: expected 1 worker, found {workers.window}")
         if arguments.output_mode is Output.JSON_LINES:
             parser.error("--confirm: asks in words; leave --json-lines out")
-        if not sys.stdin.isatty():
+        answers_elsewhere = arguments.web_control or plan.backend == ROS
+        if not sys.stdin.isatty() and not answers_elsewhere:
             parser.error(f"--confirm: {NO_TERMINAL}")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")

@@ -176,7 +176,8 @@ def _add_method(group: Group) -> None:
         "--confirm",
         action="store_true",
         help="with a safe search: show each parameter set before it is tried, and wait until you "
-        "allow it, refuse it or end the trials",
+        "allow it, refuse it or end the trials, on the terminal, by a service, or on the live page "
+        "(--web-control)",
     )
     group.add_argument(
         "--stop-early",
@@ -242,7 +243,8 @@ def _add_web(group: Group) -> None:
     group.add_argument(
         "--web-control",
         action="store_true",
-        help="with --web: the page may pause, continue and end the run, and take notes",
+        help="with --web: the page may pause, continue and end the run, answer --confirm, "
+        "and take notes",
     )
     add_host_argument(group, "--web")
 
