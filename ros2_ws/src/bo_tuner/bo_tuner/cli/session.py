@@ -36,6 +36,7 @@ from bo_tuner.plans import Event, EventKind, Phase, finished_after
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
+from bo_tuner.recording.workers import HeardByWorkers, ListeningBackend
 from bo_tuner.report.deliverables import withdraw_result, write_deliverables
 from bo_tuner.report.sections.convergence import known_incumbents
 from bo_tuner.storage.carrying import Carried
@@ -163,6 +164,7 @@ class Session:
         self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
+        records_nothing = options.record.policy is Policy.NONE
         self._backend = make_backend(
             options.backend,
             study,
@@ -172,6 +174,7 @@ class Session:
             interrupted=interruption.check,
             halt=self._halt,
             workers=options.workers,
+            listening=None if records_nothing else partial(ListeningBackend, listen_to),
         )
 
     def _has_to_finish(self) -> bool:
@@ -328,7 +331,7 @@ class Session:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
-        if several := options.workers.text(options.backend):
+        if several := options.workers.text:
             self._display.inform(several)
         if options.carried is not None:
             self._display.inform(f"begins with {options.carried.text}, of {options.carried.run}")
@@ -404,14 +407,7 @@ class Session:
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
         """Let all observers see the run: what is durable first, what may wait last."""
         pool, ros = self._backend, self._backend if isinstance(self._backend, RosBackend) else None
-        recording = RunRecording(
-            self._folder.path,
-            self._study,
-            self._options.record,
-            None if ros is None else partial(listen_to, ros),
-            self._display.warn,
-            *(() if ros is None else (lambda: ros.recording,)),
-        )
+        recording = self._recording()
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)
             for observer in (journaling, recording, self._status, self._display):
@@ -430,6 +426,21 @@ class Session:
             stack.enter_context(self._display)
             stack.enter_context(recording)
             yield recording
+
+    def _recording(self) -> RunRecording:
+        """Make the recording of what the nodes say, here or at workers."""
+        backend, count = self._backend, self._options.workers.count
+        about = (self._folder.path, self._study, self._options.record)
+        warn = self._display.warn
+        if isinstance(backend, RosBackend):
+            listen = partial(listen_to, backend)
+            return RunRecording(*about, listen, warn, lambda: backend.recording)
+        if isinstance(backend, WorkerPool) and backend.name == ROS:
+            heard = HeardByWorkers(backend.take_answer)
+            return RunRecording(
+                *about, heard.to, warn, lambda: heard.signals, lambda: heard.worker, at_once=count
+            )
+        return RunRecording(*about, None, warn)
 
     def _show_on_ros(
         self, context: Context, park: Callable[[], list[str]], stack: contextlib.ExitStack

@@ -45,7 +45,6 @@ from bo_tuner.storage.trust import is_trusted
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
-from bo_tuner.text import counted
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
@@ -122,7 +121,7 @@ def _run(
         backend=plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        record=_recording(arguments, plan.resumed, workers),
+        record=_recording(arguments, plan.resumed),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
         workers=workers,
@@ -148,9 +147,7 @@ def _run(
     return code
 
 
-def _recording(
-    arguments: argparse.Namespace, resumed: RunRecord | None, workers: Workers
-) -> RecordOptions:
+def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> RecordOptions:
     """Return which bags to keep: what the user says, else what an earlier session of the run did.
 
     The bags of that session count, too: a lower limit would delete them.
@@ -160,8 +157,6 @@ def _recording(
         known = resumed.record_policy in list(Policy)
         policy = policy or (resumed.record_policy if known else None)
         limit = resumed.record_limit if limit is None else limit
-    if workers.pooled:
-        policy = Policy.NONE
     default = RecordOptions()
     return RecordOptions(
         Policy(policy or default.policy), default.limit if limit is None else limit
@@ -328,11 +323,6 @@ def _check_options(
         parser.error("--web-host needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
-    if arguments.record not in (None, Policy.NONE) and workers.pooled:
-        parser.error(
-            f"--record: expected none with {counted(workers.count, 'worker')}, whose nodes this "
-            f"process does not hear, found {arguments.record}"
-        )
 
 
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:
