@@ -19,6 +19,7 @@ from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.confirm import Confirmation, refused_in
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.time_limit import TimeLimit
+from bo_tuner.cli.time_plan import TimePlan
 from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -113,6 +114,8 @@ class RunOptions:
         Whether the page may pause and end the run.
     confirm
         Whether to ask on the terminal before each trial.
+    certify
+        Whether a certificate of the result follows, within `time`.
     """
 
     algorithm: str = DEFAULT_METHOD
@@ -129,6 +132,7 @@ class RunOptions:
     web: Address | None = None
     web_control: bool = False
     confirm: bool = False
+    certify: bool = False
 
 
 class Session:
@@ -160,10 +164,15 @@ class Session:
         self._live_page: RunObserver | None = None
         self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
-        self._gate = Gate(interruption.check, self._observers, finishing=self._has_to_finish)
+        self._gate = Gate(
+            interruption.check, self._observers, finishing=lambda: self._time.has_to_finish
+        )
         self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
+        self._time = TimePlan(
+            study, self._status, options.time, self._display.inform, certify=options.certify
+        )
         records_nothing = options.record.policy is Policy.NONE
         self._backend = make_backend(
             options.backend,
@@ -176,10 +185,6 @@ class Session:
             workers=options.workers,
             listening=None if records_nothing else partial(ListeningBackend, listen_to),
         )
-
-    def _has_to_finish(self) -> bool:
-        """Return whether no more can be begun if the result is to be there in time."""
-        return self._options.time.left <= (self._status.to_finish or 0.0)
 
     def _halt(self, reason: str) -> None:
         """Let the run wait: the guard has taken over, and somebody must see to the machine."""
@@ -388,6 +393,8 @@ class Session:
                 self._display.warn(
                     f"warning: it took longer than the --time, by {-options.time.left:.0f} s"
                 )
+            if self._time.outcome:
+                self._display.inform(self._time.outcome)
             summary = (
                 None
                 if conclusion is None
@@ -410,7 +417,7 @@ class Session:
         recording = self._recording()
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)
-            for observer in (journaling, recording, self._status, self._display):
+            for observer in (journaling, recording, self._status, self._time, self._display):
                 self._observers.add(observer)
             if ros is not None:
                 ros.after_default = recording.skip
