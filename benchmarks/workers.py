@@ -62,9 +62,12 @@ def study(sleep: float, trials: int) -> dict[str, object]:
 def seconds(folder: Path, command: str, *arguments: object) -> float:
     """Run a command to its end, and return how long it took [s]."""
     begin = time.monotonic()
-    program = str(Path(sys.executable).with_name(command))
     done = subprocess.run(
-        [program, *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "bo_tuner", command, *map(str, arguments)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode not in A_RESULT:
         raise SystemExit(f"{command}: {done.stderr}")
