@@ -174,7 +174,6 @@ class TestRefusals:
             (("--workers", 101), "--workers: expected at most 100, found 101"),
             (("--window", 0), "--window: expected at least 1, found 0"),
             (("--workers", 2, "--attach"), "--workers: expected 1 with --attach, found 2"),
-            (("--workers", 2, "--record", "all"), "--record: expected none with 2 workers"),
         ],
     )
     def test_options(self, refused, options, said):
@@ -193,7 +192,6 @@ class TestRefusals:
             (("--benches", "/a,/a/"), "--benches: expected each once, found /a/ again"),
             (("--benches", "1,2", "--workers", 3), "--workers: expected 2, one for each of"),
             (("--benches", "1", "--no-attach"), "--benches: expected nodes that run, found"),
-            (("--benches", "1,2", "--record", "all"), "--record: expected none with 2 workers"),
             (
                 ("--benches", "/a", "--ros-args", "-r", "__ns:=/x"),
                 "expected namespaces in full, such as /x/a, and none in --ros-args",

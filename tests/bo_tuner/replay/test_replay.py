@@ -20,7 +20,7 @@ from bo_tuner.recording.bag import NANOSECONDS
 from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
-from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.replay.side_by_side import write_side_by_side
 from bo_tuner.storage.trust import trust
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
@@ -383,15 +383,3 @@ class TestSideBySide:
         (tmp_path / "file").write_text("in the way")
         with pytest.raises(OutputError, match="cannot be written"):
             write_side_by_side(tmp_path / "file" / "bag", self.SIDES, {})
-
-
-def test_the_inbox_gives_each_message_once():
-    inbox = Inbox()
-    waiting = [state(1.0, 1.0), state(2.0, 2.0)]
-
-    def hand_over():
-        if waiting:
-            inbox.take(*waiting.pop(0))
-
-    assert [m[1] for m in inbox.collect(hand_over)] == [state(1.0, 1.0)[1], state(2.0, 2.0)[1]]
-    assert inbox.collect(hand_over) == []

@@ -29,7 +29,7 @@ from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import most_evaluations
 from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.judgement import least_evaluations
-from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.outlook import probable_certificate
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
@@ -319,12 +319,6 @@ def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[
     for note in notes:
         say(f"note: {note}")
     return True
-
-
-def probable_certificate(study: Study) -> Outlook | None:
-    """Return how many evaluations the certificate of a result probably takes, of a usual one."""
-    confidence = spent(study.certificate.confidence, 1)
-    return outlook(study, required_draws(study, study.certificate.confidence), confidence)
 
 
 def evaluations_at_most(study: Study) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
-from bo_tuner.recording.bag import Message
+from bo_tuner.recording.inbox import Batch, Inbox
 from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.replay.replay import (
     BEST,
@@ -36,7 +36,7 @@ from bo_tuner.replay.replay import (
     find_trial,
     replay,
 )
-from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.replay.side_by_side import LATEST_QUIET, QUIET, write_side_by_side
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
@@ -136,13 +136,15 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         with writing(log):
             log.mkdir(parents=True, exist_ok=True)
         with opened(backend, interruption) as left:
-            result, default, inbox, sides = _run_both(record, recorded, backend)
+            result, default, sides, warnings = _run_both(record, recorded, backend)
         _show(record, result, name)
-        for warning in inbox.warnings:
+        for warning in warnings:
             console.print(warning, soft_wrap=True)
         path = output / f"trial_{recorded.trial:04d}_evaluation_{recorded.index:02d}"
-        notes = _notes(record, recorded, result.replayed, default, inbox.lost)
-        if write_side_by_side(path, sides, notes):
+        lost = sum(batch.lost for batch in sides.values())
+        notes = _notes(record, recorded, result.replayed, default, lost)
+        messages = {side: batch.messages for side, batch in sides.items()}
+        if write_side_by_side(path, messages, notes):
             say(f"bag of {' and '.join(sides)}: {path}")
         else:
             console.print("no bag: no message was received", soft_wrap=True)
@@ -163,9 +165,15 @@ def _description(evaluation: Evaluation, backend: str) -> str:
 
 def _run_both(
     record: RunRecord, recorded: Evaluation, ros: RosBackend
-) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
-    """Run the evaluation, then with the default parameters; return both with their messages."""
-    inbox = Inbox()
+) -> tuple[Replay, Evaluation, dict[str, Batch], list[str]]:
+    """Run the evaluation, then with the default parameters.
+
+    Returns
+    -------
+    tuple
+        Both, the messages of each, and what could not be heard, each in a line.
+    """
+    inbox = Inbox(QUIET, LATEST_QUIET)
     listener = listen_to(ros, inbox)
     try:
         inbox.collect(listener.take)
@@ -177,7 +185,8 @@ def _run_both(
         listener.refresh()
         defaults = record.study.search_space().defaults
         default = Driver(ros).evaluate(dataclasses.replace(recorded, parameters=defaults))
-        return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
+        sides = {DEFAULT: inbox.collect(listener.take)} | sides
+        return result, default, sides, inbox.warnings
     finally:
         listener.close()
 

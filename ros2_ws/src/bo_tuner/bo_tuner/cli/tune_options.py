@@ -31,9 +31,10 @@ exit codes:
        it
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
        full), and its record is kept; or test runs of the validation were lost,
-       so that the verdict is incomplete, and --resume completes it; or it is
-       complete, but an attached node was not restored, or an action goal did
-       not end
+       so that the verdict is incomplete, and --resume completes it; or the
+       --time is over before the certificate of --certify has a verdict, and
+       `validate` goes on with it; or the run is complete, but an attached node
+       was not restored, or an action goal did not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL
@@ -54,6 +55,7 @@ examples:
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
   tune --time 30min                    have the result by then
+  tune --time 30min --certify          and its certificate
   tune --safe --attach                 from what runs now on, in small steps
   tune --safe --attach --confirm       the same, and ask before each step
   tune --stop-early                    stop when further trials are not worth it
@@ -123,6 +125,12 @@ def _add_study(group: Group) -> None:
         help="have the result, validated, after this time, such as 90s, 30min or 2h: no trial is "
         "begun that would be too late, and the best so far is settled and validated; the budget "
         "of the study stays the most",
+    )
+    group.add_argument(
+        "--certify",
+        action="store_true",
+        help="certify the result at the end, as validate does; with --time that is in the time, of "
+        "which up to half is kept for it",
     )
     add_bounds_argument(group)
 

@@ -156,7 +156,12 @@ def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -
     if address and not SCHEDULER_ADDRESS.fullmatch(address):
         parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {address}")
     if address and attach:
-        parser.error("--scheduler: expected nodes that the workers start, found --attach")
+        given = next((name for name in ("benches", "attach") if getattr(arguments, name)), "")
+        parser.error(
+            "--scheduler: expected nodes that the workers start, found "
+            f"{f'--{given}' if given else 'a run on running nodes'}; leave --scheduler out, or let "
+            "the workers start them (--no-attach)"
+        )
     return address
 
 
