@@ -105,7 +105,8 @@ class Tuner:
     which these are told. Each result is on disk when the call returns. A process that dies goes on
     in a new tuner with the same folder: it asks again for what was not told.
 
-    Threads that ask and tell at once wait for each other. Use it in a ``with`` block, or `close` it.
+    Threads that ask and tell at once wait for each other. Use it in a ``with`` block, or `close`
+    it.
     """
 
     def __init__(self, run: OpenRun) -> None:

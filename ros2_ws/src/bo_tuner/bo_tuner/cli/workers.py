@@ -156,9 +156,8 @@ def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -
     if address is None:
         return ""
     if not SCHEDULER_ADDRESS.fullmatch(address):
-        parser.error(
-            f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {address or 'nothing'}"
-        )
+        found = address or "nothing"
+        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {found}")
     if attach:
         parser.error("--scheduler: expected nodes that the workers start, found --attach")
     return address
