@@ -2,7 +2,7 @@
 
 import pytest
 from axis import write_study
-from in_process import call
+from in_process import call, complaint
 
 from bo_tuner.cli import tune
 from bo_tuner.evidence.run_verdict import run_verdict
@@ -45,6 +45,13 @@ def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch
         min(abs(gain - other) for other in gains[:k]) <= 0.2 + 1e-9
         for k, gain in enumerate(gains[1:], 1)
     )
+
+
+@pytest.mark.parametrize(
+    "options", [("--safe", "--algorithm", "V"), ("--algorithm", "V", "--safe")]
+)
+def test_another_algorithm_is_refused_beside_it(capsys, options):
+    assert "not allowed with argument" in complaint(tune, capsys, *options)
 
 
 def test_without_a_limit_it_is_refused(tmp_path, make_study, capsys, monkeypatch):

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import re
 import shutil
 import socket
@@ -87,6 +88,18 @@ class TestServed:
             "third": "next",
         }
 
+    def test_names_that_are_no_unicode(self, served, folder):
+        """As of a folder that an old system has made: it is a run, too."""
+        folder.joinpath("second").rename(os.fsdecode(bytes(folder) + b"/caf\xe9"))
+        assert 'href="/runs/caf%E9"' in served.ask("/runs")[2]
+        status, _, page = served.ask("/runs/caf%E9")
+        assert status == 200
+        assert 'data-trials="/runs/caf%E9/trials/"' in page
+        assert served.ask("/runs/caf%E9/trials/0")[0] == 200
+        assert served.ask("/runs/caf%E9/files/study.yaml")[0] == 200
+        assert 'href="/runs/caf%E9"' in served.ask("/runs/first")[2]
+        assert served.ask("/runs.csv")[0] == 200
+
     def test_a_file_is_a_download(self, served, folder):
         page = served.ask("/runs/first")[2]
         assert 'href="/runs/first/files/deploy/parameters.yaml"' in page
@@ -162,6 +175,11 @@ class TestNotes:
         headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
         status, _, _ = served.ask("/runs/first/note", method="POST", body=body, **headers)
         assert status in (400, 413)
+
+    def test_half_a_character(self, served, folder):
+        """As of an emoji that a browser has cut; the notes stay readable."""
+        assert served.note("/runs/first", "fast \ud83d", "a\udfff")[0] == 204
+        assert read_notes(folder / "first").run == Note("fast ?", ("a?",))
 
     def test_of_what_does_not_exist(self, served):
         headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}

@@ -144,11 +144,20 @@ def test_with_the_default(here, place):
             ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", "nowhere/x.xml"],
             "nowhere/x.xml: cannot be written",
         ),
+        (
+            ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", ""],
+            ".: cannot be written: Is a directory",
+        ),
+        (
+            ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", "good.yaml"],
+            "good.yaml: is no XML file; expected one, or the name of a new file",
+        ),
     ],
 )
 def test_bad_input(refusal, place, arguments, complaint):
     assert complaint in refusal(*arguments)
     assert not (place / "runs").exists()
+    assert (place / "good.yaml").read_text() == "gain: 0.2\n"
 
 
 def test_values_that_are_no_parameter_set(refusal, place):

@@ -166,13 +166,15 @@ def _add_known(group: Group) -> None:
 
 
 def _add_method(group: Group) -> None:
-    group.add_argument(
+    # A search that is to be safe must not become another one by what stands elsewhere in a script.
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
         "--algorithm",
         choices=tuple(METHODS),
         help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
         + f" (default: {SAFE} for a study with safe_search, else {DEFAULT_METHOD})",
     )
-    group.add_argument(
+    which.add_argument(
         "--safe",
         action="store_const",
         dest="algorithm",

@@ -62,6 +62,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line
 from bo_tuner.trials import Trial
 
+XML = b"<?xml"
+"""How a file begins that `--junit` may replace."""
 DESCRIPTION = """\
 Certify the result of a run, or values that somebody else tuned: evaluate them
 in fresh draws of context and noise, search for the worst context again, and
@@ -251,6 +253,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if of_given is None:
         allow_programs(record, trusted=arguments.trust, attach=attach)
     if arguments.junit is not None:
+        _refuse_other_content(arguments.junit)
         # It stays where there is no verdict, in place of an earlier one.
         write_atomically(arguments.junit, no_verdict_in_junit(record.study))
     folder = RunFolder(record.path) if of_given is None else of_given.open_folder()
@@ -348,6 +351,17 @@ def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
     return most
+
+
+def _refuse_other_content(path: Path) -> None:
+    """Refuse a file that is no XML: `--junit` must not replace one of the run, by a slip."""
+    with writing(path):
+        if not path.is_file():
+            return
+        with path.open("rb") as file:
+            beginning = file.read(len(XML))
+    if beginning not in (b"", XML):
+        raise OutputError(f"{path}: is no XML file; expected one, or the name of a new file")
 
 
 def _draws(

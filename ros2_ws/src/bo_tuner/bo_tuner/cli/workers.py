@@ -152,10 +152,13 @@ def _count(
 
 def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -> str:
     """Return the address of the cluster that is to be used; empty for none."""
-    address: str = arguments.scheduler or ""
-    if address and not SCHEDULER_ADDRESS.fullmatch(address):
-        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {address}")
-    if address and attach:
+    address: str | None = arguments.scheduler
+    if address is None:
+        return ""
+    if not SCHEDULER_ADDRESS.fullmatch(address):
+        found = address or "nothing"
+        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {found}")
+    if attach:
         given = next((name for name in ("benches", "attach") if getattr(arguments, name)), "")
         parser.error(
             "--scheduler: expected nodes that the workers start, found "
@@ -174,12 +177,13 @@ def _benches(
     ros_arguments: Sequence[str],
 ) -> tuple[Bench, ...]:
     """Return the test benches that are given, or those on record; empty for none."""
-    text: str = arguments.benches or ""
-    if text and not attach:
+    text: str | None = arguments.benches
+    if text is not None and not attach:
         parser.error("--benches: expected nodes that run, found --no-attach")
-    if not text and attach and arguments.workers is None:
-        text = known.get(BENCHES, "")
-    benches = [_bench(name, parser, ros_arguments) for name in text.split(",") if text]
+    if text is None and attach and arguments.workers is None:
+        text = known.get(BENCHES)
+    names = [] if text is None else text.split(",")
+    benches = [_bench(name, parser, ros_arguments) for name in names]
     for index, bench in enumerate(benches):
         if bench.place in {other.place for other in benches[:index]}:
             parser.error(f"--benches: expected each once, found {bench.name} again")

@@ -1,5 +1,7 @@
 """What a reader calls a metric or a parameter: its label in the study, or else its name."""
 
+from collections.abc import Mapping
+
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 
@@ -34,3 +36,19 @@ def check_label(label: str) -> None:
             f"found {checks.show(label)}",
             ("label",),
         )
+
+
+def check_titles(items: Mapping[str, Titled]) -> None:
+    """Check that a reader can tell the metrics, or the parameters, of a study apart.
+
+    Raises
+    ------
+    StudyError
+        If the label of one is what another is called.
+    """
+    for name, item in items.items():
+        for other, called in items.items():
+            if other != name and item.label and item.label in (other, called.label):
+                raise StudyError(
+                    f"expected a label of its own, found what {other} is called", (name, "label")
+                )

@@ -40,6 +40,11 @@ class RunsHandler(Page):
         self.runs: Runs = shared["runs"]
         self.thread: ThreadPoolExecutor = shared["thread"]
 
+    def decode_argument(self, value: bytes, name: str | None = None) -> str:
+        """Take names of folders and files as the system has them, which need not be UTF-8."""
+        del name
+        return os.fsdecode(value)
+
 
 class Entrance(RunsHandler):
     """Where the address that was printed leads to, without a run in progress."""

@@ -155,6 +155,7 @@ class Runs:
             most=MOST_COMPARED,
             sections=[],
             home=HOME,
+            address=run_address,
             newer=_page_address(page - 1) if page > 0 else "",
             older=_page_address(page + 1) if page + 1 < count else "",
         )

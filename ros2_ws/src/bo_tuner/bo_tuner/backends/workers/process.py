@@ -245,6 +245,9 @@ def _answered(run: str, act: Callable[[OwnBackend], Answer]) -> Answer:
         return Answer(own.label, problem=str(error), returned=isinstance(error, MetricsError))
     except Exception as error:
         return Answer(own.label, problem=f"{type(error).__name__}: {error}")
+    except (SystemExit, KeyboardInterrupt):
+        # Of foreign code. Dask would take it for an end that is meant, and start no other process.
+        os._exit(1)
 
 
 def begin(run: str) -> Answer:
