@@ -32,7 +32,7 @@ class AtBound:
         Both bounds of the study.
     wider
         Bounds to go on with: on this side twice as wide, or on a log scale by `LARGEST_FACTOR` at
-        most. A bound keeps its sign; None if there is nothing beyond it with the same sign.
+        most. A bound keeps its sign; None if no value beyond it has the same sign.
     """
 
     parameter: str
@@ -48,7 +48,8 @@ class AtBound:
         value = f"{shown(self.bound)} {self.unit}".rstrip()
         text = f"{self.parameter} is at its {self.side} bound {value}"
         if self.wider is None:
-            return f"{text}, where its sign changes."
+            why = "the least of its scale" if self.bound else "where its sign changes"
+            return f"{text}, {why}."
         return f"{text}; wider bounds may give a better result."
 
 
@@ -108,4 +109,7 @@ def _on_steps(item: Parameter, bound: int | float, new: int | float) -> int | fl
     """Return a bound in whole steps from the present one."""
     step = item.step or 1
     moved = bound + round((new - bound) / step) * step
+    if item.scale == LOG and moved <= 0.0:
+        # Rounding must not leave the scale.
+        moved += step
     return int(moved) if item.is_integer else float(f"{moved:.12g}")

@@ -44,7 +44,7 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     replayed = "" if verdict.is_result else f" {verdict.trial}"
     report = Step(f"report {where}", "write the report again")
     again = Step(f"tune --resume {where}", "continue the run")
-    more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    more = _more(verdict, where)
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
     both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
     others = Step(
@@ -75,3 +75,18 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
             return (apply, rollback, replay)
         case State.REFUSED:
             return (others, more, replay)
+
+
+def _more(verdict: Verdict, where: str) -> Step:
+    """Return how to search on: a search that stands still would do so again when resumed."""
+    if not verdict.standstill:
+        return Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    if verdict.trial is None:
+        return Step(
+            f"tune --from {where} --start FILE",
+            "begin with values that keep all limits, in a new run",
+        )
+    return Step(
+        f"tune --from {where} --study FILE",
+        "go on in a new run, by a study with what would help",
+    )

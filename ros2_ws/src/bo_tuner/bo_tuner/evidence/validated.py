@@ -43,7 +43,9 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
     """
     if standstill and not kept_by(study, trials):
         reasons = (f"{standstill[0].upper()}{standstill[1:]}",)
-        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
+        return Verdict(
+            state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons, standstill=True
+        )
     done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)

@@ -188,6 +188,8 @@ class Verdict:
         What is to know of those that were not seen to move any metric, in sentences.
     advice
         What is in reach where nothing was found feasible, and what to change, in sentences.
+    standstill
+        Whether the search ended as it could not go on; resumed, it would end there again.
     """
 
     state: State
@@ -211,6 +213,7 @@ class Verdict:
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    standstill: bool = False
 
     @property
     def feasible(self) -> bool:
