@@ -22,8 +22,8 @@ class AtBound:
 
     Attributes
     ----------
-    parameter, unit
-        Its name and unit.
+    parameter, title, unit
+        Its name, what screens call it, with the name, and its unit.
     side
         ``lower`` or ``upper``.
     bound
@@ -36,6 +36,7 @@ class AtBound:
     """
 
     parameter: str
+    title: str
     unit: str
     side: str
     bound: int | float
@@ -46,7 +47,7 @@ class AtBound:
     def sentence(self) -> str:
         """What is to know, in a sentence."""
         value = f"{shown(self.bound)} {self.unit}".rstrip()
-        text = f"{self.parameter} is at its {self.side} bound {value}"
+        text = f"{self.title} is at its {self.side} bound {value}"
         if self.wider is None:
             why = "the least of its scale" if self.bound else "where its sign changes"
             return f"{text}, {why}."
@@ -82,7 +83,7 @@ def _at_bound(item: Parameter, side: str) -> AtBound:
     wider = None
     if moved != bound:
         wider = (lower, moved) if side == UPPER else (moved, upper)
-    return AtBound(item.name, item.unit, side, bound, (lower, upper), wider)
+    return AtBound(item.name, item.title_and_name, item.unit, side, bound, (lower, upper), wider)
 
 
 def _moved(item: Parameter, bound: int | float, other: int | float) -> int | float:

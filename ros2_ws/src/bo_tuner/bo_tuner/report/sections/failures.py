@@ -58,7 +58,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
                 r.stage,
                 r.outcome.ending,
                 r.outcome.reason,
-                values(analysis.tuned_values(r.parameters)),
+                analysis.tuned_in_words(r.parameters),
                 values(r.context),
                 str(r.seed),
                 _bag(analysis, r),
@@ -76,7 +76,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
         rows=[
             [
                 str(trial.number),
-                values(analysis.tuned_values(trial.parameters)),
+                analysis.tuned_in_words(trial.parameters),
                 number(analysis.mean_objective(trial)),
             ]
             for trial in outliers

@@ -80,7 +80,10 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
         "on the front. The other trials within limits are dominated by these, up to the noise.",
         alternative="; ".join(
             f"trial {point.trial}: "
-            + ", ".join(f"{name} {number(mean.value)}" for name, mean in point.means.items())
+            + ", ".join(
+                f"{study.metrics[name].title} {number(mean.value)}"
+                for name, mean in point.means.items()
+            )
             for point in points
         ),
         panels=[_panel(analysis, points, pair) for pair in combinations(objectives, 2)],
@@ -90,6 +93,7 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
 
 def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, Objective]) -> Panel:
     first, second = (item.metric for item in pair)
+    across, up = (mean_axis(analysis.study, objective) for objective in pair)
     # Off the charts are outliers: they would leave no room for the others.
     trials = [t for t in analysis.trials if analysis.outcome(t) in OF_VALUE]
     x, y = (np.array([_or_nan(t.mean(name)) for t in trials]) for name in (first, second))
@@ -121,14 +125,13 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
             filled=False,
             size=12,
             hover=[
-                f"trial {p.trial}\n{first} {_in_words(p.means[first])}\n"
-                f"{second} {_in_words(p.means[second])}"
+                f"trial {p.trial}\n{across.label} {_in_words(p.means[first])}\n"
+                f"{up.label} {_in_words(p.means[second])}"
                 for p in points
             ],
             trials=[p.trial for p in points],
         ),
     ]
-    across, up = (mean_axis(analysis.study, objective) for objective in pair)
     return Panel(x=across, y=up, elements=elements)
 
 

@@ -127,10 +127,10 @@ def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
     if not of_single_runs:
         return ""
     if all(_is_of_quantile(*pair) for pair in of_single_runs):
-        return " For a limit with a probability, the quantile of single evaluations is drawn."
+        return " For a limit with a probability, the quantile of single test runs is drawn."
     return (
         " A limit with a probability is drawn stricter, by a margin for the noise of single "
-        "evaluations, unless a quantile of these is drawn."
+        "test runs, unless a quantile of these is drawn."
     )
 
 
@@ -217,7 +217,7 @@ def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -
         if model is not None and allowed.any():
             line = study.from_predicted_cost(model.predict_mean(points[allowed]))
             parts.append(
-                f"over {grid.name} the {axis.label} ranges from "
+                f"over {grid.axis.label} the {axis.label} ranges from "
                 f"{quantity(float(line.min()), axis.unit)} to "
                 f"{quantity(float(line.max()), axis.unit)}"
             )

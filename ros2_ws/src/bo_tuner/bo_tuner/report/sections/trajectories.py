@@ -26,7 +26,6 @@ from bo_tuner.report.time_response import Bound, Responses, bounds_beside, is_ze
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study import named_code
-from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Trial, Value
@@ -201,7 +200,7 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Responses:
             f"{analysis.answer_set}; tune with --record notable or all.",
         )
     where = [
-        f"{name}: evaluation {evaluation.index} in {BAGS}/{run.bag}"
+        f"{name}: test run {evaluation.index} in {BAGS}/{run.bag}"
         + (f" at {values(evaluation.context)}" if evaluation.context else "")
         for name, (evaluation, run) in runs.items()
     ]
@@ -245,7 +244,7 @@ def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
 def panels(
     columns: Mapping[str, Mapping[str, Trace]],
     styles: Mapping[str, Style],
-    constraints: Mapping[str, Constraint],
+    limits_of: Study | None,
 ) -> list[Panel]:
     """Return a panel for each group of signals and each column.
 
@@ -255,8 +254,8 @@ def panels(
         By the title of a column, its traces by the names of their lines.
     styles
         Colour and dash of the lines by these names.
-    constraints
-        The limits, which are drawn where a trace says how.
+    limits_of
+        The study, the limits of which are drawn where a trace says how; None draws none.
     """
     every = [trace for sides in columns.values() for trace in sides.values()]
     groups = dict.fromkeys(_group(name) for trace in every for name in trace if name != TIME)
@@ -264,7 +263,7 @@ def panels(
         panel
         for group in groups
         for title, sides in columns.items()
-        if (panel := _panel(title, sides, group, styles, constraints)) is not None
+        if (panel := _panel(title, sides, group, styles, limits_of)) is not None
     ]
 
 
@@ -282,7 +281,7 @@ def _simulated(
     ]
     traces = iter(simulate(study, planned))
     columns = {title: {name: next(traces) for name in sides} for title in contexts}
-    return panels(columns, side_styles(analysis.answer_name), study.constraints)
+    return panels(columns, side_styles(analysis.answer_name), study)
 
 
 def side_styles(name: str) -> dict[str, Style]:
@@ -293,7 +292,7 @@ def side_styles(name: str) -> dict[str, Style]:
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
     outcome = backend.outcome(planned)
     if not outcome.complete:
-        raise NoTraceError(f"the evaluation failed: {outcome.reason}")
+        raise NoTraceError(f"the test run failed: {outcome.reason}")
     return backend.trace()
 
 
@@ -302,7 +301,7 @@ def _panel(
     sides: Mapping[str, Trace],
     group: str,
     styles: Mapping[str, Style],
-    constraints: Mapping[str, Constraint],
+    limits_of: Study | None,
 ) -> Panel | None:
     """Return the panel of a group of signals; None if no side has one of them."""
     names = dict.fromkeys(
@@ -314,9 +313,10 @@ def _panel(
     for name in [name for name in names if is_zero_of(name)]:
         del names[name]
         sample = next(trace for trace in sides.values() if name in trace)
-        bounds += bounds_beside(
-            constraints, is_zero_of(name), sample[TIME].values, sample[name].values
-        )
+        if limits_of is not None:
+            bounds += bounds_beside(
+                limits_of, is_zero_of(name), sample[TIME].values, sample[name].values
+            )
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:
