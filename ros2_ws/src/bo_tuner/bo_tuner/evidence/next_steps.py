@@ -51,7 +51,7 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
         f"validate {where}{trial} --until-pass 3",
         "certify it again, and after a FAIL the next best candidates",
     )
-    replay = Step(f"replay {where}{replayed}", "repeat its worst evaluation and compare")
+    replay = Step(f"replay {where}{replayed}", "repeat its worst test run and compare")
     apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
     match verdict.state:

@@ -27,7 +27,7 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.validation import Validation
 
-FAILURES = "failed evaluations"
+FAILURES = "failed test runs"
 """Stands for them where problems have the names of constraints, which have no space."""
 
 

@@ -375,8 +375,8 @@ class Verdict:
         numbers = ", ".join(map(str, self.outliers))
         return [
             f"Trial{'' if one else 's'} {numbers} broke no limit, but {'is' if one else 'are'} "
-            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
-            f"therefore not {'a candidate' if one else 'candidates'}.",
+            "far off from all others in the objective, and therefore not "
+            f"{'a candidate' if one else 'candidates'}.",
             do_not_use,
         ]
 
@@ -392,9 +392,9 @@ class Verdict:
         """What the same evidence says of the default."""
         if self.default_reasons is None:
             if not self.default_lost:
-                return "The default was not evaluated."
+                return "The default was not run."
             runs = counted(self.default_lost, "test run")
-            return f"The default was not evaluated in full: {runs} lost or disturbed by others."
+            return f"The default was not run in full: {runs} lost or disturbed by others."
         if self.default_reasons:
             reasons = "; ".join(self.default_reasons)
             return f"The default is not proven to stay within all limits: {reasons}."
@@ -504,7 +504,7 @@ def _standing_in_words(limits: Mapping[str, LimitVerdict]) -> str:
         return "No limits to keep"
     if _all_shown(limits):
         asked = "; ".join(f"{name} {limit.asked}" for name, limit in limits.items())
-        return f"Shown to be kept: {asked}"
+        return f"Proven to be kept: {asked}"
     beyond = [f"{name}: {limit.words}" for name, limit in limits.items() if limit.violations]
     runs = max(limit.runs for limit in limits.values())
     return "; ".join(beyond) or f"No limit broken in {counted(runs, 'test run')}"

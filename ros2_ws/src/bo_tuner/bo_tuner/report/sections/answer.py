@@ -189,7 +189,7 @@ def _details(verdict: Verdict) -> Iterator[str]:
 
 
 def _status(quantity: Quantity) -> Status:
-    """Return the mark of a limit: good only for one that is shown to be kept."""
+    """Return the mark of a limit: good only for one that is proven to be kept."""
     if (limit := quantity.limit_verdict) is None or limit.standing is Standing.OPEN:
         return Status.WARNING if limit is not None and limit.exceeds else Status.OPEN
     return Status.GOOD if limit.standing is Standing.SHOWN else Status.BAD

@@ -71,7 +71,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
 def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
-        caption="Far off (outliers): trials left out of the models; their vicinity is avoided",
+        caption="Far off: trials left out of the models; their vicinity is avoided",
         header=["trial", "parameters", with_unit(f"mean {metric.title}", metric.unit)],
         rows=[
             [

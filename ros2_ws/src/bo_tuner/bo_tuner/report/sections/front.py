@@ -56,17 +56,17 @@ def front(analysis: Analysis) -> Section | None:
 
 def _of_others(points: Sequence[Point]) -> str:
     if points[0].modelled:
-        return "the means of the others are those that the models of all evaluations predict"
+        return "the means of the others are those that the models of all test runs predict"
     return (
-        "the means of the others are those of their own evaluations, the best of which are biased "
+        "the means of the others are those of their own test runs, the best of which are biased "
         "by selection"
     )
 
 
 def _which_means(points: Sequence[Point]) -> str:
-    own = "over the evaluations of each trial in drawn contexts"
+    own = "over the test runs of each trial in drawn contexts"
     if points[0].modelled:
-        return f"On the front, means by the models of all evaluations; elsewhere, {own}"
+        return f"On the front, means by the models of all test runs; elsewhere, {own}"
     return f"Means {own}"
 
 
