@@ -5,7 +5,7 @@ import shutil
 import pytest
 from pages import ServedRuns
 
-from bo_tuner.storage.notes import Note, read_notes
+from bo_tuner.storage.notes import Note, read_notes, write_note
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +57,40 @@ def test_a_note_stays(chromium, page, served):
     page("runs/first/trials/1")
     assert chromium.evaluate("document.querySelector('form.note textarea').value") == "rings"
     assert [url for url in chromium.requests if not url.startswith((served.address, "data:"))] == []
+
+
+def test_the_list_follows_without_being_loaded_again(chromium, page, served):
+    """A new run appears and a row changes, while what is ticked, typed and focused stays."""
+    page("runs")
+    row = "document.querySelector('#runs input[value=first]')"
+    chromium.evaluate(f"{row}.click(); {row}.focus(); window.same = true")
+    names = "[...document.querySelectorAll('#runs tbody a')].map(a => a.textContent)"
+    assert "third" not in chromium.evaluate(names)
+    shutil.copytree(served.folder / "first", served.folder / "third")
+    write_note(served.folder / "first", None, Note("rings"))
+    try:
+        chromium.wait_for(f"{names}.includes('third')")
+        chromium.wait_for(f"{row}.closest('tr').textContent.includes('rings')")
+        assert chromium.evaluate(f"[{row}.checked, document.activeElement === {row}, same]") == [
+            True, True, True,
+        ]  # fmt: skip
+        assert chromium.evaluate("document.querySelector('#runs caption').textContent") == "3 runs"
+    finally:
+        shutil.rmtree(served.folder / "third")
+    chromium.wait_for(f"!{names}.includes('third')")
+    # A filter holds for a run that comes later, too.
+    chromium.evaluate(
+        "(() => { const input = document.querySelector('#runs .filter input');"
+        "input.value = 'second'; input.dispatchEvent(new Event('input')); })()"
+    )
+    shutil.copytree(served.folder / "first", served.folder / "third")
+    try:
+        chromium.wait_for(f"{names}.includes('third')")
+        shown = f"{names.replace('#runs tbody', '#runs tbody tr:not([hidden])')}"
+        assert chromium.evaluate(shown) == ["second"]
+    finally:
+        shutil.rmtree(served.folder / "third")
+    assert chromium.errors == []
 
 
 def test_a_row_and_a_point_lead_to_a_trial(chromium, page, served):

@@ -57,6 +57,24 @@ class TestServed:
         assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
         assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
 
+    def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
+        """Which the page asks for from time to time."""
+        page = served.ask("/runs")[2]
+        (address,) = re.findall(r'data-news="([^"]+)"', page)
+        status, _, news = served.ask(address)
+        assert status == 200
+        assert news.lstrip().startswith('<section id="runs"')
+        assert news.strip() in page
+        assert served.ask(address, token=False)[0] == 403
+        assert served.ask("/news?page=7")[0] == 404
+        assert served.ask("/news?page=x")[0] == 400
+        shutil.copytree(folder / "first", folder / "fourth")
+        write_note(folder / "second", None, Note("rings"))
+        news = served.ask(address)[2]
+        listed = re.findall(r'<a href="/runs/(\w+)">', news)
+        assert sorted(listed) == ["first", "fourth", "second", "third"]
+        assert "<td>rings</td>" in news
+
     def test_it_ends_with_ctrl_c(self, folder):
         pages = ServedRuns(folder)
         assert pages.end() == (130, "interrupted by SIGINT\n")

@@ -200,6 +200,11 @@ def answer_html(analysis: Analysis) -> str:
     return str(_macros().show_answer(content, ""))
 
 
+def list_html(**content: object) -> str:
+    """Return the HTML of the list of runs by itself, with the content of its page."""
+    return _environment().get_template("runs_list.html").render(**content)
+
+
 def render(
     analysis: Analysis,
     parts: Sequence[Chapter],

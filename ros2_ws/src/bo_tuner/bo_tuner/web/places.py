@@ -5,6 +5,18 @@ from urllib.parse import quote
 
 HOME = "/"
 RUNS = "/runs"
+NEWS = "/news"
+"""What changes in the list of runs; a run may have any name below `RUNS`."""
+
+
+def list_address(page: int) -> str:
+    """Return the address of a page of the list of runs."""
+    return f"{RUNS}?page={page}"
+
+
+def news_address(page: int) -> str:
+    """Return the address of what a page of the list has now."""
+    return f"{NEWS}?page={page}"
 
 
 def run_address(name: str) -> str:
