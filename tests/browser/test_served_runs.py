@@ -1,5 +1,6 @@
 """The runs in a folder as a reader sees them: links and points lead to trials, and notes stay."""
 
+import json
 import shutil
 
 import pytest
@@ -90,6 +91,32 @@ def test_the_list_follows_without_being_loaded_again(chromium, page, served):
         assert chromium.evaluate(shown) == ["second"]
     finally:
         shutil.rmtree(served.folder / "third")
+    assert chromium.errors == []
+
+
+def test_sliders_count_together_where_the_models_are(chromium, page):
+    page("runs/first")
+    sliders = "document.querySelector('.what-if')"
+    data = chromium.evaluate(f"JSON.parse({sliders}.querySelector('script').textContent)")
+    for k in range(2):
+        chromium.evaluate(
+            f"(() => {{ const input = {sliders}.querySelectorAll('input')[{k}]; input.value = 5;"
+            "input.dispatchEvent(new Event('input')); })()"
+        )
+    cells = f"[...{sliders}.querySelectorAll('tbody td:nth-child(2)')].map(c => c.textContent)"
+    first, second = (along[5]["cells"] for along in data["along"])
+    alone = [
+        json.dumps(texts, separators=(",", ":"), ensure_ascii=False) for texts in (first, second)
+    ]
+    chromium.wait_for(f"!{json.dumps(alone)}.includes(JSON.stringify({cells}))")
+    places = f"[...{sliders}.querySelectorAll('input')].map(i => i.value)"
+    assert chromium.evaluate(places) == ["5", "5"]
+    values = "&".join(f"{each['name']}={each['values'][5]!r}" for each in data["sliders"])
+    asked = f"fetch('runs/first/forecast?{values}').then(a => a.json()).then(f => f.cells)"
+    told = chromium.evaluate(asked.replace("'runs", "'/runs"))
+    chromium.wait_for(
+        f"JSON.stringify({cells}) === {json.dumps(json.dumps(told, separators=(',', ':'), ensure_ascii=False))}"
+    )
     assert chromium.errors == []
 
 

@@ -38,6 +38,18 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     return (*_by_state(verdict, where), *((wider,) if options else ()))
 
 
+def to_use(run: str, trial: int) -> tuple[Step, ...]:
+    """Return the commands that put another trial than the result of a run to use, in order."""
+    where = shlex.quote(run)
+    return (
+        Step(f"validate {where} --trial {trial}", "certify it: PASS or FAIL"),
+        Step(
+            f"apply {where} --trial {trial}",
+            "then show the difference, ask, set it on the live nodes",
+        ),
+    )
+
+
 def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     # Without it the commands are about the result of the run.
     trial = "" if verdict.is_result else f" --trial {verdict.trial}"

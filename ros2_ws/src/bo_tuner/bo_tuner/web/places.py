@@ -29,6 +29,11 @@ def file_address(name: str, path: str) -> str:
     return f"{run_address(name)}/files/{quote(os.fsencode(path))}"
 
 
+def forecasts_address(name: str) -> str:
+    """Return the address of predictions for values of a run's parameters, a query behind it."""
+    return f"{run_address(name)}/forecast"
+
+
 def trials_address(name: str) -> str:
     """Return what the addresses of a run's trials begin with; the number follows."""
     return f"{run_address(name)}/trials/"

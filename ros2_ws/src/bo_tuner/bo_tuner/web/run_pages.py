@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import quote
@@ -16,6 +17,7 @@ from urllib.parse import quote
 from tornado.web import HTTPError
 
 from bo_tuner.interruption import LOOK_AROUND, Interruption
+from bo_tuner.report.content import Forecast
 from bo_tuner.storage.notes import Note
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.web.address import Address
@@ -102,6 +104,22 @@ class TrialPage(RunsHandler):
         self.finish(page)
 
 
+class ForecastOf(RunsHandler):
+    """What the models predict for values of a run's parameters."""
+
+    async def get(self, name: str) -> None:
+        """Answer with predictions in JSON."""
+        asked = self.request.query_arguments
+        try:
+            values = {key: float(given[-1]) for key, given in asked.items() if key != "token"}
+        except ValueError:
+            raise HTTPError(400, "expected numbers") from None
+        missing = "there is nothing to predict for these values"
+        found: Forecast = await self.made(missing, self.thread, self.runs.forecast, name, values)
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(asdict(found)))
+
+
 class ComparisonPage(RunsHandler):
     """Runs side by side."""
 
@@ -161,6 +179,7 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
         (r"/runs\.csv", RunsTable),
         (r"/runs/([^/]+)", RunPage),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})", TrialPage),
+        (r"/runs/([^/]+)/forecast", ForecastOf),
         (r"/runs/([^/]+)/note", NoteOf),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})/note", NoteOf),
         (r"/runs/([^/]+)/files/(.+)", RunFile),

@@ -11,8 +11,9 @@ from bo_tuner.errors import BoTunerError, RunRecordError
 from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
-from bo_tuner.report.content import Table
+from bo_tuner.report.content import Forecast, Table
 from bo_tuner.report.page import chapters, fill, list_html, render, trial_html
+from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.notes import Note, Notes, read_notes, write_note
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
@@ -23,6 +24,7 @@ from bo_tuner.web.places import (
     HOME,
     RUNS,
     file_address,
+    forecasts_address,
     list_address,
     news_address,
     run_address,
@@ -218,6 +220,7 @@ class Runs:
                 for path, size in files_of(self._folder / name)
             ],
             trials=trials_address(name),
+            forecasts=forecasts_address(name),
         )
 
     def trial(self, name: str, number: int) -> str | None:
@@ -244,6 +247,16 @@ class Runs:
         frame = self._frame(name, number, home, beside(number - 1), beside(number + 1))
         parts = trial_sections(analysis, trial)
         return trial_html(analysis, trial, parts, "run_trial.html", ["notes.js"], frame=frame)
+
+    def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
+        """Return what is predicted for values of a run's parameters; None if there are none such.
+
+        Raises
+        ------
+        BoTunerError
+            If the run cannot be read.
+        """
+        return None if name not in self.names() else forecast(self._analysis(name), values)
 
     def compared(self, names: Sequence[str]) -> str | None:
         """Return the page that compares runs; None if one does not exist.

@@ -102,7 +102,7 @@ def _constraint_slice(
     metric = analysis.study.metrics[constraint.metric]
     return Panel(
         x=grid.axis,
-        y=Axis(label=_label(constraint, model, metric), unit=metric.unit),
+        y=Axis(label=predicted_title(constraint, model, metric), unit=metric.unit),
         elements=[
             *_curve(grid, line, low, high, analysis.blind(points)),
             Limit(value=model.limit, name="limit"),
@@ -116,7 +116,7 @@ def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
     return constraint.rule.on_runs and model.limit == constraint.limit
 
 
-def _label(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
+def predicted_title(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
     """Name what the model predicts, which is held against its limit."""
     return constraint.rule.predicted(metric.title, quantile=_is_of_quantile(constraint, model))
 

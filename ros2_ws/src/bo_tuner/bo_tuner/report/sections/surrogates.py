@@ -4,6 +4,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.contours import MOST_PARAMETERS, contours, most_sensitive
 from bo_tuner.report.sections.slices import slices
+from bo_tuner.report.sections.what_if import what_if
 
 
 def surrogates(analysis: Analysis) -> Section | None:
@@ -33,4 +34,5 @@ def surrogates(analysis: Analysis) -> Section | None:
         lead=f"Models (Gaussian processes) of all trials, around trial {answer.number}.",
         figures=figures,
         notes=notes,
+        what_if=what_if(analysis),
     )
