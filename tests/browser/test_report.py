@@ -320,8 +320,15 @@ def test_a_point_of_the_front_opens_what_is_to_know_of_it(chromium, front_page):
         browser.wait_for(f"JSON.stringify({opened_ones}) === '[{number}]'")
         plots = f"document.querySelectorAll('#figure-response-{number} .plot-container').length"
         browser.wait_for(f"{plots} > 0")
-        text = browser.evaluate(f"{choices}.find(c => c.open).textContent")
-        assert re.search(rf"apply \S+ --trial {number}\b", text) or ", the result" in text
+        shown = f"{choices}.find(c => c.open)"
+        commands = browser.evaluate(
+            f"[...{shown}.querySelectorAll('code')].map(c => c.textContent)"
+        )
+        title = browser.evaluate(f"{shown}.querySelector('summary').textContent")
+        # Those for the result stand with it.
+        if ", the result" not in title:
+            assert [command.split()[0] for command in commands] == ["validate", "apply"]
+            assert all(command.endswith(f" --trial {number}") for command in commands)
     assert browser.errors == []
 
 

@@ -116,9 +116,8 @@ def test_each_point_of_the_front_can_be_chosen(runs):
         (row,) = choice.values.rows
         gain = analysis.trials[number].parameters["gain"]
         assert float(row[1]) == pytest.approx(gain, rel=1e-3)
-        assert choice.title.startswith(
-            f"Trial {number}{', the result' * (number == result)}: error"
-        )
+        name = f"Trial {number}, the result" if number == result else f"Trial {number}"
+        assert choice.title.startswith(f"{name}: error ")
         # The objects of this study have no signals.
         assert choice.figure is None
 
