@@ -15,11 +15,18 @@ class Step:
     command: str
     purpose: str
 
+    @property
+    def name(self) -> str:
+        """The command by its name, with an option that says which of its uses it is."""
+        first, second, *_ = (*self.command.split(), "")
+        return f"{first} {second}" if second.startswith("--") else first
+
 
 def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     """Return the commands that come next, the most useful one first.
 
-    Wider bounds, where the result is at one, are a further run, and come last.
+    Wider bounds, where the result is at one, are a further run, and come last, unless nothing was
+    found feasible: then the range is what to change first.
 
     Parameters
     ----------
@@ -35,7 +42,10 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         return () if verdict.feasible else (search,)
     options = wider_options(verdict.at_bounds)
     wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
-    return (*_by_state(verdict, where), *((wider,) if options else ()))
+    steps = _by_state(verdict, where)
+    if not options:
+        return steps
+    return (wider, *steps) if verdict.state is State.INFEASIBLE else (*steps, wider)
 
 
 def to_use(run: str, trial: int) -> tuple[Step, ...]:

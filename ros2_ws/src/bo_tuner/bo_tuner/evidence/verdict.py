@@ -336,7 +336,10 @@ class Verdict:
             return "proven to stay within all limits"
         text = _standing_in_words(self._tuned_limits)
         over = sum(limit.violations for limit in self._default_limits.values())
-        beside = f" (default: {over})" if over and not self.is_default else ""
+        # Several limits may be broken in a run.
+        runs = max((limit.runs for limit in self._default_limits.values()), default=0)
+        times = f"{over} times" if over > runs else f"{over}"
+        beside = f" (default: {times})" if over and not self.is_default else ""
         return f"{text[:1].lower()}{text[1:]}{beside}"
 
     @property
