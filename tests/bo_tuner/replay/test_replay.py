@@ -85,7 +85,7 @@ class TestMilling:
             assert code == 0
             assert out.count("equal") == len(study.metrics)
             assert "complete, as recorded\nconfirmed" in out
-            assert "no bag: an evaluation in process has no messages" in err
+            assert "no bag: a test run in process has no messages" in err
             backend = InProcessBackend(study)
             backend.open()
             result = replay(record, recorded, backend)
@@ -164,7 +164,7 @@ class TestVerdict:
         backend = Backend(record.study)
         found = replay(record, recorded, backend)
         assert found.confirmed
-        assert "the way the evaluation ended is confirmed; no metric" in found.verdict
+        assert "the way the test run ended is confirmed; no metric" in found.verdict
         backend.ends = Outcome(EvaluationState.FAILED, reason="stalled")
         assert replay(record, recorded, backend).verdict == "NOT confirmed"
 
@@ -260,7 +260,7 @@ class TestChoice:
         for which in ("99", "-1", "1.0", "first", "", "9" * 5000, "1\n"):
             with pytest.raises(RunRecordError, match="and the run has trials 0 to 4"):
                 find_trial(record, which)
-        with pytest.raises(RunRecordError, match="has no evaluation 7, only 0 to "):
+        with pytest.raises(RunRecordError, match="has no test run 7, only 0 to "):
             find_evaluation(record, complete(record)[0].number, 7)
         nothing = replace(record, evaluations=(), trials=(), summary=None)
         for which in ("best", "worst"):
@@ -285,7 +285,7 @@ def test_what_else_has_changed_since(record):
         (("--evaluation", "one"), "--evaluation: one: expected a whole number"),
         (("--backend", "gazebo"), "--backend: invalid choice"),
         (("--trial", "99"), "no trial '99'; expected best, worst or a number"),
-        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no evaluation -3"),
+        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no test run -3"),
     ],
 )
 def test_wrong_options(record, capsys, arguments, complaint):

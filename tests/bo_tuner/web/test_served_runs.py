@@ -2,17 +2,22 @@
 
 import csv
 import io
+import json
 import os
 import re
 import shutil
 import socket
+from dataclasses import asdict
 
 import pytest
 from pages import ServedRuns
 from report_runs import run_axis
 
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.storage.notes import Note, read_notes, write_note
 from bo_tuner.storage.record import read_run
+from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web import runs as runs_module
 from bo_tuner.web.files import files_of
 from bo_tuner.web.qr_code import qr_code
@@ -57,6 +62,36 @@ class TestServed:
             assert served.ask(path, token=False)[0] == 403, path
         assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
         assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
+
+    def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
+        """Which the page asks for from time to time."""
+        page = served.ask("/runs")[2]
+        (address,) = re.findall(r'data-news="([^"]+)"', page)
+        status, _, news = served.ask(address)
+        assert status == 200
+        assert news.lstrip().startswith('<section id="runs"')
+        assert news.strip() in page
+        assert served.ask(address, token=False)[0] == 403
+        assert served.ask("/news?page=7")[0] == 404
+        assert served.ask("/news?page=x")[0] == 400
+        shutil.copytree(folder / "first", folder / "fourth")
+        write_note(folder / "second", None, Note("rings"))
+        news = served.ask(address)[2]
+        listed = re.findall(r'<a href="/runs/(\w+)">', news)
+        assert sorted(listed) == ["first", "fourth", "second", "third"]
+        assert "<td>rings</td>" in news
+
+    def test_the_models_predict_for_other_values(self, served, finished):
+        page = served.ask("/runs/first")[2]
+        (address,) = re.findall(r'data-forecasts="([^"]+)"', page)
+        status, headers, text = served.ask(f"{address}?gain=0.3")
+        assert (status, headers["Content-Type"]) == (200, "application/json")
+        record = with_summary(read_run(finished), str)
+        assert json.loads(text) == asdict(forecast(Analysis(record), {"gain": 0.3}))
+        assert served.ask(f"{address}?gain=0.3", token=False)[0] == 403
+        for query, code in (("gain=7", 404), ("load=1", 404), ("gain=high", 400)):
+            assert served.ask(f"{address}?{query}")[0] == code, query
+        assert served.ask("/runs/none/forecast?gain=0.3")[0] == 404
 
     def test_it_ends_with_ctrl_c(self, folder):
         pages = ServedRuns(folder)

@@ -227,7 +227,7 @@ class Evaluation:
         """Which one it is, in words, such as ``trial 3, evaluation 0``; see `whose`."""
         whose = self.whose
         side = whose if isinstance(whose, str) else f"trial {whose}"
-        return f"{side}, evaluation {self.index}"
+        return f"{side}, test run {self.index}"
 
 
 @dataclass(frozen=True)

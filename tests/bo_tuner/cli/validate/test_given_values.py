@@ -75,7 +75,7 @@ def test_values_that_do_not(here, place):
     ((kind, message),) = found["peak"]
     assert (kind, message) == (
         "failure",
-        "NOT shown to be kept by the mean over noise in every context",
+        "NOT proven to be kept by the mean over noise in every context",
     )
     ((kind, message),) = found["all limits"]
     assert kind == "failure"
@@ -111,7 +111,7 @@ def test_it_goes_on_after_an_interruption(here, place, monkeypatch):
     assert {mark for ((mark, _),) in cases("report.xml").values()} == {"error"}
     code, _, err = here("good.yaml", "--junit", "report.xml")
     assert code == 0, err
-    assert "after 4 evaluations" in err
+    assert "after 4 test runs" in err
     assert len(calls) == len(set(calls)) + 1
     assert cases("report.xml")["all limits"] == []
 

@@ -80,7 +80,7 @@ def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Ca
     count, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
     if study.budget.is_spent(count, evaluations):
         raise StudyError(
-            f"expected more than the {count} trials and {evaluations} evaluations of the earlier "
+            f"expected more than the {count} trials and {evaluations} test runs of the earlier "
             "runs, which count",
             ("budget",),
         )

@@ -341,7 +341,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     starting = sum(e.outcome.starts[1] for e in complete)
     resting = max(e.outcome.rested for e in complete)
     seconds = (sum(e.seconds - e.outcome.rested for e in complete) - starting) / len(complete)
-    say(f"an evaluation took {seconds:.3g} s")
+    say(f"a test run took {seconds:.3g} s")
     if resting:
         seconds += resting
         say(f"the machine rested {resting:.3g} s ahead of one, which counts")
@@ -351,7 +351,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     if study.relative_metrics:
         seconds *= 2.0
         say(
-            "note: limits are relative to the default, which is run beside each evaluation of "
+            "note: limits are relative to the default, which is run beside each test run of "
             "another parameter set: it takes twice the time"
         )
     tuning, certificate = evaluations_at_most(study)
@@ -361,7 +361,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         starts_of_study = tuning if each else min(tuning, study.budget.trials)
         say(
             f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
-            f"once for {'each evaluation' if each else 'each parameter set'}"
+            f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
 
@@ -369,14 +369,14 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
         return evaluations * seconds + starts * starting + warming
 
-    say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
+    say(f"study: at most {tuning} test runs, {duration(seconds_of_study)}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
         fewest = least_evaluations(study, spent(study.certificate.confidence, 1))
         least = max(fewest, least_draws(study))
         times = durations(of_certificate(probable.low), of_certificate(probable.high))
         say(
-            f"certificate: probably {probable} evaluations, {times}, if the result passes by a "
+            f"certificate: probably {probable} test runs, {times}, if the result passes by a "
             f"usual margin; at least {least}, {at_most}"
         )
     else:

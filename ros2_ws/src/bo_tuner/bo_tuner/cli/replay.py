@@ -48,9 +48,9 @@ from bo_tuner.trials import DEFAULT, TUNED, Evaluation
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
-Repeat a recorded evaluation with its parameters, context and seed, and compare
+Repeat a recorded test run with its parameters, context and seed, and compare
 its metrics with the record, bit for bit where they can be the same. On ROS the
-messages of this evaluation, and of the default parameters in the same context
+messages of this test run, and of the default parameters in the same context
 with the same noise, are recorded side by side in one bag, as /tuned/... and
 /default/...
 """
@@ -63,16 +63,16 @@ both in process.
 exit codes:
   0    the result is as recorded, in all that is judged
   1    standard output cannot be written, or an attached node was not restored
-  2    bad input: run, trial, evaluation, option or nodes, or a folder that
+  2    bad input: run, trial, test run, option or nodes, or a folder that
        cannot be written
   3    the result differs; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: the output pipe was closed)
 
 examples:
-  replay runs/latest                           the result's worst evaluation
+  replay runs/latest                           the result's worst test run
   replay runs/latest --trial worst             the worst trial's
-  replay runs/latest --trial 7 --evaluation 3  any evaluation
+  replay runs/latest --trial 7 --evaluation 3  any test run
   replay runs/latest --backend inprocess       without nodes, without a bag
 """
 
@@ -92,7 +92,7 @@ def make_parser() -> Parser:
         "--evaluation",
         type=whole_number,
         metavar="K",
-        help="number of the evaluation within the trial (default: the worst)",
+        help="number of the test run within the trial (default: the worst)",
     )
     parser.add_backend_arguments("as in the run")
     parser.add_argument(
@@ -152,13 +152,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         with opened(backend, interruption) as left:
             result = replay(record, recorded, backend)
         _show(record, result, name)
-        console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
+        console.print("no bag: a test run in process has no messages", soft_wrap=True)
     return ended(left, EXIT_OK if result.confirmed else EXIT_INFEASIBLE)
 
 
 def _description(evaluation: Evaluation, backend: str) -> str:
     return (
-        f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
+        f"trial {evaluation.trial}, test run {evaluation.index} ({evaluation.stage}; "
         f"context {values(evaluation.context) or 'none'}; seed {evaluation.seed}) on {backend}"
     )
 

@@ -333,7 +333,7 @@ class Session:
             return RecordedEvaluations(self._backend, self._study, earlier.to_give_again)
         except KeyError as error:
             raise RunRecordError(
-                f"{self._folder.journal}: has evaluations of another study, with {error}"
+                f"{self._folder.journal}: has test runs of another study, with {error}"
             ) from error
 
     def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:

@@ -47,7 +47,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
-  tune --study my_axis.yaml --workers 4   four evaluations at once
+  tune --study my_axis.yaml --workers 4   four test runs at once
   tune --study my_axis.yaml --benches 11,12   on two sets of running nodes
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
@@ -141,7 +141,7 @@ def _add_known(group: Group) -> None:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
+        help="resume the interrupted run in this folder; recorded test runs are not repeated; "
         "with --trials N or --evaluations N larger than before, the run continues to N",
     )
     group.add_argument(

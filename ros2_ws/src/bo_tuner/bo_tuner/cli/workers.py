@@ -38,12 +38,12 @@ class _Benches(argparse.Action):
 
 def add_workers_arguments(parser: Parser, default: str) -> None:
     """Add the options for several workers; `default` is told in the help."""
-    group = parser.add_argument_group("several evaluations at once")
+    group = parser.add_argument_group("several test runs at once")
     group.add_argument(
         "--workers",
         type=whole_number,
         metavar="N",
-        help="evaluations that run at once, each on nodes of its own, which it starts in a ROS "
+        help="test runs at a time, each on nodes of its own, which it starts in a ROS "
         f"domain of its own, or on objects in a process of its own (default: {default})",
     )
     group.add_argument(
@@ -146,7 +146,7 @@ def _count(
         elsewhere = SCHEDULER in known and not arguments.scheduler
         return 1 if attach or elsewhere else recorded_workers(known)
     if arguments.scheduler and study.budget.workers is None:
-        parser.error("--scheduler: expected --workers N, too: how many evaluations run at once")
+        parser.error("--scheduler: expected --workers N, too: how many test runs at once")
     return study.budget.workers or 1
 
 

@@ -208,7 +208,7 @@ class Recorder:
         for partial in partial_bags(self._folder):
             path = recover(partial)
             if path is None:
-                self.warn(f"{partial.name}: cut off before a whole evaluation; nothing to recover")
+                self.warn(f"{partial.name}: cut off before a whole test run; nothing to recover")
             else:
                 note_bag(path)
                 self._incomplete.append(path.name)

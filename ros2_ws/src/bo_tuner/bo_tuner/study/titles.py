@@ -4,6 +4,8 @@ from collections.abc import Mapping
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
+from bo_tuner.text import shown
+from bo_tuner.trials import Value
 
 LONGEST_LABEL = 60
 """Characters of a label; a table and the axis of a figure have room for no more."""
@@ -19,6 +21,16 @@ class Titled:
     def title(self) -> str:
         """What screens call it; files, topics and options keep the name."""
         return self.label or self.name
+
+    @property
+    def title_and_name(self) -> str:
+        """The same, with the name in brackets if it has a label: it is set by its name."""
+        return f"{self.label} ({self.name})" if self.label else self.name
+
+
+def titled_values(items: Mapping[str, Titled], values: Mapping[str, Value]) -> str:
+    """Format values by their names in one line, each with the title of its item."""
+    return ", ".join(f"{items[name].title} {shown(value)}" for name, value in values.items())
 
 
 def check_label(label: str) -> None:
