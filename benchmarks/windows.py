@@ -39,6 +39,7 @@ def main() -> None:
         if optimum is None:
             raise SystemExit(f"error: {name}: no optimum is known")
         windows: dict[str, Any] = {}
+        result["cases"][name] = {"title": case.title, "windows": windows}
         for window in WINDOWS:
             found = [judged(experiment, name, shipped, seed, window) for seed in seeds]
             for run in found:
@@ -51,9 +52,8 @@ def main() -> None:
             compared |= {"interval": [counted.low, counted.high]}
             windows[str(window)] = {"results": found} | compared
             rows.append([name, window, compared["feasible"], compared["objective"]])
+            write_result(arguments.result, result)
             print(name, window, compared, flush=True)
-        result["cases"][name] = {"title": case.title, "windows": windows}
-        write_result(arguments.result, result)
     print(table(["case", "window", "feasible", "regret"], rows))
 
 
