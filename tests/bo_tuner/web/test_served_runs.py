@@ -134,6 +134,10 @@ class TestServed:
         assert served.ask("/runs/caf%E9/files/study.yaml")[0] == 200
         assert 'href="/runs/caf%E9"' in served.ask("/runs/first")[2]
         assert served.ask("/runs.csv")[0] == 200
+        assert served.ask("/runs?token=%E9", token=False)[0] == 400
+        os.truncate(bytes(folder) + b"/caf\xe9/journal.sqlite", 4096)
+        status, _, said = served.ask("/runs/caf%E9")
+        assert (status, said.startswith("409: ")) == (409, True)
 
     def test_a_file_is_a_download(self, served, folder):
         page = served.ask("/runs/first")[2]

@@ -44,9 +44,8 @@ class RunsHandler(Page):
         self.thread: ThreadPoolExecutor = shared["thread"]
 
     def decode_argument(self, value: bytes, name: str | None = None) -> str:
-        """Take names of folders and files as the system has them, which need not be UTF-8."""
-        del name
-        return os.fsdecode(value)
+        """Take folders and files in a path as the system has them, which need not be UTF-8."""
+        return super().decode_argument(value, name) if name else os.fsdecode(value)
 
 
 class Entrance(RunsHandler):
