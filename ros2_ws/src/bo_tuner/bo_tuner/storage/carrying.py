@@ -49,6 +49,7 @@ from bo_tuner.text import counted
 from bo_tuner.trials import (
     DEFAULT_HAS,
     Evaluation,
+    EvaluationState,
     Outcome,
     Stage,
     Trial,
@@ -295,6 +296,9 @@ class _Taking:
 
     def _outcome(self, evaluation: Evaluation) -> Outcome:
         outcome = evaluation.outcome
+        if outcome.state is EvaluationState.CUT_SHORT:
+            # By the limits of that run, which may be others now.
+            raise _LeftOutError("cut short")
         if not outcome.complete:
             if self._measured_otherwise and OF_MEASURING.search(outcome.reason):
                 raise _LeftOutError("failed by what is measured otherwise now")
