@@ -44,6 +44,8 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
 
 GROWING = {"error", "overshoot", "effort", "tracking_error"}
+CUT = 5.4
+"""Time of a whole cut of the axis [s]."""
 DRAWS, REPEATS = 40, 25
 """Runs behind the truth of an answer of the axis: in drawn contexts, and in each corner."""
 
@@ -100,11 +102,8 @@ class Axis(Timed):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Run a cut."""
         outcome = self._objects.outcome(planned)
-        self.seconds += float(outcome.details.get(CUT_AFTER, self.length))
+        self.seconds += float(outcome.details.get(CUT_AFTER, CUT))
         return outcome
-
-    length = 0.01 * 450
-    """Time of a whole cut [s]."""
 
 
 @dataclass(frozen=True)
