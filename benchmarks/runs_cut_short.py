@@ -225,11 +225,14 @@ def main() -> None:
     """Tune with whole runs and with runs that are cut short, and report."""
     parser = result_parser(__doc__, "runs_cut_short.json")
     parser.add_argument("--runs", type=int, default=20, help="seeds (default: %(default)s)")
+    parser.add_argument("--only", choices=["motor", "axis"], help="one of the systems")
     arguments = parser.parse_args()
     known = provenance()
     results: dict[str, dict[str, list[dict[str, Any]]]] = {}
     rows = []
     for name, system in systems().items():
+        if arguments.only not in (None, name):
+            continue
         seeds = range(1, arguments.runs + 1)
         results[name] = {
             kind: [run(system, seed, cut_short=cut_short) for seed in seeds]

@@ -1,10 +1,11 @@
 """Which metrics only grow during a run, and which studies may have runs cut short."""
 
 import contextlib
+import itertools
 
 import numpy as np
 import pytest
-from cutting import GROWS
+from cut_short_runs import GROWS
 from functions import make_study, study_mapping
 from signal_runs import recording, signal_study
 
@@ -160,8 +161,8 @@ class TestSoFar:
         for end in (0.5, 1.0, 1.5, 2.0):
             part = Recording(whole.signals, end)
             values.append(MetricsSoFar(study).of(part))
-        assert all(before["far"] <= after["far"] for before, after in zip(values, values[1:]))
-        assert all(before["error"] < after["error"] for before, after in zip(values, values[1:]))
+        assert all(before["far"] <= after["far"] for before, after in itertools.pairwise(values))
+        assert all(before["error"] < after["error"] for before, after in itertools.pairwise(values))
         seen = whole.signals["angle"]
         assert values[1]["far"] == pytest.approx(np.abs(seen.value[seen.time <= 1.0]).max())
 

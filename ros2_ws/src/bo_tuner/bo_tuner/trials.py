@@ -148,6 +148,7 @@ class Outcome:
         details
             Further values that the nodes reported, as text.
         """
+        seconds = round(seconds, 3)
         known = {f"{AT_LEAST}{name}": repr(value) for name, value in at_least.items()}
         return cls(
             EvaluationState.CUT_SHORT,

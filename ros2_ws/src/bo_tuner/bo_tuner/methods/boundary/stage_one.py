@@ -26,8 +26,8 @@ import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule
 from bo_tuner.methods.boundary.approach import Approach
-from bo_tuner.methods.boundary.cutting import hopeless_beyond
 from bo_tuner.methods.boundary.exploration import Exploration, elsewhere, ends_in_a_basin
+from bo_tuner.methods.boundary.hopeless import hopeless_beyond
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.pooled_models import PooledSurrogates

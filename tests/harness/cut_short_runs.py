@@ -10,14 +10,14 @@ LENGTH = 10.0
 GROWS = NODE | {"grows": True}
 
 
-def cutting_study(cut=True, **sections):
+def short_study(cut=True, **sections):
     """A study of `error` and `peak`, which only grow."""
     budget = {"trials": 14, "initial_trials": 8, "drawn_contexts": 2, "search_evaluations": 1}
     sections = {"metrics": {"error": GROWS, "peak": GROWS}} | sections
     return make_study(budget=budget | {"cut_short": cut, "validation_draws": 3}, **sections)
 
 
-class CuttingBackend(FunctionBackend):
+class EndingBackend(FunctionBackend):
     """Ends a run where a metric of the function is beyond its bound."""
 
     def __init__(self, study, function):
