@@ -10,11 +10,11 @@ from scipy import stats
 from bo_tuner.evidence.certificate.certification import (
     Certification,
     MostEvaluations,
-    Subject,
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.trials import EvaluationState

@@ -12,13 +12,10 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.cli.common import opened
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.certification import (
-    Certification,
-    Subject,
-    most_evaluations,
-)
+from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.so_far import so_far
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished

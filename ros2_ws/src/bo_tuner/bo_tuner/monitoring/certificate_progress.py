@@ -6,7 +6,7 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from bo_tuner.evidence.certificate.certification import DRAWS
+from bo_tuner.evidence.certificate.draws import DRAWS
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.tuning.observer import RunObserver

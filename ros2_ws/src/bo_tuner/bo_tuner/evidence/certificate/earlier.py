@@ -12,9 +12,9 @@ from pathlib import Path
 from bo_tuner import text
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.decisions import is_refuted_by
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import Earlier, Findings, Refutation
-from bo_tuner.evidence.certificate.judgement import is_refuted_by
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     evaluations_problem,

@@ -20,7 +20,7 @@ from bo_tuner.evidence.certificate.independent_search import (
     least_searched,
     most_searched,
 )
-from bo_tuner.evidence.certificate.judgement import is_exact
+from bo_tuner.evidence.certificate.limited_runs import is_exact
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import draws_needed, log_evidence, log_mean_evidence
