@@ -8,7 +8,7 @@ from cut_short_runs import GROWS, short_study
 from functions import NODE, planned
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.errors import RunRecordError, StudyError
+from bo_tuner.errors import JournalError, StudyError
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.trials import EvaluationState
@@ -142,5 +142,5 @@ def test_a_record_with_a_bound_that_is_none_is_refused(opened, tmp_path, value):
     )
     with Journal(tmp_path / "journal.sqlite", {}) as journal:
         journal.record_evaluation(evaluation)
-    with pytest.raises(RunRecordError, match=r"at least|could not convert"):
+    with pytest.raises(JournalError, match=r"at least|could not convert"):
         read_journal(tmp_path / "journal.sqlite")

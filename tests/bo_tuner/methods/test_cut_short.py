@@ -160,6 +160,18 @@ class TestBounds:
         assert bounds.beyond(Stage.SEARCH).keys() == {"peak"}
         assert bounds.beyond(Stage.DRAWN).keys() == {"peak", "error"}
 
+    def test_where_all_known_runs_keep_a_limit_noise_counts_all_the_same(self):
+        """Of a metric on the logarithmic scale, whose noise is at most 1 % of it."""
+        gain = {"type": "double", "bounds": [0.05, 0.45], "default": 0.2}
+        study = short_study(
+            metrics={"error": GROWS, "peak": GROWS | {"scale": "log"}},
+            parameters={"gain": NODE | gain},
+        )
+        trials = tuned(study, EndingBackend(study, machine))
+        models = PooledModels()(study, trials, rng=np.random.default_rng(0))
+        bounds = hopeless_beyond(study, models, np.array([0.5]), None, 0.0)
+        assert 1.002 < bounds.anywhere["peak"] < 1.2
+
     def test_the_lower_of_two_bounds_counts_in_a_context_that_was_drawn(self):
         bounds = Hopeless({"peak": 2.0}, {"peak": 1.5})
         assert bounds.beyond(Stage.DRAWN) == {"peak": 1.5}

@@ -22,6 +22,9 @@ from bo_tuner.study.study import Study
 DEVIATIONS = 3.0
 """Standard deviations of a run beyond which nothing is explained by noise or context."""
 
+FAR = 1e6
+"""How far a bound may be beyond its limit, relative to that."""
+
 
 def hopeless_beyond(
     study: Study,
@@ -54,7 +57,9 @@ def hopeless_beyond(
             continue
         widened = response.limit + least * (abs(response.limit) or 1.0)
         explained = DEVIATIONS * float(response.deviation_of_run(x)[0])
-        most = float(response.scale.restore(response.scale.apply(widened) + explained))
+        # A scale restores nothing beyond what is known, which may be within the limit.
+        scale = response.scale.including(widened + FAR * (abs(response.limit) or 1.0))
+        most = float(scale.restore(scale.apply(widened) + explained))
         bounds = anywhere if constraint.rule.in_every_context else drawn
         bounds[constraint.metric] = min(most, bounds.get(constraint.metric, most))
     objective, model = study.objective, surrogates.objective
