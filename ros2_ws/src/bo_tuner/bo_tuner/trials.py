@@ -386,6 +386,12 @@ class Trial:
         return replace(self, evaluations=tuning)
 
 
+def ended_as(outcome: Outcome) -> TrialState:
+    """Return how a trial has ended that ended with an evaluation which is not complete."""
+    cut_short = outcome.state is EvaluationState.CUT_SHORT
+    return TrialState.CUT_SHORT if cut_short else TrialState.FAILED
+
+
 def count_trials(trials: Iterable[Trial]) -> int:
     """Return how many trials count for the budget; one that is `Trial.unusable` does not."""
     return sum(not trial.unusable for trial in trials)

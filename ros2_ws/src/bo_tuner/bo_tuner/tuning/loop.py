@@ -14,7 +14,6 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Context,
     Evaluation,
-    EvaluationState,
     Stage,
     Trial,
     TrialState,
@@ -22,6 +21,7 @@ from bo_tuner.trials import (
     WorstCase,
     count_evaluations,
     count_trials,
+    ended_as,
 )
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
@@ -112,10 +112,7 @@ class TrialTask:
         """Return the trial, once it has ended."""
         proposal = self._proposal
         failed = [e.outcome for e in self._done if not e.outcome.complete]
-        state = TrialState.COMPLETE
-        if failed:
-            cut_short = failed[0].state is EvaluationState.CUT_SHORT
-            state = TrialState.CUT_SHORT if cut_short else TrialState.FAILED
+        state = ended_as(failed[0]) if failed else TrialState.COMPLETE
         return Trial(
             number=self._number,
             parameters=proposal.parameters,
