@@ -52,10 +52,13 @@ class DrawPlan(CertificatePlan):
         self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
 
     def _next(self, pending: Sequence[Run]) -> Run | None:
-        """Return the next subject in a draw, or the first one in the next draw."""
-        k, number = divmod(sum(map(len, self.evaluations)) + len(pending), len(self._subjects))
-        if k == len(self._contexts) or (self._clear and number == 0):
+        """Return the next subject in a draw, or one in the next draw."""
+        count = len(self._subjects)
+        k, place = divmod(sum(map(len, self.evaluations)) + len(pending), count)
+        if k == len(self._contexts) or (self._clear and place == 0):
             return None
+        # By turns the first and the last is first: a machine that warms up is no difference.
+        number = count - 1 - place if k % 2 else place
         parameters, context = self._subjects[number].parameters, self._contexts[k]
         seed = self._case.draw_seed(k)
         return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))

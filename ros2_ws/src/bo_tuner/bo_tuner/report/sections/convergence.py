@@ -99,7 +99,7 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     unit = study.metrics[study.objective.metric].unit
     lines = [
         f"trial {trial.number} ({trial.origin or 'unknown origin'}): {analysis.outcome(trial)}",
-        values(analysis.tuned_values(trial.parameters)),
+        analysis.tuned_in_words(trial.parameters),
     ]
     if trial.state is not TrialState.COMPLETE:
         return "\n".join([*lines, trial.reason])
