@@ -39,7 +39,7 @@ class HeardRun:
 class OnNodes(Backend, Protocol):
     """A backend whose nodes can be heard."""
 
-    after_default: Callable[[], object]
+    after_extra_run: Callable[[], object]
 
     @property
     def recording(self) -> Recording:
@@ -82,7 +82,7 @@ class ListeningBackend(Generic[OnNodesT]):
         self._backend.open()
         listener = self._listener = self._listen(self._backend, self._inbox)
         # One of the default beside an evaluation is none of its own.
-        self._backend.after_default = lambda: self._inbox.collect(listener.take)
+        self._backend.after_extra_run = lambda: self._inbox.collect(listener.take)
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run evaluations one after the other; what came before one belongs to none."""
