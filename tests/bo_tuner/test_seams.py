@@ -181,7 +181,7 @@ class AveragesKind:
         self.made += 1
         return Averages(x, c, y)
 
-    def condition(self, hyperparameters, x, c, y, *, coding):
+    def condition(self, hyperparameters, x, c, y, **_):
         return self.fit(x, c, y)
 
 

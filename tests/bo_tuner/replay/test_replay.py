@@ -13,7 +13,7 @@ from made_runs import INITIAL, make_run
 from recorded_trials import event, joints
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend, opened_backend
 from bo_tuner.cli import replay as command
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.recording.bag import NANOSECONDS
@@ -187,10 +187,22 @@ class TestVerdict:
         backend = function_backend(record.study, lambda **values: failed("axis: stalled"))
         result = replay(record, recorded, backend)
         assert not result.confirmed
-        assert all(row.difference is None and not row.equal for row in result.metrics)
+        assert all(row.difference is None and not row.agrees for row in result.metrics)
         assert backend.calls == [
             dict(recorded.parameters) | dict(recorded.context) | {"seed": recorded.seed}
         ]
+
+    @pytest.mark.parametrize(("peak", "confirmed"), [(0.1, True), (50.0, False)])
+    def test_one_that_was_cut_short_is_held_against_its_bounds(self, record, peak, confirmed):
+        """The replay is whole: a metric is at least as large, or the record is not confirmed."""
+        whole = find_evaluation(record, complete(record)[0].number, None)
+        outcome = Outcome.cut_short(0.5, {"peak": peak}, "peak at least")
+        backend = InProcessBackend(record.study)
+        with opened_backend(backend):
+            result = replay(record, replace(whole, outcome=outcome), backend)
+        assert result.replayed.outcome.complete
+        assert result.confirmed == confirmed
+        assert [row.metric.name for row in result.metrics if row.judged] == ["peak"]
 
 
 class TestChoice:

@@ -90,6 +90,35 @@ def runs(make_study, function_backend, tmp_path_factory):
     return {name: record(path, study, function_backend, name) for name in METHODS}
 
 
+class TestRunsCutShort:
+    """Bounds are data, whatever limits are now, as long as the metric is measured as it was."""
+
+    def cut(self, runs, algorithm):
+        """A record whose second trial ended with a run that was cut short."""
+        earlier = runs[algorithm]
+        trials = list(earlier.trials)
+        *whole, last = trials[1].evaluations
+        outcome = Outcome.cut_short(1.5, {"error": 0.4, "peak": 1.2}, "peak at least 1.2")
+        evaluations = (*whole, dataclasses.replace(last, outcome=outcome))
+        trials[1] = dataclasses.replace(
+            trials[1], state=TrialState.CUT_SHORT, evaluations=evaluations, worst_cases={}
+        )
+        evaluations = tuple(e for trial in trials for e in trial.evaluations)
+        return dataclasses.replace(earlier, trials=tuple(trials), evaluations=evaluations)
+
+    def test_their_bounds_are_taken(self, runs, make_study):
+        wider = make_study(parameters={"gain": GAIN | {"bounds": [0.0, 2.0]}})
+        trial = carry(self.cut(runs, BOUNDARY), wider).trials[1]
+        assert trial.state is TrialState.CUT_SHORT
+        assert trial.evaluations[-1].outcome.at_least == {"error": 0.4, "peak": 1.2}
+        assert all(e.outcome.complete for e in trial.evaluations[:-1])
+
+    def test_not_by_a_method_that_needs_whole_runs(self, runs, make_study):
+        carried = carry(self.cut(runs, "V"), make_study())
+        assert len(carried.trials) == 5
+        assert "cut short" in carried.text
+
+
 class TestParameters:
     @pytest.mark.parametrize("algorithm", ANYWHERE)
     def test_wider_bounds_keep_all(self, runs, make_study, function_backend, algorithm):

@@ -29,6 +29,7 @@ from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study import checks
 from bo_tuner.study.changes import changes, summarized
+from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
@@ -361,6 +362,7 @@ def opened(
         name, window = record.algorithm, recorded_window(record.provenance)
     if problem := problem_of(name, study):
         raise StudyError(problem, ("algorithm",))
+    check_ends_early(study, FUNCTION)
     if window > 1 and study.relative_metrics and not by_backend:
         raise StudyError(
             f"expected 1, since limits are relative to the default, found {window}", ("window",)

@@ -40,6 +40,7 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
+from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, duration, durations, shown
@@ -233,6 +234,8 @@ def _show_runs(
             say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
+    if study.budget.cut_short:
+        say(decided_by(study))
     if noise := noise_in(study, complete):
         say_error(f"error: {noise}")
         return False

@@ -44,7 +44,7 @@ from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.terminal import print_table
 from bo_tuner.text import values
-from bo_tuner.trials import DEFAULT, TUNED, Evaluation
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation, EvaluationState
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
@@ -235,13 +235,20 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
             _word(row),
         )
     print_table(plain_console(), table)
-    measured = [row.metric.name for row in result.metrics if not row.judged]
+    bounded = result.recorded.outcome.at_least
+    measured = [
+        row.metric.name
+        for row in result.metrics
+        if not row.judged and (not bounded or row.at_least)
+    ]
     if measured:
         say(f"measured, so different in each run, and not judged: {', '.join(measured)}")
     if record.study.seed_parameter is None:
         say("the study has no parameter for the seed: noise, if there is any, was not the same")
     before, after = result.recorded.outcome, result.replayed.outcome
-    if result.same_end:
+    if before.state is EvaluationState.CUT_SHORT:
+        say(f"recorded: {before.reason}; the replay is whole, and its metrics may be larger")
+    elif result.same_end:
         how = f"{after.state}, as recorded"
         say(f"{how}: {after.reason}" if after.reason else how)
     else:
@@ -257,4 +264,6 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
 def _word(row: Comparison) -> str:
     if not row.judged:
         return "not judged"
-    return "equal" if row.equal else "DIFFERENT"
+    if not row.agrees:
+        return "DIFFERENT"
+    return "at least as large" if row.at_least else "equal"

@@ -46,6 +46,7 @@ from bo_tuner.storage.provenance import recorded_workers
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted
+from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
@@ -247,6 +248,7 @@ def _after_earlier(
             trust_given(study)
     if problem := problem_of(record.algorithm, study):
         parser.error(f"--from: {problem}")
+    check_ends_early(study, backend)
     check_comparable(record, study, record.method)
     measure = measure_again(record, study) if remeasured(record.study, study) else None
     carried = carry_over(record, study, record.method, measure)
@@ -286,6 +288,7 @@ def _new(
     algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
+    check_ends_early(study, backend)
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 
 

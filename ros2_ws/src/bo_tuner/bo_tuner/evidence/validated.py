@@ -48,11 +48,10 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
         )
     done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
-    failed = sum(trial.state is TrialState.FAILED for trial in trials)
-    if spent and failed == len(trials):
+    if spent and all(trial.state is not TrialState.COMPLETE for trial in trials):
         why = {trial.reason for trial in trials}
         common = f": {why.pop()}" if len(why) == 1 else ""
-        reasons = (f"All {failed} trials failed{common}",)
+        reasons = (f"All {len(trials)} trials failed{common}",)
         return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
     evidence = f"{done} of {planned} trials"
     if spent:

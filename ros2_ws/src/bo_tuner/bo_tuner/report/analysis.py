@@ -39,6 +39,7 @@ class TrialOutcome(StrEnum):
     UNCERTAIN = limits.MARGIN
     VIOLATES = limits.OVER
     OUTLIER = "far off"
+    CUT_SHORT = "cut short"
     FAILED = "failed"
     LOST = "lost"
     DISTURBED = "disturbed"
@@ -207,7 +208,7 @@ class Analysis:
 
     def outcome(self, trial: Trial) -> TrialOutcome:
         """Return the outcome of a trial."""
-        if trial.state is TrialState.FAILED:
+        if trial.state is not TrialState.COMPLETE:
             return TrialOutcome(trial.ending)
         if trial.number in self.models.outliers:
             return TrialOutcome.OUTLIER

@@ -48,6 +48,9 @@ def evaluation_of(row: Row) -> Evaluation:
         # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
+    outcome = Outcome(state, metrics, reason, _texts(row, "details"))
+    if unbounded := [name for name, value in outcome.at_least.items() if not math.isfinite(value)]:
+        raise ValueError(f"details: {unbounded[0]} is at least {outcome.at_least[unbounded[0]]}")
     return Evaluation(
         trial=_count(row, "trial"),
         index=_count(row, "position"),
@@ -55,7 +58,7 @@ def evaluation_of(row: Row) -> Evaluation:
         parameters=_values(row, "parameters"),
         context=_values(row, "context"),
         seed=_count(row, "seed"),
-        outcome=Outcome(state, metrics, reason, _texts(row, "details")),
+        outcome=outcome,
         seconds=float(_number(row["seconds"], "seconds")),
     )
 
@@ -143,6 +146,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             check_parameters(evaluation.parameters)
             check_context(evaluation.context)
             _same_names(outcome.metrics, study.metrics if complete else (), "metrics")
+            _same_names(outcome.at_least, set(outcome.at_least) & set(study.metrics), "details")
             _check_size(outcome.metrics.values(), "metrics")
             for objective in study.objectives if complete else ():
                 if not math.isfinite(float(objective.to_cost(outcome.metrics[objective.metric]))):

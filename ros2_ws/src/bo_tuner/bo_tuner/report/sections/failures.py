@@ -7,7 +7,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.guard_record import read_acts
 from bo_tuner.storage.run_files import BAGS, LOGS, bag_name
 from bo_tuner.text import values, with_unit
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.trials import Evaluation, EvaluationState, Trial
 
 MOST_NOTES = 10
 """Evaluations with gaps in signals that are listed one by one."""
@@ -15,7 +15,11 @@ MOST_NOTES = 10
 
 def failures(analysis: Analysis) -> Section:
     """List failures and outliers."""
-    failed = [r for r in analysis.record.evaluations if not r.outcome.complete]
+    failed = [
+        r
+        for r in analysis.record.evaluations
+        if not r.outcome.complete and r.outcome.state is not EvaluationState.CUT_SHORT
+    ]
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
     if failed:
