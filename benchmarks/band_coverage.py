@@ -32,13 +32,14 @@ from synthetic_responses import Response, largest, response
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.context_tolerance import (
     ContextTolerance,
     Drift,
     context_tolerances,
 )
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.context_covariates import covariates
 from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.study.study import Study

@@ -23,8 +23,9 @@ import numpy as np
 from common import BENCHMARKS, opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study

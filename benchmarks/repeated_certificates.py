@@ -22,10 +22,11 @@ from common import provenance, result_parser, table, write_result
 from synthetic_responses import Response
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.earlier import refutation
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.search_width import distances
 from bo_tuner.numerics.mean_tests import Betting, MeanTest, NormalOrSkewed
 from bo_tuner.numerics.sequential import spent

@@ -1,10 +1,15 @@
 """The page of a run in progress as a reader sees it: it goes on by itself."""
 
 import pytest
+from axis import write_study
+from commands import Fork
 from functions import NODE
-from live_run import Run
+from live_run import Page, Run
 from report_runs import axis_study
+from waiting import wait_until
 
+from bo_tuner.plans import EventKind
+from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.slow
@@ -12,10 +17,14 @@ pytestmark = pytest.mark.slow
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 
+STUDY = study_from_mapping(
+    axis_study(nodes={"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}})
+)
+
+
 def held_run(folder):
     """A run of a small object with a page, held at its 21st evaluation."""
-    nodes = {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}}
-    return Run(folder, study_from_mapping(axis_study(nodes=nodes)), 21, "--web-control")
+    return Run(folder, STUDY, 21, "--web-control")
 
 
 @pytest.fixture
@@ -100,6 +109,30 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
         chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path):
+    write_study(tmp_path, STUDY)
+    file = tmp_path / "said.txt"
+    options = ("--backend", "inprocess", "--study", "axis.yaml", "--safe", "--confirm")
+    with file.open("w") as said:
+        process = Fork("tune", *options, "--web", "--web-control", folder=tmp_path, stderr=said)
+    try:
+        wait_until(lambda: "token=" in file.read_text(), "the address", process, file.read_text)
+        chromium.open(Page(process, file).entrance)
+        question = "document.querySelector('.question')"
+        chromium.wait_for(f"{question}?.querySelector('pre').textContent.startsWith('next, trial')")
+        assert not chromium.evaluate(f"{question}.hidden")
+        chromium.evaluate("document.querySelector('[data-request=accept]').click()")
+        journal = tmp_path / "runs" / "latest" / "journal.sqlite"
+
+        def answered():
+            return [event.kind for event in read_journal(journal).events][:1]
+
+        wait_until(lambda: answered() == [EventKind.ACCEPT], "the answer", process, file.read_text)
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_it_pauses_continues_and_ends_the_run(chromium, run):

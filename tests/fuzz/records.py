@@ -21,8 +21,9 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.deploy.bundle import DEPLOY, ROLLBACK, read_rollback, result_of, write_bundle
 from bo_tuner.errors import BoTunerError
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import CERTIFICATES, certificate_problem
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.replay.replay import BEST as THE_BEST

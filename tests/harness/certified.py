@@ -1,6 +1,7 @@
 """Evaluations for certificates, and the limits that they are held against."""
 
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.tuning.driver import Driver
 
 LIMIT = 1.0

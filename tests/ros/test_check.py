@@ -117,9 +117,9 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"
     # Three trials of a draw, 10 runs in the check of an answer, and two sides in two draws.
-    assert "study: at most 17 evaluations, about" in out
+    assert "study: at most 17 test runs, about" in out
     # Without a limit on the worst case there is no search for it.
-    assert "certificate: probably 30 evaluations, about" in out
+    assert "certificate: probably 30 test runs, about" in out
     assert "if the result passes by a usual margin; at least 30, at most 1000, about" in out
     assert "violations" in out
     assert "note: parameters" not in out
@@ -163,6 +163,15 @@ def test_a_limit_relative_to_the_default_takes_a_second_run(servo, tmp_path):
     assert "error_minus_1.1_default" in out
     said = "note: limits are relative to the default, which is run beside each evaluation"
     assert said in " ".join(out.split())
+
+
+def test_a_machine_that_warms_up_and_rests_takes_longer(servo, tmp_path):
+    code, out, err = study(tmp_path, run={"warm_up": 2, "rest": 3})
+    assert code == 0, err
+    assert re.search(r"^2 runs to warm up took [\d.]+ s: once for each command$", out, re.MULTILINE)
+    rested = re.search(r"^the machine rested ([\d.]+) s ahead of one, which counts$", out, re.M)
+    # 3 s from the end of a run on, of which setting parameters back takes a part.
+    assert 0.0 < float(rested[1]) < 3.5
 
 
 def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):

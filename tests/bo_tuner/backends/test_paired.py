@@ -119,7 +119,7 @@ def test_of_a_combined_metric(make_study):
 def test_that_the_default_is_done_is_told_before_the_evaluation_begins(study):
     backend = FunctionBackend(study, machine)
     done = []
-    backend.after_default = lambda: done.append(len(backend.calls))
+    backend.after_extra_run = lambda: done.append(len(backend.calls))
     for gain in (0.8, 0.9, DEFAULT):
         run(backend, gain)
     assert done == [1]

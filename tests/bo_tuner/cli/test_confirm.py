@@ -74,7 +74,10 @@ class TestRefused:
 
     def test_without_a_terminal(self, study_file, capsys):
         message = complaint(tune, capsys, *OPTIONS, "--study", study_file)
-        assert message == "error: --confirm: no terminal to ask on (see tune --help)"
+        assert message == (
+            "error: --confirm: no terminal to ask on; add --web --web-control to answer on the "
+            "live page (see tune --help)"
+        )
 
     def test_with_several_workers(self, study_file, capsys):
         options = (*OPTIONS, "--study", study_file, "--workers", "2")

@@ -458,7 +458,7 @@ class TestDamage:
         database.close()
         record = read_run(runs.latest(copy))
         assert len(record.trials) == 2
-        assert record.damage == "journal.sqlite: a trial lacks some of its evaluations"
+        assert record.damage == "journal.sqlite: a trial lacks some of its test runs"
 
     @pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"x" * 5000])
     def test_no_journal_at_all(self, runs, copy, content):

@@ -56,6 +56,24 @@ def test_a_drift_over_the_validation_is_named(run):
     assert "the tuned parameter set, later ones are larger" in drifts[0]
 
 
+def test_a_drift_between_the_trials_and_the_validation_is_named(run):
+    """The machine has warmed up in between, so neither part drifts by itself."""
+    rng = np.random.default_rng(2)
+    cold, warm = (
+        [(1.0, peak + 0.01 * float(e)) for e in rng.standard_normal(25)] for peak in (0.5, 0.6)
+    )
+    judged = made(run, warm, warm, True)
+    defaults = run.study.search_space().defaults
+    others = [e for e in judged.evaluations if e.parameters != defaults or e.trial == 1]
+    validated = [e for e in judged.evaluations if e not in others and e.stage is Stage.VALIDATION]
+    for of_trial, said in ((warm, []), (cold, ["peak drifts"])):
+        trial = evaluations(0, defaults, of_trial[:10], Stage.DRAWN)
+        whole = dataclasses.replace(judged, evaluations=(*trial, *others, *validated))
+        drifts = [remark for remark in run_verdict(whole).remarks if "drifts" in remark]
+        assert [drift.split(":")[0] for drift in drifts] == said
+    assert "of 35 test runs of the default parameter set, later ones are larger" in drifts[0]
+
+
 @pytest.mark.parametrize("certificate", [None, "tuned", "both"])
 def test_a_better_default_is_preferred(run, certificate):
     """The error is the objective; the peak is lower, and kept by both."""

@@ -19,11 +19,15 @@ class Machine:
         self._make_trial = make_trial
         self._number = 0
 
-    def trial(self, evaluations=2, *, proposal=0.0, evaluation=1.0, ranking=0.0):
+    def trial(self, evaluations=2, *, proposal=0.0, evaluation=1.0, ranking=0.0, warm_up=0.0):
         trial = self._make_trial(self._number, {"gain": 0.5}, [1.0] * evaluations)
         self._number += 1
         self.now += proposal
         done = [dataclasses.replace(item, seconds=evaluation) for item in trial.evaluations]
+        if warm_up:
+            warmed = done[0].outcome.with_warm_up(3, warm_up)
+            done[0] = dataclasses.replace(done[0], outcome=warmed)
+            self.now += warm_up
         for item in done:
             self.now += evaluation
             self.left.evaluation(item)
@@ -80,6 +84,26 @@ def test_what_a_run_takes_that_is_asked_to_finish(machine):
     run.left.begin(Phase.VALIDATION)
     run.evaluations(4)
     assert run.left.to_finish() == pytest.approx(SPARE * 6.0)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_certificate_follows(machine, workers):
+    run = machine("IV", workers)
+    run.left.begin(Phase.TUNING)
+    run.left.expect_certificate(30)
+    assert run.left.of_certificate() == 0.0
+    assert run.left.of_trial() is None
+    run.trial(evaluation=2.0, proposal=4.0)
+    result = run.left.to_finish()
+    without = machine("IV", workers)
+    without.left.begin(Phase.TUNING)
+    without.trial(evaluation=2.0, proposal=4.0)
+    # 30 evaluations of 2 s.
+    assert run.left.of_certificate() == pytest.approx(60.0 / workers)
+    assert run.left.estimate() == pytest.approx(without.left.estimate() + 60.0 / workers)
+    # The result itself comes as soon.
+    assert result == without.left.to_finish()
+    assert run.left.of_trial() == 2 * 2.0 + 4.0
 
 
 def test_the_record_of_each_evaluation_takes_its_time_as_well(machine):
@@ -190,6 +214,16 @@ def test_what_a_phase_takes_shows_in_it(machine):
     run.left.begin(Phase.VALIDATION)
     run.evaluations(5, evaluation=7.0)
     assert run.left.estimate() == 5 * 7.0
+
+
+def test_the_warm_up_is_no_time_of_what_is_to_come(machine):
+    cold, warm = machine("IV"), machine("IV")
+    for run, seconds in ((cold, 100.0), (warm, 0.0)):
+        run.left.begin(Phase.TUNING)
+        run.trial(warm_up=seconds)
+        run.trial()
+    assert cold.now == warm.now + 100.0
+    assert cold.left.estimate() == warm.left.estimate()
 
 
 @pytest.mark.parametrize("phase", [Phase.TUNING, Phase.CHECKING, Phase.VALIDATION])

@@ -20,7 +20,7 @@ from bo_tuner.recording.bag import NANOSECONDS
 from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
-from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.replay.side_by_side import write_side_by_side
 from bo_tuner.storage.trust import trust
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
@@ -85,7 +85,7 @@ class TestMilling:
             assert code == 0
             assert out.count("equal") == len(study.metrics)
             assert "complete, as recorded\nconfirmed" in out
-            assert "no bag: an evaluation in process has no messages" in err
+            assert "no bag: a test run in process has no messages" in err
             backend = InProcessBackend(study)
             backend.open()
             result = replay(record, recorded, backend)
@@ -164,7 +164,7 @@ class TestVerdict:
         backend = Backend(record.study)
         found = replay(record, recorded, backend)
         assert found.confirmed
-        assert "the way the evaluation ended is confirmed; no metric" in found.verdict
+        assert "the way the test run ended is confirmed; no metric" in found.verdict
         backend.ends = Outcome(EvaluationState.FAILED, reason="stalled")
         assert replay(record, recorded, backend).verdict == "NOT confirmed"
 
@@ -260,7 +260,7 @@ class TestChoice:
         for which in ("99", "-1", "1.0", "first", "", "9" * 5000, "1\n"):
             with pytest.raises(RunRecordError, match="and the run has trials 0 to 4"):
                 find_trial(record, which)
-        with pytest.raises(RunRecordError, match="has no evaluation 7, only 0 to "):
+        with pytest.raises(RunRecordError, match="has no test run 7, only 0 to "):
             find_evaluation(record, complete(record)[0].number, 7)
         nothing = replace(record, evaluations=(), trials=(), summary=None)
         for which in ("best", "worst"):
@@ -285,7 +285,7 @@ def test_what_else_has_changed_since(record):
         (("--evaluation", "one"), "--evaluation: one: expected a whole number"),
         (("--backend", "gazebo"), "--backend: invalid choice"),
         (("--trial", "99"), "no trial '99'; expected best, worst or a number"),
-        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no evaluation -3"),
+        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no test run -3"),
     ],
 )
 def test_wrong_options(record, capsys, arguments, complaint):
@@ -383,15 +383,3 @@ class TestSideBySide:
         (tmp_path / "file").write_text("in the way")
         with pytest.raises(OutputError, match="cannot be written"):
             write_side_by_side(tmp_path / "file" / "bag", self.SIDES, {})
-
-
-def test_the_inbox_gives_each_message_once():
-    inbox = Inbox()
-    waiting = [state(1.0, 1.0), state(2.0, 2.0)]
-
-    def hand_over():
-        if waiting:
-            inbox.take(*waiting.pop(0))
-
-    assert [m[1] for m in inbox.collect(hand_over)] == [state(1.0, 1.0)[1], state(2.0, 2.0)[1]]
-    assert inbox.collect(hand_over) == []

@@ -467,6 +467,23 @@ def test_what_starts_with_other_values_took_is_told(analysis):
     assert "starts" not in timing(analysis).lead
 
 
+def test_what_a_machine_needs_between_runs_is_told(analysis):
+    first, second, *others = analysis.record.evaluations
+    warmed = first.outcome.with_warm_up(3, 12.5)
+    rested = replace(second.outcome, details={"rested_seconds": "30.0"})
+    record = replace(
+        analysis.record,
+        evaluations=(replace(first, outcome=warmed), replace(second, outcome=rested), *others),
+    )
+    assert timing(Analysis(record)).lead.endswith(
+        " For 30 s of the test runs the machine was at rest. Beside these, 3 runs to warm up took "
+        "12.5 s."
+    )
+    lead = timing(analysis).lead
+    assert "at rest" not in lead
+    assert "warm up" not in lead
+
+
 def test_a_record_without_times_is_told():
     # As of a journal before times were recorded: the section says so instead of dividing by 0.
     class Untimed:

@@ -99,7 +99,7 @@ class TestParameters:
         study = wider.replace(trials=12, initial_trials=4)
         carried = carry(earlier, study)
         count = len(earlier.evaluations)
-        assert carried.text == f"6 of 6 trials and {count} of {count} evaluations"
+        assert carried.text == f"6 of 6 trials and {count} of {count} test runs"
         for trial, before in zip(carried.trials, earlier.trials, strict=True):
             assert trial.parameters == before.parameters
             assert trial.worst_cases == before.worst_cases
@@ -289,7 +289,7 @@ class TestContexts:
         # The largest load is another one.
         for trial in carried.trials:
             assert trial.worst_cases["peak"].context["load"] > 2.0
-        assert f"{len(inside)} of {len(earlier.evaluations)} evaluations; left out:" in carried.text
+        assert f"{len(inside)} of {len(earlier.evaluations)} test runs; left out:" in carried.text
         assert "outside the distribution of load" in carried.text
         backend = function_backend(study, machine)
         found = list(Tuning(study, Driver(backend), METHODS[BOUNDARY], trials=carried.trials))
@@ -313,7 +313,7 @@ class TestContexts:
         carried = carry(runs["I"], study)
         assert [t.evaluations[0].stage for t in carried.trials] == [Stage.NOMINAL] * 6
         moved = make_study(contexts={"load": LOAD | {"bounds": [0.0, 9.0]}})
-        with pytest.raises(RunRecordError, match=r"contexts.load .* evaluates the nominal context"):
+        with pytest.raises(RunRecordError, match=r"contexts.load .* runs the nominal context"):
             carry(runs["I"], moved)
 
 

@@ -7,7 +7,8 @@ import pytest
 from bo_tuner.cli.check import evaluations_at_most
 from bo_tuner.cli.test_runs import plot
 from bo_tuner.errors import StudyError
-from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.certification import most_evaluations
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.methods.repetitions import most_check_evaluations
 from bo_tuner.study.descriptors import Described, complete, incomplete, node_problems, problem

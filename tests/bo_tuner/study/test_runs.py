@@ -8,6 +8,7 @@ from bo_tuner.study import strict_yaml
 from bo_tuner.study.fields import FieldPart, field_path
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.publishing import Publish
+from bo_tuner.study.resting import Rest, WarmUp
 from bo_tuner.study.run import End
 from bo_tuner.study.steps import Call, Step
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
@@ -89,6 +90,21 @@ def test_what_is_written_reads_back_equal():
     lists = {"topic": "a", "message": {"points": [{"x": [1.0, 2.0], "name": "b"}], "on": True}}
     nested = study_from_mapping(put([{"publish": lists}], "run", "after"))
     assert parse_study(study_to_yaml(nested)) == nested
+
+
+@pytest.mark.parametrize(
+    ("key", "short", "expected"),
+    [
+        ("warm_up", 3, WarmUp(runs=3, after=600.0)),
+        ("warm_up", {"runs": 3, "after": 60}, WarmUp(runs=3, after=60.0)),
+        ("rest", 30, Rest(at_least=30.0)),
+        ("rest", {"until": "position < 1"}, Rest(until="position < 1", at_most=600.0)),
+    ],
+)
+def test_warm_up_and_rest(key, short, expected):
+    study = study_from_mapping(put(short, "run", key))
+    assert getattr(study.run, key) == expected
+    assert parse_study(study_to_yaml(study)) == study
 
 
 def test_a_tuned_node_is_not_configured_with_its_safe_parameters():
@@ -218,6 +234,20 @@ def test_no_path_of_a_field(text):
         ("run/end", "result", "run.end.result: start has no send_goal"),
         ("run/end", {"result": 1}, "run.end.result: expected true or false, found 1"),
         ("run/clock", "simulated", "run.clock: unknown 'simulated'; expected one of wall, sim"),
+        ("run/warm_up", 0, "run.warm_up: expected an integer of at least 1, found 0"),
+        ("run/warm_up", 1001, "run.warm_up: expected an integer of at most 1000, found 1001"),
+        ("run/warm_up", True, "run.warm_up: expected an integer, found true"),
+        ("run/warm_up", {"after": 60}, "run.warm_up.runs: missing"),
+        ("run/warm_up", {"runs": 1, "after": 0}, "run.warm_up.after: expected a number above 0"),
+        ("run/rest", 0, "run.rest: expected a number above 0"),
+        ("run/rest", 1e5, "run.rest: expected at most 86400 s"),
+        ("run/rest", "30 s", "run.rest: expected a number, found text '30 s'"),
+        ("run/rest", {}, "run.rest: expected at_least, until, or both"),
+        ("run/rest", {"at_least": -1}, "run.rest.at_least: expected 0 to 86400 s, found -1"),
+        ("run/rest", {"until": "positon < 1"}, "run.rest.until: there is no signal or function"),
+        ("run/rest", {"until": "position < {kp}"}, "run.rest.until: expected no context, found"),
+        ("run/rest", {"until": "position < 1", "at_most": 0}, "run.rest.at_most: expected a numb"),
+        ("run/rest", {"untill": "position < 1"}, "unknown key; did you mean 'until'?"),
         ("park", {"parameters": {"kd": 1}}, "park.parameters: there is no parameter 'kd'"),
         ("park", {"parameters": {"kp": 60}}, "park.parameters: kp: 60 lies outside the bounds"),
         ("park", {"parameters": {"kp": "soft"}}, "park.parameters: kp: expected a number, found"),

@@ -9,7 +9,8 @@ from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import BackendError, RunError
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
 from bo_tuner.plans import BatchPlan, Event, EventKind, Phase, Plan, Run, Runs, finished_after
@@ -520,7 +521,7 @@ class TestBackends:
                 for planned in evaluations:
                     yield replace(planned, index=7)
 
-        with pytest.raises(BackendError, match=r"evaluation 7, which was not asked for$"):
+        with pytest.raises(BackendError, match=r"test run 7, which was not asked for$"):
             Driver(Other()).evaluate(TestLosses.planned(1)[0])
 
 

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limits import (
     judge_sample,
@@ -161,7 +162,7 @@ class TestEvidence:
         assert broken_limits(found) == broken
         assert found.passed is (not broken)
         for constraint in found.constraints:
-            refuted = "evaluations show that it is not kept" in constraint.reason
+            refuted = "test runs show that it is not kept" in constraint.reason
             assert refuted is (constraint.name in broken), constraint.reason
         peak, force = found.constraints
         assert (peak.side, force.side) == ("upper", "lower")

@@ -26,7 +26,7 @@ def compared(backend):
 
 def test_the_default_runs_first_and_the_recording_is_the_evaluations(compared, system):
     done = []
-    compared.after_default = lambda: done.append(compared.recording)
+    compared.after_extra_run = lambda: done.append(compared.recording)
     found = run(compared, 0.1)
     assert found.state is EvaluationState.COMPLETE, found.reason
     assert system.gains_at_reset[-2:] == [DEFAULT, 0.1]

@@ -81,10 +81,11 @@ class StudyError(BoTunerError, ValueError):
 
     def __str__(self) -> str:
         source = f"{self.source}:{self.line}" if self.source and self.line else self.source
-        return ": ".join(part for part in (source, _dotted(self.path), self.problem) if part)
+        return ": ".join(part for part in (source, dotted(self.path), self.problem) if part)
 
 
-def _dotted(path: KeyPath) -> str:
+def dotted(path: KeyPath) -> str:
+    """Return a key path as text, such as ``run.before[0]``."""
     text = ""
     for key in path:
         if isinstance(key, int):
@@ -121,7 +122,7 @@ class MetricsError(BoTunerError, ValueError):
 
 
 class FunctionError(BoTunerError, TypeError):
-    """A function that cannot be called in another process."""
+    """A function that cannot be called, or not in another process."""
 
 
 class WindowFull(BoTunerError, RuntimeError):  # noqa: N818

@@ -3,6 +3,7 @@
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import isfinite
 
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
@@ -75,6 +76,11 @@ NOTE = "note"
 STARTS, START_SECONDS = "starts", "start_seconds"
 """Keys of an outcome's details: how often nodes were started anew with other values ahead of it or
 because of it, and the time [s] that this took."""
+WARM_UPS, WARM_UP_SECONDS = "warm_up_runs", "warm_up_seconds"
+"""Keys of an outcome's details: runs that warmed the machine up ahead of it, and their time [s],
+which is not part of its own."""
+RESTED = "rested_seconds"
+"""Key of an outcome's details: how long [s] the machine was waited for to rest ahead of it."""
 HOLDS = "holds "
 """Begins the keys of an outcome's details with the value that a device has in place of the one
 it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
@@ -126,11 +132,31 @@ class Outcome:
     @property
     def starts(self) -> tuple[int, float]:
         """How often nodes were started anew with other values, and the time [s] that it took."""
+        return int(self._number(STARTS)), self._number(START_SECONDS)
+
+    @property
+    def warm_up(self) -> tuple[int, float]:
+        """How many runs have warmed the machine up ahead of it, and the time [s] that they took."""
+        return int(self._number(WARM_UPS)), self._number(WARM_UP_SECONDS)
+
+    @property
+    def rested(self) -> float:
+        """How long [s] the machine was waited for to rest ahead of it."""
+        return self._number(RESTED)
+
+    def _number(self, key: str) -> float:
+        """Return a number in the details; 0 if there is none."""
         try:
-            return int(self.details.get(STARTS, 0)), float(self.details.get(START_SECONDS, 0.0))
+            number = float(self.details.get(key, 0.0))
         except ValueError:
             # A record of somebody else's may say anything.
-            return 0, 0.0
+            return 0.0
+        return number if isfinite(number) else 0.0
+
+    def with_warm_up(self, count: int, seconds: float) -> "Outcome":
+        """Return it with `warm_up`."""
+        details = {WARM_UPS: str(count), WARM_UP_SECONDS: f"{seconds:.3f}"}
+        return replace(self, details={**self.details, **details})
 
     def with_starts(self, count: int, seconds: float) -> "Outcome":
         """Return it with `starts` added."""
@@ -201,7 +227,7 @@ class Evaluation:
         """Which one it is, in words, such as ``trial 3, evaluation 0``; see `whose`."""
         whose = self.whose
         side = whose if isinstance(whose, str) else f"trial {whose}"
-        return f"{side}, evaluation {self.index}"
+        return f"{side}, test run {self.index}"
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from scipy import stats
 from bo_tuner.evidence.certificate.certification import (
     Certification,
     MostEvaluations,
-    Subject,
     most_evaluations,
 )
 from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.trials import EvaluationState
@@ -38,6 +38,9 @@ class TestEvaluations:
         seen = [[(c.context["load"], c.seed) for c in item.drawn] for item in (default, tuned)]
         assert seen[0] == seen[1]
         assert len(set(seen[0])) == LEAST_DRAWS == 30
+        # Each is first by turns: what changes with the runs is no difference between the two.
+        gains = [call["gain"] for call in backend.calls[:8]]
+        assert gains == [0.25, 0.75, 0.75, 0.25, 0.25, 0.75, 0.75, 0.25]
         before = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
         list(Tuning(study, Driver(before), METHODS["IV"]))
         validate(study, Driver(before), [{"gain": 0.25}])

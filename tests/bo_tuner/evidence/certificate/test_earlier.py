@@ -8,11 +8,13 @@ import pytest
 from certified import CHANCE, LIMIT
 from judged_runs import certify
 
-from bo_tuner.evidence.certificate.certification import Certification, Subject, most_evaluations
+from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
+from bo_tuner.evidence.certificate.decisions import decide_draws
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Refutation
 from bo_tuner.evidence.certificate.independent_search import CANDIDATES, CARRIED, worst_of_all
-from bo_tuner.evidence.certificate.judgement import decide_draws, judge
+from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage

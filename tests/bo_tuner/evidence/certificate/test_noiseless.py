@@ -7,15 +7,12 @@ import pytest
 from certified import CHANCE
 
 from bo_tuner.errors import StudyError
-from bo_tuner.evidence.certificate.certification import (
-    REPEATS,
-    Certification,
-    Subject,
-    most_evaluations,
-)
+from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
+from bo_tuner.evidence.certificate.draws import REPEATS
 from bo_tuner.evidence.certificate.independent_search import CANDIDATES
 from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import outlook
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.declarations import contradicted
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.sequential import draws_needed

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from certified import CHANCE, collect
 
-from bo_tuner.evidence.certificate.certification import Subject, most_evaluations
+from bo_tuner.evidence.certificate.certification import most_evaluations
 from bo_tuner.evidence.certificate.independent_search import least_searched
 from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.numerics.sequential import is_shown
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, WorstCase
 

@@ -6,7 +6,8 @@ import pytest
 from certified import CHANCE
 from scipy import integrate, optimize
 
-from bo_tuner.evidence.certificate.certification import Certification, Subject
+from bo_tuner.evidence.certificate.certification import Certification
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.so_far import so_far
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate

@@ -59,19 +59,19 @@ class SequentialBackend(ABC):
 
     Attributes
     ----------
-    after_default : callable
-        Called after each such run, which is no evaluation of its own.
+    after_extra_run : callable
+        Called after each run that is no evaluation of its own, such as one of the default.
     """
 
     def __init__(self, study: Study) -> None:
         self._beside = DefaultBeside(study)
-        self.after_default: Callable[[], object] = lambda: None
+        self.after_extra_run: Callable[[], object] = lambda: None
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run planned evaluations in the order given."""
         for planned in evaluations:
             begin = monotonic()
-            outcome = self._beside.outcome(planned, self.outcome, self.after_default)
+            outcome = self._beside.outcome(planned, self.outcome, self.after_extra_run)
             yield replace(planned, outcome=outcome, seconds=monotonic() - begin)
 
     @abstractmethod

@@ -9,22 +9,21 @@ from rich.console import Console
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import opened
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.certification import (
-    Certification,
-    Subject,
-    most_evaluations,
-)
+from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.so_far import so_far
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.numerics.sequential import spent
+from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.terminal import print_line
@@ -120,6 +119,8 @@ class Certifier:
         """
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
+        if isinstance(nodes, RosBackend):
+            nodes.at_abort = AbortBags(folder.path, study, self.console.print)
         subjects = subjects_of(self.record, trial, nodes.name, with_default=self.with_default)
         self._show_earlier(subjects)
         confidence = spent(self.confidence, attempt, len(subjects))
@@ -129,7 +130,7 @@ class Certifier:
         left.show(self.console)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
-            done = counted(len(unfinished.evaluations), "evaluation")
+            done = counted(len(unfinished.evaluations), "test run")
             self.console.print(
                 f"continuing the interrupted certificate of trial {trial.number} after {done}"
             )
@@ -181,7 +182,7 @@ class Certifier:
             for refutation in subject.earlier.refutations:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
-                again = f"its {failed} evaluated again, and " if count else ""
+                again = f"its {failed} run again, and " if count else ""
                 what = f"{subject.name}: {refutation.description}"
                 line = f"{what}; {again}its runs count against a PASS"
                 print_line(self.console, line, "  ")
@@ -196,8 +197,7 @@ class Certifier:
             parts.append(f"{most.repeated} in the worst contexts found")
         print_line(
             self.console,
-            f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
-            "clear",
+            f"at most {most.total} test runs ({', '.join(parts)}), fewer once the verdict is clear",
             "  ",
         )
 
@@ -228,7 +228,7 @@ class _Left(RunObserver):
             return
         each = " each" if self._subjects > 1 else ""
         console.print(
-            f"probably {self._probable} evaluations{each}, {self._times()}, by the margins of the "
+            f"probably {self._probable} test runs{each}, {self._times()}, by the margins of the "
             "run, if it passes",
             soft_wrap=True,
         )

@@ -1,7 +1,11 @@
-"""``tune --confirm``: shows the next parameter set, and asks whether it may be tried."""
+"""``tune --confirm``: shows the next parameter set, and asks whether it may be tried.
+
+The answer comes from the terminal, or from wherever else the question can be answered.
+"""
 
 import getpass
 import json
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -9,18 +13,20 @@ from datetime import datetime
 import numpy as np
 from scipy.special import ndtri
 
-from bo_tuner.cli.streams import ask
-from bo_tuner.interruption import Interruption
+from bo_tuner.cli.streams import prompt, typed
+from bo_tuner.interruption import LOOK_AROUND
 from bo_tuner.methods.protocol import Method
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown, values, with_unit
+from bo_tuner.study.titles import titled_values
+from bo_tuner.text import shown, with_unit
 from bo_tuner.trials import Trial, Value
 from bo_tuner.tuning.gate import Answer
 from bo_tuner.tuning.loop import TrialTask
+from bo_tuner.tuning.question import Given, Question, Reply
 
 BAND = 0.95
 """Probability of the bands that are shown."""
@@ -32,11 +38,13 @@ REMINDER = 60.0
 """Time [s] after which a run that waits for an answer says so again."""
 
 QUESTION = "try it? [y]es, [n]o but another one, [e]nd the trials: "
-NO_TERMINAL = "no terminal to ask on"
+NO_TERMINAL = "no terminal to ask on; add --web --web-control to answer on the live page"
+TERMINAL = "terminal"
+REPLIES = {"y": Reply.ACCEPT, "n": Reply.REFUSE, "e": Reply.END}
 
 
 class Confirmation:
-    """Asks on the terminal about each trial; see `bo_tuner.tuning.gate.Admission`.
+    """Asks about each trial; see `bo_tuner.tuning.gate.Admission`.
 
     Parameters
     ----------
@@ -44,8 +52,8 @@ class Confirmation:
         Of the run.
     trials
         Returns all trials so far.
-    interruption
-        Ends the run on a signal.
+    elsewhere
+        Where else than on the terminal it may be answered, in words.
     """
 
     def __init__(
@@ -53,45 +61,78 @@ class Confirmation:
         study: Study,
         method: Method,
         trials: Callable[[], Sequence[Trial]],
-        interruption: Interruption,
+        elsewhere: Sequence[str] = (),
     ) -> None:
         self._study = study
         self._method = method
         self._trials = trials
-        self._interruption = interruption
+        self._elsewhere = elsewhere
+        # What is no terminal may be at its end, or have lines that are no answers.
+        self._has_terminal = sys.stdin.isatty()
 
     def concerns(self, task: object) -> bool:
         """Return whether a task is a trial that is not on record."""
         return isinstance(task, TrialTask)
 
-    def ask(self, task: TrialTask, wait: Callable[[], None]) -> Answer:
+    def ask(self, task: TrialTask, question: Question, wait: Callable[[], None]) -> Answer:
         """Show the parameter set of a trial, and wait for the answer."""
-        for line in described(self._study, self._method, self._trials(), task.parameters):
+        lines = list(described(self._study, self._method, self._trials(), task.parameters))
+        for line in lines:
             say(line)
-        given, reminded = "", time.monotonic()
-
-        def waiting() -> None:
-            nonlocal reminded
+        if self._elsewhere:
+            say(f"it may also be answered {' or '.join(self._elsewhere)}")
+        question.pose(lines)
+        self._prompt()
+        reminded = time.monotonic()
+        while (given := question.given) is None:
             wait()
+            self._look_at_terminal(question)
             if time.monotonic() >= reminded + REMINDER:
                 reminded = time.monotonic()
                 say("still waiting for an answer; the machine keeps its safe parameters")
-
-        while given not in ("y", "n", "e"):
-            answer = ask(QUESTION, self._interruption, waiting)
-            # Without a terminal any more nobody can allow anything.
-            given = "e" if answer is None else answer.lower()[:1]
-        return Answer(given == "y", given == "e", self._signed(task.parameters))
-
-    def _signed(self, parameters: Mapping[str, Value]) -> str:
-        return json.dumps(
-            {
-                "by": _user(),
-                "at": datetime.now().astimezone().isoformat(timespec="seconds"),
-                "on": "terminal",
-                "parameters": dict(parameters),
-            }
+        if given.on != TERMINAL:
+            # In a line of its own, below the question.
+            say(f"\n{given.reply}, by the {given.on}" if self._has_terminal else str(given.reply))
+        return Answer(
+            given.reply is Reply.ACCEPT, given.reply is Reply.END, _signed(given, task.parameters)
         )
+
+    def _prompt(self) -> None:
+        if self._has_terminal:
+            prompt(QUESTION)
+
+    def _look_at_terminal(self, question: Question) -> None:
+        """Take what is typed, within a moment."""
+        if not self._has_terminal:
+            time.sleep(LOOK_AROUND)
+            return
+        try:
+            line = typed(LOOK_AROUND)
+        except EOFError:
+            self._has_terminal = False
+            if not self._elsewhere:
+                # Nobody can allow anything any more.
+                question.answer(Given(Reply.END, TERMINAL, _user()))
+            return
+        if line is None:
+            return
+        reply = REPLIES.get(line.lower()[:1])
+        if reply is None:
+            self._prompt()
+        else:
+            question.answer(Given(reply, TERMINAL, _user()))
+
+
+def _signed(given: Given, parameters: Mapping[str, Value]) -> str:
+    """Return what is on record of an answer: who has given it, when and where, and about what."""
+    return json.dumps(
+        {
+            "by": given.by,
+            "at": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "on": given.on,
+            "parameters": dict(parameters),
+        }
+    )
 
 
 def refused_in(events: Iterable[Event]) -> list[dict[str, Value]]:
@@ -120,9 +161,9 @@ def described(
     before = "trial before" if trials else "safe parameters"
     yield f"next, trial {len(trials)}:"
     for name in space.names:
-        unit = study.parameters[name].unit
+        item = study.parameters[name]
         compared = f"{before} {shown(now[name])}, default {shown(space.defaults[name])}"
-        yield f"  {with_unit(name, unit)}: {shown(parameters[name])} ({compared})"
+        yield f"  {with_unit(item.title, item.unit)}: {shown(parameters[name])} ({compared})"
     complete = [trial for trial in trials if not trial.unusable]
     if not complete:
         yield "  nothing is known yet to predict it by"
@@ -136,7 +177,9 @@ def described(
     points = space.cube_of(trial.parameters for trial in complete)
     for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
         trial = complete[k]
-        tried = values({name: trial.parameters[name] for name in space.names})
+        tried = titled_values(
+            study.parameters, {name: trial.parameters[name] for name in space.names}
+        )
         yield f"  nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}"
 
 
@@ -160,8 +203,9 @@ def _band(study: Study, metric: str, ends: Array) -> str:
     """Return mean and both ends (3,) of a metric in words."""
     mean, *sides = ends.tolist()
     low, high = sorted(sides)
-    unit = study.metrics[metric].unit
-    return f"{with_unit(metric, unit)} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
+    item = study.metrics[metric]
+    name = with_unit(item.title, item.unit)
+    return f"{name} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
 
 
 def _observed(study: Study, trial: Trial) -> str:
@@ -169,10 +213,11 @@ def _observed(study: Study, trial: Trial) -> str:
     outcomes = [e.outcome for e in trial.evaluations if e.outcome.complete]
     if not outcomes:
         return trial.reason or trial.ending
-    return ", ".join(
-        f"{c.metric} {c.farthest(np.array([o.metrics[c.metric] for o in outcomes])):.4g}"
+    farthest = [
+        (study.metrics[c.metric].title, c.farthest([o.metrics[c.metric] for o in outcomes]))
         for c in study.constraints.values()
-    )
+    ]
+    return ", ".join(f"{title} {value:.4g}" for title, value in farthest)
 
 
 def _user() -> str:

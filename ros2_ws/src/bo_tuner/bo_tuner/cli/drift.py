@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
@@ -37,6 +38,7 @@ from bo_tuner.evidence.drift import (
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import maxima
@@ -100,6 +102,8 @@ def compare(
             interrupted=interruption.check,
             earlier=record.evaluations,
         )
+        if isinstance(nodes, RosBackend):
+            nodes.at_abort = AbortBags(folder.path, study, say_error)
         number, started = next_number(folder.path), _now()
         false_alarms = arguments.false_alarms or FALSE_ALARMS
         plan = DriftPlan(

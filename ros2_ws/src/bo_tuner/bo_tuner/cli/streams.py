@@ -5,7 +5,6 @@ import io
 import os
 import select
 import sys
-from collections.abc import Callable
 from io import TextIOWrapper
 from typing import TextIO
 
@@ -49,20 +48,37 @@ def say_error(text: str) -> None:
         sys.stderr.flush()
 
 
-def ask(
-    question: str, interruption: Interruption, waiting: Callable[[], None] = lambda: None
-) -> str | None:
-    """Return the line that the user answers, without its end; None at the end of the input.
-
-    `waiting` is called again and again until it is there.
-    """
+def prompt(question: str) -> None:
+    """Show a question; what is typed follows in its line."""
     sys.stdout.write(question)
     sys.stdout.flush()
+
+
+def typed(seconds: float) -> str | None:
+    """Return the line that the user types, without its end; None if there is none in a time [s].
+
+    Raises
+    ------
+    EOFError
+        At the end of the input.
+    """
     # A read would continue after a signal, so wait until there is input.
-    while not select.select([sys.stdin], [], [], 0.1)[0]:
-        interruption.check()
-        waiting()
-    return line.strip() if (line := sys.stdin.readline()) else None
+    if not select.select([sys.stdin], [], [], seconds)[0]:
+        return None
+    if not (line := sys.stdin.readline()):
+        raise EOFError
+    return line.strip()
+
+
+def ask(question: str, interruption: Interruption) -> str | None:
+    """Return the line that the user answers, without its end; None at the end of the input."""
+    prompt(question)
+    try:
+        while (line := typed(0.1)) is None:
+            interruption.check()
+    except EOFError:
+        return None
+    return line
 
 
 def confirmed(question: str, interruption: Interruption) -> bool:

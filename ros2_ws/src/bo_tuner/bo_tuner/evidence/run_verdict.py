@@ -37,7 +37,16 @@ from bo_tuner.study.measured import seen_in, seen_in_words
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
-from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, count_trials, evaluations_of
+from bo_tuner.trials import (
+    DEFAULT,
+    TUNED,
+    Evaluation,
+    Stage,
+    Trial,
+    Value,
+    count_trials,
+    evaluations_of,
+)
 from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.validation import Validation
 
@@ -74,7 +83,8 @@ def _latest(record: RunRecord) -> Verdict:
         return open_verdict(record.study, record.trials, standstill)
     if standstill:
         remark = f"The search ended after {counted(len(record.trials), 'trial')}: {standstill}."
-        by_validation = replace(by_validation, remarks=(*by_validation.remarks, remark))
+        remarks = (*by_validation.remarks, remark)
+        by_validation = replace(by_validation, remarks=remarks, standstill=True)
     try:
         path = latest_certificate(record, trial)
         return by_validation if path is None else _certified(record, trial, path, by_validation)
@@ -108,6 +118,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
         alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
+        # The default was not chosen by its runs: those of its trial are like those of the end.
+        alike[DEFAULT] = [*_drawn(record, default.parameters), *alike[DEFAULT]]
         return replace(
             verdict,
             remarks=(
@@ -123,6 +135,12 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
         ) from error
+
+
+def _drawn(record: RunRecord, parameters: Mapping[str, Value]) -> list[Evaluation]:
+    """Return the evaluations of a parameter set in the trials, in contexts that were drawn."""
+    known = evaluations_of(record.evaluations, parameters)
+    return [evaluation for evaluation in known if evaluation.stage is Stage.DRAWN]
 
 
 def _outliers(record: RunRecord, ranked: object) -> list[int]:
@@ -218,6 +236,7 @@ def _certified(
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
+        standstill=by_validation is not None and by_validation.standstill,
     )
 
 

@@ -1,4 +1,4 @@
-"""Requests to pause, continue, finish and end a run, from a service or the live page."""
+"""Requests to pause, continue, finish and end a run, and answers, from outside of the terminal."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -6,6 +6,14 @@ from pathlib import Path
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.run_folder import how_to_resume
 from bo_tuner.tuning.gate import Gate
+from bo_tuner.tuning.question import Given, Reply
+
+COMES_OF = {
+    Reply.ACCEPT: "the parameter set is tried",
+    Reply.REFUSE: "the parameter set is not tried, nor anything close to it, but another one",
+    Reply.END: "no more trials; the best so far is settled and validated",
+}
+"""What comes of an answer."""
 
 
 class RunControl:
@@ -39,7 +47,7 @@ class RunControl:
     def pause(self, wait: bool) -> str:
         """Ask the run to wait, or to go on."""
         self._gate.requests.request(wait)
-        return "the run pauses after the present evaluation" if wait else "the run continues"
+        return "the run pauses after the present test run" if wait else "the run continues"
 
     def finish(self) -> str:
         """Ask for the end of the trials, so that the best so far becomes the result."""
@@ -48,6 +56,25 @@ class RunControl:
         return (
             f"the run begins no further trial{waits}; the best so far is then settled and validated"
         )
+
+    def answer(self, given: Given, number: int | None = None) -> tuple[bool, str]:
+        """Answer the question whether the next parameter set may be tried.
+
+        Parameters
+        ----------
+        given
+            The answer.
+        number
+            Of the question that was read; None for the one at hand.
+
+        Returns
+        -------
+        bool, str
+            Whether it counts, and what comes of it.
+        """
+        if not self._gate.question.answer(given, number):
+            return False, "this parameter set waits for no answer (any more)"
+        return True, COMES_OF[given.reply]
 
     def abort(self, source: str) -> str:
         """Ask for the end of the run as SIGTERM does; `source` says who asks."""

@@ -6,6 +6,7 @@ trial has ended, and a separate thread serves a timer of 1 Hz and the services.
 
 import threading
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -26,6 +27,7 @@ from bo_tuner.study.limits import tightest
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.question import Given, Reply
 
 PERIOD = 1.0
 SPIN_PERIOD = 1.0
@@ -36,7 +38,7 @@ LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
 
 
 class LiveNode(RunObserver):
-    """ROS node that publishes the state of a run and serves requests to pause, finish or end it.
+    """ROS node that publishes the state of a run, and serves requests to it and answers.
 
     Parameters
     ----------
@@ -80,6 +82,8 @@ class LiveNode(RunObserver):
         self._node.create_service(SetBool, "~/pause", self._on_pause)
         self._node.create_service(Trigger, "~/finish", self._on_finish)
         self._node.create_service(Trigger, "~/abort", self._on_abort)
+        for reply in (Reply.ACCEPT, Reply.REFUSE):
+            self._node.create_service(Trigger, f"~/{reply}", partial(self._on_answer, reply))
         # Not the node's own clock: simulated time may stand still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(PERIOD, self._publish_diagnostics, clock=steady)
@@ -159,6 +163,13 @@ class LiveNode(RunObserver):
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
         response.message = self._control.abort("the service ~/abort")
+        return response
+
+    def _on_answer(
+        self, reply: Reply, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        given = Given(reply, f"service ~/{reply}")
+        response.success, response.message = self._control.answer(given)
         return response
 
     def _spin(self) -> None:

@@ -84,7 +84,7 @@ class Replay:
         complete = self.replayed.outcome.complete
         if complete and not any(row.judged for row in self.metrics):
             return (
-                "the way the evaluation ended is confirmed; no metric of this study is "
+                "the way the test run ended is confirmed; no metric of this study is "
                 "reproducible, so none was judged"
             )
         return "confirmed"
@@ -184,7 +184,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
         return max(evaluations.values(), key=lambda item: evaluation_badness(record.study, item))
     if index not in evaluations:
         raise RunRecordError(
-            f"{record.path}: trial {trial} has no evaluation {index}, only {min(evaluations)} to "
+            f"{record.path}: trial {trial} has no test run {index}, only {min(evaluations)} to "
             f"{max(evaluations)}"
         )
     return evaluations[index]

@@ -26,6 +26,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
 
 T = TypeVar("T")
@@ -232,6 +233,10 @@ class Analysis:
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
         return {name: parameters[name] for name in self.study.search_space().names}
+
+    def tuned_in_words(self, parameters: Mapping[str, Value]) -> str:
+        """Return the tuned ones among `parameters` in a line."""
+        return titled_values(self.study.parameters, self.tuned_values(parameters))
 
     def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
         """Return the complete evaluations of a parameter set, of any stage."""

@@ -208,7 +208,7 @@ class _Taking:
     @property
     def left_out(self) -> str:
         """Counts and reasons."""
-        kinds = ((self._trials, "trial"), (self._evaluations, "evaluation"))
+        kinds = ((self._trials, "trial"), (self._evaluations, "test run"))
         counts = [
             f"{counted(n, kind)} {reason}"
             for reasons, kind in kinds
@@ -221,7 +221,7 @@ class _Taking:
         before = self._record.trials
         text = (
             f"{len(taken)} of {counted(len(before), 'trial')} and {count_evaluations(taken)} of "
-            f"{counted(sum(len(t.evaluations) for t in before), 'evaluation')}"
+            f"{counted(sum(len(t.evaluations) for t in before), 'test run')}"
         )
         return f"{text}; left out: {self.left_out}" if self.left_out else text
 

@@ -148,7 +148,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
                 if not math.isfinite(float(objective.to_cost(outcome.metrics[objective.metric]))):
                     raise ValueError(f"{objective.metric} has no {objective.scale} scale")
         except ValueError as error:
-            where = f"evaluation {evaluation.index} of trial {evaluation.trial}"
+            where = f"test run {evaluation.index} of trial {evaluation.trial}"
             raise ValueError(f"{where}: {error}") from error
     for trial in trials:
         complete = trial.state is TrialState.COMPLETE
@@ -156,7 +156,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
         try:
             check_parameters(trial.parameters)
             if not states or complete != all(s is EvaluationState.COMPLETE for s in states):
-                raise ValueError(f"is {trial.state}, unlike its evaluations")
+                raise ValueError(f"is {trial.state}, unlike its test runs")
             _same_names(trial.worst_cases, searched if complete else (), "worst_cases")
             for worst_case in trial.worst_cases.values():
                 check_context(worst_case.context)
@@ -164,7 +164,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
                 # Estimates may lie above all metrics.
                 _check_size((worst_case.value, worst_case.noise), "worst_cases", LARGEST_RESPONSE)
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
-                raise ValueError("has evaluations of other parameters")
+                raise ValueError("has test runs of other parameters")
         except ValueError as error:
             raise ValueError(f"trial {trial.number}: {error}") from error
 

@@ -23,6 +23,8 @@ WORKERS = 100
 """Workers of a run: each takes one of the 101 ROS domains of a machine, and the run another."""
 STEPS = 100
 """Steps in each part of a run: before, start, after and recover."""
+WARM_UPS = 1_000
+"""Runs to warm up."""
 STREAM_RATE = 1_000.0
 """Messages of a stream in a second."""
 STREAM_TOPICS = 20

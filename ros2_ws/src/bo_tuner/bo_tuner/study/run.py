@@ -8,6 +8,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, arguments, build
+from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import SetParameter, Step, build_steps
 
@@ -17,6 +18,8 @@ AFTER = "after"
 """Phase of the steps that bring the machine to rest."""
 RECOVER = "recover"
 """Phase of the steps that bring the machine home."""
+REST = "rest"
+"""Key of the rest between two runs."""
 PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
 RESULT = "result"
@@ -72,6 +75,10 @@ class Run:
         Condition on signals at which a run ends at once, as failed.
     clock : str
         `wall`, or `sim`: all times of the run are those of ``/clock``.
+    warm_up : WarmUp, optional
+        Runs that warm the machine up and count nothing; a number, or a mapping.
+    rest : Rest, optional
+        Rest of the machine between two runs; a number of seconds, or a mapping.
     """
 
     end: End
@@ -82,6 +89,8 @@ class Run:
     timeout: float = 30.0
     abort_when: str = ""
     clock: str = WALL
+    warm_up: WarmUp | None = None
+    rest: Rest | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
@@ -207,6 +216,8 @@ class Run:
         for path, step in self.steps:
             if step.wait_until is not None:
                 yield step.wait_until.condition, (*path, "wait_until", "condition")
+        if self.rest is not None and self.rest.until:
+            yield self.rest.until, ("run", REST, "until")
 
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
         """Refuse references to signals and nodes that the study does not have."""
@@ -242,6 +253,10 @@ def build_run(value: object) -> Run:
     for phase in PHASES:
         with findings.under(phase):
             fields[phase] = build_steps(fields.get(phase, ()))
+    for key, builder in (("warm_up", build_warm_up), (REST, build_rest)):
+        if key in fields:
+            with findings.under(key):
+                fields[key] = builder(fields[key])
     findings.check()
     return Run(**fields)
 

@@ -26,6 +26,7 @@ from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
 from bo_tuner.study.parts import ContextVariable
 from bo_tuner.study.profiles import Profile
+from bo_tuner.study.resting import Rest, WarmUp
 from bo_tuner.study.run import End
 from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.signals import Signal
@@ -57,6 +58,8 @@ WORDS: dict[type, Schema] = {
     End: {"const": "result"},
     Guarding: {"type": "boolean"},
     SafeSearch: {"type": "boolean"},
+    WarmUp: {"type": "integer"},
+    Rest: {"type": "number"},
 }
 """Single words that can stand for a mapping."""
 

@@ -9,7 +9,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.braces import filled, filled_condition, names_in
 from bo_tuner.study.building import Findings
 from bo_tuner.study.parts import ContextVariable
-from bo_tuner.study.run import AFTER, Run
+from bo_tuner.study.run import AFTER, REST, Run
 from bo_tuner.study.steps import Step
 from bo_tuner.trials import Context
 
@@ -59,8 +59,7 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
         for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{name}': it must hold whatever an evaluation "
-                    "is, also without the tuner",
+                    f"expected no context, found '{name}': it must hold whatever a test run is",
                     path,
                 )
     for path, text in () if run is None else _in_streams(run):
@@ -89,8 +88,13 @@ def _all_names(run: Run) -> Iterator[tuple[KeyPath, str, bool]]:
 
 
 def _without_context(run: Run) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the contents, with their places, of steps to rest, which a guard sends, too."""
+    """Yield the contents, with their places, of what holds or is sent in any context.
+
+    These are conditions, and the steps to rest that a guard sends, too.
+    """
     yield ("run", "abort_when"), run.abort_when
+    if run.rest is not None:
+        yield ("run", REST, "until"), run.rest.until
     for index, step in enumerate(run.after):
         if step.publish is None:
             return

@@ -57,6 +57,7 @@ from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.study.titles import check_titles
 from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
@@ -218,6 +219,9 @@ class Study:
         for name, constraint in self.constraints.items():
             with findings.under("constraints", in_file.get(name, name)):
                 check_constraint(constraint, self.metrics)
+        for section in ("parameters", "metrics"):
+            with findings.under(section):
+                check_titles(getattr(self, section))
         with findings.under("metrics"):
             check_scales(self.metrics, self.constraints.values())
         if self.certificate.distribution_free:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from bo_tuner.interruption import Pause
 from bo_tuner.plans import EventKind, Phase
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.question import Question
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,18 @@ class Admission(Protocol):
     def concerns(self, task: object) -> bool:
         """Return whether it is a task to ask about."""
 
-    def ask(self, task: Any, wait: Callable[[], None]) -> Answer:
-        """Ask, and wait for the answer; `wait` is called again and again until it is there."""
+    def ask(self, task: Any, question: Question, wait: Callable[[], None]) -> Answer:
+        """Pose the question, and wait for its answer.
+
+        Parameters
+        ----------
+        task
+            What it is about.
+        question
+            Takes the answer, from wherever it comes.
+        wait
+            Called again and again until it is there.
+        """
 
 
 class Gate:
@@ -62,6 +73,8 @@ class Gate:
     admission
         Is asked about each task of a phase that can be refused before it begins; None if nobody
         wants to be asked.
+    question
+        The question about the next task, which any thread may answer.
     """
 
     def __init__(
@@ -78,6 +91,7 @@ class Gate:
         self._finishing = finishing
         self._asked_to_finish = False
         self.admission: Admission | None = None
+        self.question = Question()
 
     def admit(self, task: object) -> Answer | None:
         """Return what somebody answers about a task; None if nobody is asked about it.
@@ -88,7 +102,8 @@ class Gate:
             return None
         self._check()
         self._observer.asking(True)
-        answer = self.admission.ask(task, self._look)
+        answer = self.admission.ask(task, self.question, self._look)
+        self.question.close()
         self._observer.asking(False)
         if answer.ends:
             self.finish()

@@ -132,8 +132,10 @@ class ValidationPlan(Plan[Run]):
         for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
             seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0 if study.is_noiseless else k)
             context = contexts.to_dict(row)
-            # A node that starts anew for other parameters does so once a draw.
-            for number in reversed(numbers) if study.start_names and k % 2 else numbers:
+            # By turns the one and the other is first: wear, or a machine that warms up, is no
+            # difference between them, and a node that starts anew for other parameters does so
+            # once a draw.
+            for number in reversed(numbers) if k % 2 else numbers:
                 parameters = self._candidates[number]
                 yield Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
 

@@ -28,8 +28,9 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, counted, printable
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.question import Given, Question, Reply
 from bo_tuner.web.address import Address
-from bo_tuner.web.request import Request
+from bo_tuner.web.request import ANSWERS, Request
 
 PERIOD = 0.2
 """Shortest time [s] between two messages on evaluations."""
@@ -37,6 +38,9 @@ COLUMNS = re.compile(f"[ {JOIN}]{{2,}}")
 """Between two columns of a terminal's line."""
 LONGEST_TEXT = 600
 """Characters of a text in a message."""
+LIVE_PAGE = "live page"
+LONGEST_QUESTION = 3000
+"""Bytes of a question in a message."""
 PATIENCE = 25.0
 """Longest time [s] that the page has at the end to show the result, if somebody reads it."""
 
@@ -59,6 +63,8 @@ class LivePage(RunObserver):
         Called with a line if the page is gone.
     control
         Takes the requests of the page; None for a page that is read-only.
+    question
+        Whether the next parameter set may be tried.
     """
 
     def __init__(
@@ -69,6 +75,7 @@ class LivePage(RunObserver):
         address: Address,
         warn: Callable[[str], None],
         control: RunControl | None = None,
+        question: Question | None = None,
     ) -> None:
         self._study = study
         self._folder = folder
@@ -76,6 +83,8 @@ class LivePage(RunObserver):
         self._address = address
         self._warn = warn
         self._control = control
+        self._question = question or Question()
+        self._questions_sent = 0
         self._asked = ""
         self._ending = False
         # The thread that takes requests sends, too.
@@ -181,6 +190,11 @@ class LivePage(RunObserver):
         self._forget_what_has_come()
         self._send_state()
 
+    def waiting(self) -> None:
+        """Send a question that has come up in the pause."""
+        if self._questions_sent < self._question.number:
+            self._send_state()
+
     @property
     def _log(self) -> Path:
         return self._folder / LOGS / "web.log"
@@ -195,10 +209,15 @@ class LivePage(RunObserver):
         """Take the requests of the page until its process ends."""
         with os.fdopen(requests, encoding="ascii") as lines:
             for line in lines:
-                request = Request(line.strip())
-                if request is Request.ABORT:
+                word, *of_answer = line.split()
+                request = Request(word)
+                if request in ANSWERS:
+                    number, who = of_answer
+                    given = Given(Reply(request), LIVE_PAGE, who)
+                    _, self._asked = control.answer(given, int(number))
+                elif request is Request.ABORT:
                     self._ending = True
-                    self._asked = control.abort("the live page")
+                    self._asked = control.abort(f"the {LIVE_PAGE}")
                 elif request is Request.FINISH:
                     self._asked = control.finish()
                 else:
@@ -207,6 +226,8 @@ class LivePage(RunObserver):
 
     def _send_state(self) -> None:
         now, ended = self._status.now, self._ended
+        question = self._question
+        self._questions_sent = question.number
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
             "running": "" if ended else self._present(),
@@ -224,6 +245,7 @@ class LivePage(RunObserver):
                 "paused": now.paused,
                 "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
+                "question": {"number": question.number, "lines": _fitting(question.lines)},
                 "verdict": "" if now.verdict is None else printable(now.verdict.headline),
                 "texts": {
                     # What the terminal aligns in columns is a sentence here.
@@ -262,3 +284,16 @@ class LivePage(RunObserver):
         if self._pipe >= 0:
             os.close(self._pipe)
             self._pipe = -1
+
+
+def _fitting(lines: Sequence[str]) -> list[str]:
+    """Return as many lines of a question as a message has room for, and how many are left out."""
+    shown: list[str] = []
+    size = 0
+    for k, line in enumerate(lines):
+        text = printable(line)[:LONGEST_TEXT]
+        size += len(json.dumps(text))
+        if size > LONGEST_QUESTION:
+            return [*shown, f"and {counted(len(lines) - k, 'line')} more on the terminal"]
+        shown.append(text)
+    return shown

@@ -10,3 +10,10 @@ class Request(StrEnum):
     CONTINUE = "continue"
     FINISH = "finish"
     ABORT = "abort"
+    ACCEPT = "accept"
+    REFUSE = "refuse"
+    END = "end"
+
+
+ANSWERS = (Request.ACCEPT, Request.REFUSE, Request.END)
+"""Answers to the question whether the next parameter set may be tried."""

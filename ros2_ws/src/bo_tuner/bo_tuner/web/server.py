@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import secrets
 import socket
 import threading
@@ -20,7 +21,7 @@ from tornado.web import HTTPError
 from bo_tuner.errors import BoTunerError
 from bo_tuner.text import printable
 from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
-from bo_tuner.web.request import Request
+from bo_tuner.web.request import ANSWERS, Request
 from bo_tuner.web.run_pages import run_routes
 from bo_tuner.web.runs import Runs
 from bo_tuner.web.sections import LiveSections
@@ -110,7 +111,7 @@ class State(LiveHandler):
 
 
 class RequestToRun(LiveHandler):
-    """A request to pause, continue or end the run."""
+    """A request to pause, continue or end the run, or an answer to what it asks."""
 
     def initialize(self, **shared: Any) -> None:
         """Take the pipe to the run, too."""
@@ -118,11 +119,20 @@ class RequestToRun(LiveHandler):
         self.requests: int = shared["requests"]
 
     def post(self, name: str) -> None:
-        """Pass the request on, if it is the page that asks."""
+        """Pass the request on, if it is the page that asks.
+
+        An answer has the number of its question: the one that the reader has seen.
+        """
         self.check_control()
+        words: list[str] = [Request(name)]
+        if name in ANSWERS:
+            number = self.get_query_argument("question", "")
+            if re.fullmatch(r"[0-9]{1,9}", number) is None:
+                raise HTTPError(400, "question: expected a whole number")
+            words += [number, self.request.remote_ip or "-"]
         try:
             # A pipe takes a short line whole (POSIX, write).
-            os.write(self.requests, f"{Request(name)}\n".encode())
+            os.write(self.requests, f"{' '.join(words)}\n".encode())
         except BrokenPipeError:
             raise HTTPError(409, "the run has ended") from None
         self.set_status(202)

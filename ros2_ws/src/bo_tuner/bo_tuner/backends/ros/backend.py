@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -42,9 +42,11 @@ from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNod
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.message_rates import MessageRates
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
+from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
@@ -55,10 +57,12 @@ from bo_tuner.trials import (
     DISTURBED,
     HOLDS,
     NOTE,
+    RESTED,
     UNPREPARED,
     Evaluation,
     EvaluationState,
     Outcome,
+    Stage,
 )
 
 ATTEMPTS = 3
@@ -67,6 +71,10 @@ ATTEMPTS = 3
 
 FORGOTTEN = 1.5
 """Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
+
+
+AtAbort = Callable[[Evaluation, Outcome, Sequence[LatestMessage]], object]
+"""Takes an evaluation whose run was aborted, its outcome, and the messages until then."""
 
 
 class _Opened(NamedTuple):
@@ -112,6 +120,9 @@ class RosBackend(SequentialBackend):
     ----------
     at_nodes : callable
         Called with the tuner's node once the nodes are there, ahead of anything that is set.
+    at_abort : callable
+        Called with each evaluation whose run was aborted, by the tuner or the guard, its outcome,
+        and what the signals said in the 5 s before, in messages.
     """
 
     name = ROS
@@ -135,8 +146,13 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study)
         self._rates = MessageRates(study)
         self._functions = contextlib.ExitStack()
+        self._rests = study.run is not None and study.run.rest is not None
         # A function of a metric may take any time, in which nobody watches the machine.
-        self._parks_after_run = study.park.between_runs or bool(python_functions(study))
+        self._parks_after_run = (
+            study.park.between_runs or self._rests or bool(python_functions(study))
+        )
+        self._rested = 0.0
+        self._latest_run: float | None = None
         self._log_directory = log_directory
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
@@ -149,6 +165,7 @@ class RosBackend(SequentialBackend):
         self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
         self.at_nodes: Callable[[TunerNode], None] = lambda tuner: None
+        self.at_abort: AtAbort = lambda planned, outcome, latest: None
         self._claim: DomainClaim | None = None
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
@@ -278,6 +295,52 @@ class RosBackend(SequentialBackend):
         for evaluation in evaluations:
             self._rates.note(evaluation.outcome)
 
+    def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
+        """Run planned evaluations in the order given; runs that warm the machine up come ahead."""
+        for planned in evaluations:
+            count, begin = self._runs_to_warm_up, time.monotonic()
+            fault = self._warm_up(count)
+            seconds = time.monotonic() - begin
+            if fault is not None:
+                yield dataclasses.replace(planned, outcome=fault, seconds=seconds)
+                continue
+            for evaluation in super().run([planned]):
+                outcome = evaluation.outcome.with_warm_up(count, seconds)
+                yield dataclasses.replace(evaluation, outcome=outcome) if count else evaluation
+
+    @property
+    def _runs_to_warm_up(self) -> int:
+        """How many runs the machine needs to be warm."""
+        warm_up = None if self._study.run is None else self._study.run.warm_up
+        if warm_up is None:
+            return 0
+        latest = self._latest_run
+        is_warm = latest is not None and time.monotonic() - latest <= warm_up.after
+        return 0 if is_warm else warm_up.runs
+
+    def _warm_up(self, count: int) -> Outcome | None:
+        """Make so many runs that count nothing; returns what an evaluation is without one of them.
+
+        They have the parameters that the search begins with, as the most trusted ones. Where a run
+        with these fails, nothing is known of those of an evaluation, which is not made then.
+        """
+        study, contexts = self._study, self._study.context_space()
+        parameters = next(iter(study.starting_sets()), study.search_space().defaults)
+        nominal = contexts.to_dict(contexts.nominal())
+        for k in range(count):
+            seed = noise_seed(study.seed, Stream.NOISE, 0, k)
+            outcome = self.outcome(Evaluation(0, k, Stage.NOMINAL, parameters, nominal, seed))
+            self.after_extra_run()
+            if outcome.complete:
+                continue
+            self._latest_run = None
+            reason = brief(f"run {k + 1} of {count} to warm up: {outcome.reason}")
+            details = dict(outcome.details)
+            if not outcome.unusable:
+                details[UNPREPARED] = reason
+            return dataclasses.replace(outcome, reason=reason, details=details)
+        return None
+
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
 
@@ -316,11 +379,14 @@ class RosBackend(SequentialBackend):
         safe_state.take_unfinished()
         try:
             outcome = self._watched_over(self._evaluated(planned))
-        except BaseException:
+        except BaseException as error:
             # Such as a signal. Records are closed before this backend is, and may take their time.
             for problem in [*safe_state.stop(), *safe_state.take_unfinished()]:
                 self._opened.tuner.warn(problem)
+            self._tell_of_abort(planned, Outcome(EvaluationState.LOST, {}, brief(str(error))))
             raise
+        self._latest_run = time.monotonic()
+        self._tell_of_abort(planned, outcome)
         try:
             problems = self._leave_safe(outcome.state)
         except Interrupted:
@@ -336,6 +402,10 @@ class RosBackend(SequentialBackend):
             self._opened.tuner.warn(text)
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
+
+    def _tell_of_abort(self, planned: Evaluation, outcome: Outcome) -> None:
+        if self._procedure is not None and self._procedure.before_abort:
+            self.at_abort(planned, outcome, self._procedure.before_abort)
 
     def _watched_over(self, outcome: Outcome) -> Outcome:
         """Return an outcome, or that it was lost since the guard has acted meanwhile.
@@ -383,6 +453,7 @@ class RosBackend(SequentialBackend):
             if self._procedure is not None:
                 self._procedure.forget()
                 self._procedure.expect_rest()
+                self._rest(self._procedure)
                 self._procedure.enter(planned.context)
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
@@ -417,7 +488,24 @@ class RosBackend(SequentialBackend):
         return dataclasses.replace(result, details=details)
 
     def _counts(self) -> dict[str, str]:
-        return {} if self._procedure is None else self._procedure.counts()
+        rested = {RESTED: f"{self._rested:.3f}"} if self._rested else {}
+        return rested if self._procedure is None else rested | self._procedure.counts()
+
+    def _rest(self, procedure: Procedure) -> None:
+        """Let the machine rest ahead of a run.
+
+        Raises
+        ------
+        UnpreparedError
+            If its rest does not come to an end.
+        LostError
+            If nothing publishes a signal that says so.
+        """
+        self._rested = 0.0
+        try:
+            self._rested = procedure.rest()
+        except FailedRunError as error:
+            raise UnpreparedError(str(error)) from error
 
     def _prepare(self, procedure: Procedure) -> None:
         """Prepare a run with the safe parameters.

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from itertools import takewhile
 
@@ -21,12 +21,13 @@ from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.publication import UnheardError
 from bo_tuner.backends.ros.run_watch import OVERLAP, RunWatch
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
+from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep
 from bo_tuner.backends.ros.streams import Stream, Streams
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
-from bo_tuner.errors import BackendError, KeyPath, StudyError
+from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
+from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     FailedRunError,
@@ -35,7 +36,7 @@ from bo_tuner.metrics.recording import (
 from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
-from bo_tuner.study.run import AFTER, BEFORE, RECOVER, SIM, START, Run
+from bo_tuner.study.run import AFTER, BEFORE, RECOVER, REST, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.step_contexts import filled_step, varies
 from bo_tuner.study.steps import Step, WaitUntil
@@ -83,6 +84,8 @@ class Procedure:
     ----------
     recording : Recording
         What was recorded of the last run.
+    before_abort : sequence of LatestMessage
+        What the signals said in the 5 s until the last run was aborted; empty if it was not.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class Procedure:
         self._recorder = SignalRecorder(tuner.context, study.signals, guarded)
         self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
+        self.before_abort: Sequence[LatestMessage] = ()
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
         self._topics: dict[str, OwnTopic] = {}
@@ -119,6 +123,7 @@ class Procedure:
         self._is_prepared = False
         self._is_ready = False
         self._due: list[int] = []
+        self._since_run: Stopwatch | None = None
         space = study.context_space()
         # What is performed ahead of any evaluation is in the nominal context.
         self._context: Context = space.to_dict(space.nominal())
@@ -153,9 +158,33 @@ class Procedure:
         self._fill(context)
         self._watch.enter(context)
 
+    def rest(self) -> float:
+        """Wait until the machine has rested since the last run; returns for how long [s].
+
+        Raises
+        ------
+        FailedRunError
+            If the condition for the end of its rest does not come to hold.
+        LostError
+            If nothing publishes a signal of the condition.
+        """
+        rest = self._run.rest
+        if rest is None:
+            return 0.0
+        self._clock.update()
+        watch = Stopwatch(self._clock)
+        rested = rest.at_least if self._since_run is None else self._since_run.seconds
+        if rested < rest.at_least:
+            self._wait(rest.at_least - rested, self._recorder.take)
+        if rest.until:
+            until = WaitUntil(condition=rest.until, hold=0.0, timeout=rest.at_most)
+            self._wait_until(("run", REST, "until"), until)
+        return watch.seconds
+
     def forget(self) -> None:
-        """Empty `recording` and `counts`: the run may not come about."""
+        """Empty `recording`, `counts` and `before_abort`: the run may not come about."""
         self.recording = NOTHING_RECORDED
+        self.before_abort = ()
         self._streams.begin_run()
 
     def prepare(self) -> None:
@@ -337,16 +366,22 @@ class Procedure:
             with guarded:
                 self._perform(START)
                 return self._recorder.recording(self._watch.wait_for_end())
+        except FailedRunError:
+            if self.reason_of_abort:
+                self.before_abort = self._recorder.latest_messages.now()
+            raise
         except GuardActedError:
             # It may only have been quicker.
             with contextlib.suppress(FailedRunError):
                 self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
+            self.before_abort = self._recorder.latest_messages.now()
             raise
         finally:
             self._is_recording = False
             self._streams.stop_all()
             self._recorder.end()
             self._clock.end()
+            self._since_run = Stopwatch(self._clock)
 
     @property
     def _head(self) -> list[int]:
@@ -382,7 +417,7 @@ class Procedure:
             try:
                 self._perform_after(index)
             except FAULTS as fault:
-                problems.append(f"{where(('run', AFTER, index))}: {fault}")
+                problems.append(f"{dotted(('run', AFTER, index))}: {fault}")
         return problems
 
     def _perform(self, phase: str) -> None:
@@ -406,7 +441,7 @@ class Procedure:
         # Waits that add up to it may lack a rounding error.
         if after is not None and planned < after - 1e-9 and after < self._recorder.seconds:
             raise FailedRunError(
-                f"{where(('run', START, index))} comes after the end of the run at {after:g} s"
+                f"{dotted(('run', START, index))} comes after the end of the run at {after:g} s"
             )
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:
@@ -448,8 +483,8 @@ class Procedure:
             goal.wait()
 
     def _poll(self, path: KeyPath) -> Callable[[], object]:
-        """Return what takes messages in a step; none can cut the way to rest short."""
-        return self._recorder.take if path[1] == AFTER else self._recorder.poll
+        """Return what takes messages in a step; none can cut the way to rest, or a rest, short."""
+        return self._recorder.take if path[1] in (AFTER, REST) else self._recorder.poll
 
     def _wait(self, period: float, poll: Callable[[], object]) -> None:
         if self._is_recording:
@@ -506,11 +541,11 @@ class Procedure:
             recording = self._recorder.recording(self._recorder.seconds)
             dead = any(recording.silence(name, spec) for name, spec in used.items())
             advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
-            how = f"does not hold for {wait.hold:g} s"
+            how = f"does not hold for {wait.hold:g} s" if wait.hold else "does not hold"
             if wait.rising:
                 how = "does not come to hold" + ("" if edge.was_off else ", as it never ceased to")
             raise FailedRunError(
-                f"{where(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
+                f"{dotted(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
                 f"{latest(used, recording)}{advice}"
             )
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
 from bo_tuner.errors import StudyError
+from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
 from bo_tuner.metrics.recording import (
     FailedRunError,
     RecordedMessages,
@@ -72,6 +74,8 @@ class SignalRecorder:
     ----------
     node : Node
         The recorder's node, which is in no executor.
+    latest_messages : LatestMessages
+        What was taken last, of all signals.
     """
 
     def __init__(
@@ -85,6 +89,7 @@ class SignalRecorder:
         )
         self._topics: dict[str, _Topic] = {}
         self._tracks: dict[str, Track] = {}
+        self.latest_messages = LatestMessages()
         self._frames: dict[str, FramesReader] = {}
         self._feeds: dict[str, TransformFeed] = {}
         self._began = 0
@@ -281,6 +286,9 @@ class SignalRecorder:
             for heard in topic.heard.take():
                 topic.has_message = True
                 topic.received = heard.received
+                self.latest_messages.add(
+                    LatestMessage(heard.received, topic.heard.name, topic.type, heard.data)
+                )
                 for name, reader in topic.readers.items():
                     track = self._tracks[name]
                     try:
@@ -471,6 +479,11 @@ class _Topic:
     has_message: bool = False
     received: int = 0
     is_continuous: bool = False
+
+    @cached_property
+    def type(self) -> str:
+        """Type of its messages."""
+        return type_name(self.heard.cls)
 
     @property
     def publishers(self) -> int:

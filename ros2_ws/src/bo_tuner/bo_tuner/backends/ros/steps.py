@@ -11,7 +11,7 @@ from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.errors import KeyPath, StudyError, dotted
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
 from bo_tuner.study.steps import Call, Lifecycle, SetParameter, Step
@@ -45,12 +45,6 @@ class PreparedStep(Protocol):
         StudyError
             If it cannot send them.
         """
-
-
-def where(path: KeyPath) -> str:
-    """Name a step by its path in the study."""
-    section, phase, index = path
-    return f"{section}.{phase}[{index}]"
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,7 @@ class ServiceCall:
     def perform(self) -> None:
         """Call it."""
         response = self.tuner.call(
-            self.service, self.request, f"the node that {where(self.path)} calls", self.timeout
+            self.service, self.request, f"the node that {dotted(self.path)} calls", self.timeout
         )
         if getattr(response, "success", True) is False:
             reason = brief(getattr(response, "message", "")) or "no reason given"
@@ -109,7 +103,7 @@ class ParameterChange:
         try:
             self.parameters.change(self.spec.node, {self.spec.parameter: self.spec.value})
         except RefusedError as refusal:
-            raise FailedRunError(f"{where(self.path)}: {refusal}") from refusal
+            raise FailedRunError(f"{dotted(self.path)}: {refusal}") from refusal
 
     def filled(self, step: Step) -> "ParameterChange":
         """Return the change of a step's value."""

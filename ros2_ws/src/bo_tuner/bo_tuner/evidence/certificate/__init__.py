@@ -1,8 +1,9 @@
 """The certificate of a parameter set: what fresh evaluations prove about it, and how robust it is.
 
-`certification` runs the evaluations, and `independent_search` looks for the worst contexts;
-`judgement` makes `findings` of them, with the confidence sequences of `numerics.sequential`.
-`parameter_sensitivity`, `context_tolerance` and `winners_curse` add what a user should know beside
-the verdict. `making` puts all of it into a `certificate`, `store` writes and reads its file, and
-`table` gives its rows to terminal and report.
+`certification` has the plans carried out: `draws`, then `worst_contexts`, which
+`independent_search` looks for; `plan` is what they have in common. `judgement` makes `findings` of
+them, with the confidence sequences of `numerics.sequential`. `parameter_sensitivity`,
+`context_tolerance` and `winners_curse` add what a user should know beside the verdict. `making`
+puts all of it into a `certificate`, `store` writes and reads its file, and `table` gives its rows
+to terminal and report.
 """

@@ -12,9 +12,9 @@ from pathlib import Path
 from bo_tuner import text
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.certificate.decisions import is_refuted_by
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import Earlier, Findings, Refutation
-from bo_tuner.evidence.certificate.judgement import is_refuted_by
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     evaluations_problem,
@@ -99,7 +99,7 @@ def earlier_in_words(certificate: Certificate) -> Iterator[str]:
             yield f"{sentence}."
             continue
         contexts = " and ".join(f"({text.values(c)})" for c in failure.contexts if c)
-        where = f"in the context {contexts}" if contexts else "by fresh evaluations"
+        where = f"in the context {contexts}" if contexts else "by fresh test runs"
         yield (
             f"{sentence}. This PASS covers it: the limits were shown anew {where}, and the earlier "
             "runs, which count against a PASS only, do not contradict."

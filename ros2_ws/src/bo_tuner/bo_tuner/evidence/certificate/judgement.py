@@ -38,32 +38,38 @@ from dataclasses import replace
 import numpy as np
 
 from bo_tuner import text
-from bo_tuner.evidence.certificate.economy import (
-    BEHIND,
-    FEW,
-    confirms,
-    is_far_from,
-    is_shown_by_all,
-    said_of_draws,
+from bo_tuner.evidence.certificate.decisions import (
+    contradiction,
+    contradicts_earlier,
+    is_shown_with_others,
+    refutes,
+    shown_by_model,
+    shows,
+    together,
 )
+from bo_tuner.evidence.certificate.economy import BEHIND, said_of_draws
 from bo_tuner.evidence.certificate.findings import (
-    NOTHING,
     TAIL,
     ConstraintVerdict,
-    Earlier,
     Evidence,
     Findings,
     Ranking,
     WorstContext,
 )
+from bo_tuner.evidence.certificate.limited_runs import (
+    declared_range,
+    drawn_runs,
+    failed_runs,
+    is_exact,
+    runs_in_context,
+    runs_of,
+    values_of,
+)
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.limit_kinds.on_mean import OnMean
-from bo_tuner.study.noiseless import noise_in
-from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -91,25 +97,12 @@ def least_evaluations(study: Study, confidence: float) -> int:
     for constraint in study.constraints.values():
         fewest = 1
         if not is_exact(study, constraint):
-            fewest = constraint.rule.fewest(_declared(study, constraint), confidence)
+            fewest = constraint.rule.fewest(declared_range(study, constraint), confidence)
         if constraint.rule.in_every_context:
             repeated = max(repeated, fewest)
         else:
             drawn = max(drawn, fewest)
     return drawn + repeated
-
-
-def is_exact(study: Study, constraint: Constraint) -> bool:
-    """Return whether one run decides if a limit is kept in its context, as there is no noise.
-
-    Over contexts it takes draws, unless there is but one context.
-    """
-    return study.is_noiseless and (constraint.rule.in_every_context or not study.contexts)
-
-
-def contradiction(study: Study, evaluations: Sequence[Evaluation]) -> str:
-    """Say how evaluations of a certificate contradict what the study declares; else empty."""
-    return outside(study.metrics, evaluations) or noise_in(study, evaluations)
 
 
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
@@ -125,9 +118,9 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         Confidence of all bounds, between 0 and 1.
     """
     metric = study.objective.metric
-    values = _values(evidence.drawn, metric)
+    values = values_of(evidence.drawn, metric)
     sign = study.objective.sign
-    failed = _failed(evidence.evaluations)
+    failed = failed_runs(evidence.evaluations)
     return Findings(
         parameters=dict(evidence.parameters),
         objective=mean_of(values, confidence),
@@ -144,201 +137,11 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     )
 
 
-def decide_draws(
-    study: Study,
-    drawn: Sequence[Evaluation],
-    most: int,
-    confidence: float,
-    earlier: Earlier = NOTHING,
-    others: Sequence[Evaluation] | None = None,
-) -> bool | None:
-    """Return whether the draws so far decide the verdict: True or False; None if not yet.
-
-    Parameters
-    ----------
-    study
-        The study.
-    drawn
-        The draws so far, in their order.
-    most
-        Largest number of draws.
-    confidence
-        Of all bounds, between 0 and 1.
-    earlier
-        What was known of the parameter set before.
-    others
-        Its other runs, which count where a chance constraint is kept by far; None if they are
-        still to come.
-
-    Returns
-    -------
-    bool or None
-        True if they show all constraints over the contexts, and do not leave a worst-case one
-        contradicted by earlier draws. False if a PASS is out of reach.
-    """
-    if _failed(drawn):
-        return False if is_failed(drawn) else None
-    if contradiction(study, drawn):
-        return False
-    undecided = contradicted = False
-    for constraint in study.constraints.values():
-        rule, runs = constraint.rule, _drawn(study, constraint, drawn, earlier)
-        if rule.in_every_context:
-            if _refutes(constraint, runs, confidence):
-                return False
-            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif _shows(constraint, runs, confidence):
-            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
-        elif _is_hopeless(constraint, runs, most, confidence):
-            return False
-        else:
-            undecided = undecided or not _is_shown_with_others(
-                study, constraint, runs.values, others, confidence
-            )
-    if contradicted and len(drawn) >= most:
-        return False
-    return None if undecided or contradicted else True
-
-
-def _is_shown_with_others(
-    study: Study,
-    constraint: Constraint,
-    draws: Array,
-    others: Sequence[Evaluation] | None,
-    confidence: float,
-) -> bool:
-    """Return whether other runs show with the draws what is kept by far, or those to come may."""
-    if not _others_count(study, constraint):
-        return False
-    if others is None:
-        return is_far_from(constraint, draws, draws[:0])
-    values = _values(others, constraint.metric)
-    return not _failed(others) and is_shown_by_all(constraint, draws, values, confidence)
-
-
-def _others_count(study: Study, constraint: Constraint) -> bool:
-    """Return whether runs other than draws may count for a constraint over the contexts."""
-    rule = constraint.rule
-    return (
-        rule.on_runs
-        and not rule.in_every_context
-        and bool(study.worst_case_constraints)
-        and not study.certificate.distribution_free
-    )
-
-
-def decide_context(
-    study: Study,
-    constraint: Constraint,
-    evidence: Evidence,
-    place: int,
-    most: int,
-    confidence: float,
-) -> bool | None:
-    """Return whether a worst-case constraint holds in a context: True or False; None if open.
-
-    Parameters
-    ----------
-    study, constraint
-        The study, and one of its constraints.
-    evidence
-        The evaluations so far, with one at least in the context.
-    place
-        Index of the context among those of ``evidence.repeated``.
-    most
-        Largest number of draws.
-    confidence
-        Of all bounds, between 0 and 1.
-
-    Returns
-    -------
-    bool or None
-        True if they show that it holds. False if a PASS is out of reach.
-    """
-    repeated = evidence.repeated[place]
-    if _failed(repeated):
-        return False if is_failed(repeated) else None
-    if contradiction(study, repeated):
-        return False
-    runs = _in_context(study, constraint, repeated, evidence)
-    if _refutes(constraint, runs, confidence):
-        return False
-    if _shows(constraint, runs, confidence) or _by_model(
-        study, constraint, evidence, place, confidence
-    ):
-        earlier = evidence.earlier.at(repeated[0].context)
-        return None if _contradicted(constraint, earlier, repeated) else True
-    ranking = evidence.ranking.get(constraint.name, Ranking())
-    if repeated[0].context in ranking.behind:
-        confidence = min(confidence, BEHIND)
-    return False if _is_hopeless(constraint, runs, most, confidence) else None
-
-
-def _shows(constraint: Constraint, runs: Runs, confidence: float) -> bool:
-    """Return whether runs show a limit; the only one of a context shows all without noise."""
-    if runs.exact:
-        return len(runs.events) > 0 and not any(runs.events)
-    return constraint.rule.is_shown(runs, confidence)
-
-
-def _refutes(constraint: Constraint, runs: Runs, confidence: float) -> bool:
-    """Return whether runs refute a limit."""
-    return any(runs.events) if runs.exact else constraint.rule.is_refuted(runs, confidence)
-
-
-def _is_hopeless(constraint: Constraint, runs: Runs, most: int, confidence: float) -> bool:
-    """Return whether runs cannot show a limit any more, up to `most` of them."""
-    if runs.exact:
-        return any(runs.events)
-    return constraint.rule.is_hopeless(runs, most, confidence)
-
-
-def _by_model(
-    study: Study, constraint: Constraint, evidence: Evidence, place: int, confidence: float
-) -> bool:
-    """Return whether a limit is shown with the help of the ranking of contexts by a model.
-
-    Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
-    the worst, and the runs show the limit with the confidence `BEHIND`.
-    """
-    here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
-    values = _values(here, constraint.metric)
-    if ranking is None or len(values) < max(FEW, len(here)):
-        return False
-    if here[0].context in ranking.clear and confirms(constraint, values):
-        return True
-    if here[0].context not in ranking.behind:
-        return False
-    runs = _in_context(study, constraint, here, evidence)
-    # Runs beyond the limit elsewhere ask for more in the worst context.
-    return constraint.rule.is_shown(replace(runs, farthest=float("nan")), BEHIND)
-
-
-def is_failed(evaluations: Sequence[Evaluation]) -> bool:
-    """Return whether failed evaluations decide the verdict: a FAIL.
-
-    Those lost or disturbed at the end can be followed by more, which end it without a verdict.
-    """
-    return bool(_failed(evaluations)) and not evaluations[-1].outcome.unusable
-
-
-def is_refuted_by(
-    constraint: Constraint, evaluations: Sequence[Evaluation], confidence: float
-) -> bool:
-    """Return whether runs in one context refute that a constraint holds there.
-
-    A failed one is a violation of every constraint.
-    """
-    return bool(_failed(evaluations)) or constraint.rule.is_refuted(
-        _runs(constraint, evaluations), confidence
-    )
-
-
 def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
     rule, unit = constraint.rule, study.metrics[constraint.metric].unit
-    runs = _drawn(study, constraint, evidence.drawn, evidence.earlier)
+    runs = drawn_runs(study, constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
     modelled: tuple[WorstContext, ...] = ()
     assumption = _assumption(study, constraint, evidence)
@@ -351,11 +154,11 @@ def _judge(
         )
         assumptions += _said_of_ranking(constraint, evidence, modelled)
     else:
-        shown, counted, others = _shows(constraint, runs, confidence), runs, evidence.others
-        if not shown and _is_shown_with_others(study, constraint, runs.values, others, confidence):
-            shown, counted = True, _runs(constraint, [*evidence.drawn, *others])
+        shown, counted, others = shows(constraint, runs, confidence), runs, evidence.others
+        if not shown and is_shown_with_others(study, constraint, runs.values, others, confidence):
+            shown, counted = True, runs_of(constraint, [*evidence.drawn, *others])
             bound = _bound(counted, confidence)
-            elsewhere = _values(others, constraint.metric)
+            elsewhere = values_of(others, constraint.metric)
             assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
         passed = shown and not against
         reason_of_draws = rule.said_of_draws(counted, unit, confidence, passed=passed)
@@ -413,9 +216,11 @@ def _in_every_context(
     refuting = [
         context
         for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
-        if _refutes(constraint, _in_context(study, constraint, evaluations, evidence), confidence)
+        if refutes(
+            constraint, runs_in_context(study, constraint, evaluations, evidence), confidence
+        )
     ]
-    decided = refuting or _failed(evidence.evaluations)
+    decided = refuting or failed_runs(evidence.evaluations)
     if constraint.name in evidence.unseen and not decided:
         # Those that were run are the worst ones of other limits.
         worst = ()
@@ -424,7 +229,7 @@ def _in_every_context(
         drawn.events,
         worst,
         unit,
-        refuted_by_draws=_refutes(constraint, drawn, confidence),
+        refuted_by_draws=refutes(constraint, drawn, confidence),
         against=against,
         refuting=refuting,
         unvisited=evidence.unvisited.get(constraint.name, 0),
@@ -451,9 +256,9 @@ def _worst_case(
     contexts = text.counted(unvisited, "context")
     not_run = f"{contexts} that may be the worst had no run, as another one had decided"
     if not worst:
-        return False, not_run if unvisited else "its worst contexts were not evaluated"
+        return False, not_run if unvisited else "its worst contexts were not run"
     if failures := sum(w.failures for w in worst):
-        failed = text.counted(failures, "evaluation")
+        failed = text.counted(failures, "test run")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
     passed = all(w.shown for w in worst)
     if passed and unvisited:
@@ -471,11 +276,11 @@ def _worst_context(
 ) -> tuple[WorstContext, bool]:
     """Return what the runs in a context show, and whether they do so with the help of a model."""
     evaluations = evidence.repeated[place]
-    runs = _in_context(study, constraint, evaluations, evidence)
+    runs = runs_in_context(study, constraint, evaluations, evidence)
     earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
-    alone = len(values) == len(evaluations) and _shows(constraint, runs, confidence)
-    shown = alone or _by_model(study, constraint, evidence, place, confidence)
-    contradicted = shown and _contradicted(constraint, earlier, evaluations)
+    alone = len(values) == len(evaluations) and shows(constraint, runs, confidence)
+    shown = alone or shown_by_model(study, constraint, evidence, place, confidence)
+    contradicted = shown and contradicts_earlier(constraint, earlier, evaluations)
     context = WorstContext(
         context=dict(evaluations[0].context),
         mean=_mean(constraint, runs, confidence),
@@ -487,7 +292,7 @@ def _worst_context(
         shown=shown and not contradicted,
         contradicted=contradicted,
         earlier=len(earlier),
-        together=_together(constraint, earlier, evaluations) if earlier else float("nan"),
+        together=together(constraint, earlier, evaluations) if earlier else float("nan"),
     )
     return context, context.shown and not alone
 
@@ -527,32 +332,16 @@ def _said_of_ranking(
     return tuple(sentences)
 
 
-def _contradicted(
-    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
-) -> bool:
-    """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
-    if not earlier:
-        return False
-    return constraint.rule.contradicts(_together(constraint, earlier, fresh))
-
-
-def _together(
-    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
-) -> float:
-    """Return what is limited in earlier and fresh runs together."""
-    return constraint.rule.together(_runs(constraint, [*earlier, *fresh]))
-
-
 def _said_of_draws(
     constraint: Constraint,
     earlier: Sequence[Evaluation],
     fresh: Sequence[Evaluation],
 ) -> str:
     """Say that earlier draws and fresh ones together break the limit; empty if they do not."""
-    if not _contradicted(constraint, earlier, fresh):
+    if not contradicts_earlier(constraint, earlier, fresh):
         return ""
     both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
-    return constraint.rule.said_together(both, _together(constraint, earlier, fresh))
+    return constraint.rule.said_together(both, together(constraint, earlier, fresh))
 
 
 def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
@@ -561,61 +350,6 @@ def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
     fresh = worst.evaluations + worst.failures
     both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
     return constraint.rule.said_together(both, worst.together)
-
-
-def _drawn(
-    study: Study, constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier
-) -> Runs:
-    """Return draws as runs of which each stands for all contexts."""
-    values = _values(drawn, constraint.metric)
-    known = [*values, *earlier.extremes.get(constraint.metric, ())]
-    return replace(
-        _runs(constraint, drawn),
-        farthest=constraint.farthest(known),
-        elsewhere=(values,),
-        known=len(values),
-        declared=_declared(study, constraint),
-        exact=is_exact(study, constraint),
-    )
-
-
-def _in_context(
-    study: Study, constraint: Constraint, evaluations: Sequence[Evaluation], evidence: Evidence
-) -> Runs:
-    """Return evaluations in one context as runs, with what is known of the parameter set."""
-    exact = is_exact(study, constraint)
-    if constraint.rule.on_runs:
-        # Nothing else counts for a share of these.
-        return replace(_runs(constraint, evaluations), exact=exact)
-    metric = constraint.metric
-    own = _values(evidence.evaluations, metric)
-    # Earlier ones as well.
-    known = [*own, *evidence.earlier.extremes.get(metric, ())]
-    return replace(
-        _runs(constraint, evaluations),
-        farthest=constraint.farthest(known),
-        elsewhere=[_values(runs, metric) for runs in evidence.repeated],
-        known=len(own),
-        declared=_declared(study, constraint),
-        exact=exact,
-    )
-
-
-def _declared(study: Study, constraint: Constraint) -> tuple[float, float] | None:
-    """Return the declared range of the limited metric, if there is one."""
-    return study.metrics[constraint.metric].range
-
-
-def _runs(constraint: Constraint, evaluations: Sequence[Evaluation]) -> Runs:
-    return Runs(_events(constraint, evaluations), _values(evaluations, constraint.metric))
-
-
-def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[bool]:
-    """Return whether each evaluation violates the limit or failed."""
-    return [
-        not e.outcome.complete or bool(constraint.violations(e.outcome.metrics[constraint.metric]))
-        for e in evaluations
-    ]
 
 
 def _bound(runs: Runs, confidence: float) -> float:
@@ -634,21 +368,7 @@ def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> str
             "the study declares its runs free of noise (noise: none), of which "
             f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics"
         )
-    return constraint.rule.assumption(_declared(study, constraint))
-
-
-def _failed(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    return [e for e in evaluations if not e.outcome.complete]
-
-
-def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
-    return np.array(
-        [
-            evaluation.outcome.metrics[metric]
-            for evaluation in evaluations
-            if evaluation.outcome.complete
-        ]
-    )
+    return constraint.rule.assumption(declared_range(study, constraint))
 
 
 def _failure(evaluation: Evaluation) -> str:

@@ -1,7 +1,7 @@
 """The parameter sets that a certificate is about, with what is known of them."""
 
-from bo_tuner.evidence.certificate.certification import Subject
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
+from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.trials import DEFAULT, TUNED, Trial
 

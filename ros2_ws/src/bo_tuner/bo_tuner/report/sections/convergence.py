@@ -98,7 +98,7 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     unit = study.metrics[study.objective.metric].unit
     lines = [
         f"trial {trial.number} ({trial.origin or 'unknown origin'}): {analysis.outcome(trial)}",
-        values(analysis.tuned_values(trial.parameters)),
+        analysis.tuned_in_words(trial.parameters),
     ]
     if trial.state is TrialState.FAILED:
         return "\n".join([*lines, trial.reason])

@@ -58,7 +58,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
                 r.stage,
                 r.outcome.ending,
                 r.outcome.reason,
-                values(analysis.tuned_values(r.parameters)),
+                analysis.tuned_in_words(r.parameters),
                 values(r.context),
                 str(r.seed),
                 _bag(analysis, r),
@@ -71,12 +71,12 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
 def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
-        caption="Far off (outliers): trials left out of the models; their vicinity is avoided",
+        caption="Far off: trials left out of the models; their vicinity is avoided",
         header=["trial", "parameters", with_unit(f"mean {metric.title}", metric.unit)],
         rows=[
             [
                 str(trial.number),
-                values(analysis.tuned_values(trial.parameters)),
+                analysis.tuned_in_words(trial.parameters),
                 number(analysis.mean_objective(trial)),
             ]
             for trial in outliers

@@ -11,6 +11,7 @@
   const waiting = new Map(); // sections that the reader is busy with, by name
 
   const control = now.querySelector(".control");
+  const question = now.querySelector(".question");
 
   const of = (name) => document.getElementById(name);
 
@@ -32,6 +33,7 @@
     trouble.textContent = problem;
     trouble.hidden = !problem;
     if (control) showControl(state);
+    showQuestion(state.question || { lines: [] });
     now.querySelector("dl").replaceChildren(
       ...Object.entries(state.texts || {}).map(([name, text]) => {
         const row = document.createElement("div");
@@ -42,6 +44,15 @@
         return row;
       })
     );
+  }
+
+  // An answer is one to the question that stands here, by its number.
+  function showQuestion({ number, lines }) {
+    question.hidden = !lines.length;
+    question.dataset.number = number;
+    const text = lines.join("\n");
+    const shown = question.querySelector("pre");
+    if (shown.textContent !== text) shown.textContent = text;
   }
 
   const button = (request) => control.querySelector(`[data-request=${request}]`);
@@ -55,10 +66,10 @@
     if (focused && focused.hidden) button(state.pausing ? "continue" : "pause").focus();
   }
 
-  async function ask(request) {
+  async function ask(address) {
     const trouble = control.querySelector(".damage");
     try {
-      const answer = await fetch(`requests/${request}`, {
+      const answer = await fetch(`requests/${address}`, {
         method: "POST",
         headers: { "X-Control-Token": control.dataset.token },
       });
@@ -71,6 +82,10 @@
   if (control) {
     for (const item of control.querySelectorAll("[data-request]")) {
       item.addEventListener("click", () => ask(item.dataset.request));
+    }
+    for (const item of question.querySelectorAll("[data-request]")) {
+      const answer = item.dataset.request;
+      item.addEventListener("click", () => ask(`${answer}?question=${question.dataset.number}`));
     }
   }
 

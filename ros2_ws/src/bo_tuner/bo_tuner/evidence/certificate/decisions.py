@@ -1,0 +1,241 @@
+"""When the evidence so far decides a limit: it is shown, or a PASS is out of reach.
+
+The rules are those of the verdict (`judgement`), after each evaluation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bo_tuner.evidence.certificate.economy import (
+    BEHIND,
+    FEW,
+    confirms,
+    is_far_from,
+    is_shown_by_all,
+)
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
+from bo_tuner.evidence.certificate.limited_runs import (
+    drawn_runs,
+    failed_runs,
+    runs_in_context,
+    runs_of,
+    values_of,
+)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limit_kinds.base import Runs
+from bo_tuner.study.noiseless import noise_in
+from bo_tuner.study.ranges import outside
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation
+
+
+def decide_draws(
+    study: Study,
+    drawn: Sequence[Evaluation],
+    most: int,
+    confidence: float,
+    earlier: Earlier = NOTHING,
+    others: Sequence[Evaluation] | None = None,
+) -> bool | None:
+    """Return whether the draws so far decide the verdict: True or False; None if not yet.
+
+    Parameters
+    ----------
+    study
+        The study.
+    drawn
+        The draws so far, in their order.
+    most
+        Largest number of draws.
+    confidence
+        Of all bounds, between 0 and 1.
+    earlier
+        What was known of the parameter set before.
+    others
+        Its other runs, which count where a chance constraint is kept by far; None if they are
+        still to come.
+
+    Returns
+    -------
+    bool or None
+        True if they show all constraints over the contexts, and do not leave a worst-case one
+        contradicted by earlier draws. False if a PASS is out of reach.
+    """
+    if failed_runs(drawn):
+        return False if is_failed(drawn) else None
+    if contradiction(study, drawn):
+        return False
+    undecided = contradicted = False
+    for constraint in study.constraints.values():
+        rule, runs = constraint.rule, drawn_runs(study, constraint, drawn, earlier)
+        if rule.in_every_context:
+            if refutes(constraint, runs, confidence):
+                return False
+            contradicted = contradicted or contradicts_earlier(constraint, earlier.drawn, drawn)
+        elif shows(constraint, runs, confidence):
+            contradicted = contradicted or contradicts_earlier(constraint, earlier.drawn, drawn)
+        elif _is_hopeless(constraint, runs, most, confidence):
+            return False
+        else:
+            undecided = undecided or not is_shown_with_others(
+                study, constraint, runs.values, others, confidence
+            )
+    if contradicted and len(drawn) >= most:
+        return False
+    return None if undecided or contradicted else True
+
+
+def is_shown_with_others(
+    study: Study,
+    constraint: Constraint,
+    draws: Array,
+    others: Sequence[Evaluation] | None,
+    confidence: float,
+) -> bool:
+    """Return whether other runs show with the draws what is kept by far, or those to come may."""
+    if not _others_count(study, constraint):
+        return False
+    if others is None:
+        return is_far_from(constraint, draws, draws[:0])
+    values = values_of(others, constraint.metric)
+    return not failed_runs(others) and is_shown_by_all(constraint, draws, values, confidence)
+
+
+def _others_count(study: Study, constraint: Constraint) -> bool:
+    """Return whether runs other than draws may count for a constraint over the contexts."""
+    rule = constraint.rule
+    return (
+        rule.on_runs
+        and not rule.in_every_context
+        and bool(study.worst_case_constraints)
+        and not study.certificate.distribution_free
+    )
+
+
+def decide_context(
+    study: Study,
+    constraint: Constraint,
+    evidence: Evidence,
+    place: int,
+    most: int,
+    confidence: float,
+) -> bool | None:
+    """Return whether a worst-case constraint holds in a context: True or False; None if open.
+
+    Parameters
+    ----------
+    study, constraint
+        The study, and one of its constraints.
+    evidence
+        The evaluations so far, with one at least in the context.
+    place
+        Index of the context among those of ``evidence.repeated``.
+    most
+        Largest number of draws.
+    confidence
+        Of all bounds, between 0 and 1.
+
+    Returns
+    -------
+    bool or None
+        True if they show that it holds. False if a PASS is out of reach.
+    """
+    repeated = evidence.repeated[place]
+    if failed_runs(repeated):
+        return False if is_failed(repeated) else None
+    if contradiction(study, repeated):
+        return False
+    runs = runs_in_context(study, constraint, repeated, evidence)
+    if refutes(constraint, runs, confidence):
+        return False
+    if shows(constraint, runs, confidence) or shown_by_model(
+        study, constraint, evidence, place, confidence
+    ):
+        earlier = evidence.earlier.at(repeated[0].context)
+        return None if contradicts_earlier(constraint, earlier, repeated) else True
+    ranking = evidence.ranking.get(constraint.name, Ranking())
+    if repeated[0].context in ranking.behind:
+        confidence = min(confidence, BEHIND)
+    return False if _is_hopeless(constraint, runs, most, confidence) else None
+
+
+def shows(constraint: Constraint, runs: Runs, confidence: float) -> bool:
+    """Return whether runs show a limit; the only one of a context shows all without noise."""
+    if runs.exact:
+        return len(runs.events) > 0 and not any(runs.events)
+    return constraint.rule.is_shown(runs, confidence)
+
+
+def refutes(constraint: Constraint, runs: Runs, confidence: float) -> bool:
+    """Return whether runs refute a limit."""
+    return any(runs.events) if runs.exact else constraint.rule.is_refuted(runs, confidence)
+
+
+def _is_hopeless(constraint: Constraint, runs: Runs, most: int, confidence: float) -> bool:
+    """Return whether runs cannot show a limit any more, up to `most` of them."""
+    if runs.exact:
+        return any(runs.events)
+    return constraint.rule.is_hopeless(runs, most, confidence)
+
+
+def shown_by_model(
+    study: Study, constraint: Constraint, evidence: Evidence, place: int, confidence: float
+) -> bool:
+    """Return whether a limit is shown with the help of the ranking of contexts by a model.
+
+    Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
+    the worst, and the runs show the limit with the confidence `BEHIND`.
+    """
+    here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
+    values = values_of(here, constraint.metric)
+    if ranking is None or len(values) < max(FEW, len(here)):
+        return False
+    if here[0].context in ranking.clear and confirms(constraint, values):
+        return True
+    if here[0].context not in ranking.behind:
+        return False
+    runs = runs_in_context(study, constraint, here, evidence)
+    # Runs beyond the limit elsewhere ask for more in the worst context.
+    return constraint.rule.is_shown(replace(runs, farthest=float("nan")), BEHIND)
+
+
+def is_failed(evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether failed evaluations decide the verdict: a FAIL.
+
+    Those lost or disturbed at the end can be followed by more, which end it without a verdict.
+    """
+    return bool(failed_runs(evaluations)) and not evaluations[-1].outcome.unusable
+
+
+def is_refuted_by(
+    constraint: Constraint, evaluations: Sequence[Evaluation], confidence: float
+) -> bool:
+    """Return whether runs in one context refute that a constraint holds there.
+
+    A failed one is a violation of every constraint.
+    """
+    return bool(failed_runs(evaluations)) or constraint.rule.is_refuted(
+        runs_of(constraint, evaluations), confidence
+    )
+
+
+def contradiction(study: Study, evaluations: Sequence[Evaluation]) -> str:
+    """Say how evaluations of a certificate contradict what the study declares; else empty."""
+    return outside(study.metrics, evaluations) or noise_in(study, evaluations)
+
+
+def contradicts_earlier(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> bool:
+    """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
+    if not earlier:
+        return False
+    return constraint.rule.contradicts(together(constraint, earlier, fresh))
+
+
+def together(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> float:
+    """Return what is limited in earlier and fresh runs together."""
+    return constraint.rule.together(runs_of(constraint, [*earlier, *fresh]))

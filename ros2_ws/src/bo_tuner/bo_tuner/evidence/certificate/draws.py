@@ -1,0 +1,184 @@
+"""The draws of a certificate: contexts from their distribution, the same for all subjects."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bo_tuner.evidence.certificate.decisions import contradiction
+from bo_tuner.evidence.certificate.economy import least_draws
+from bo_tuner.evidence.certificate.findings import Evidence
+from bo_tuner.evidence.certificate.plan import CHECKED, Case, CertificatePlan, Subject
+from bo_tuner.plans import Run
+from bo_tuner.trials import Evaluation, Stage
+
+DRAWS = "draws"
+"""Name of the first phase; the others are searches."""
+
+REPEATS = 3
+"""Draws of each subject that are run once more with another seed if they are to have no noise."""
+
+
+class DrawPlan(CertificatePlan):
+    """All subjects in the same draws, until these are clear for every subject.
+
+    Draws that were planned before it was clear count, too.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+    repeats
+        Of each of them, draws that were run with other seeds.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = DRAWS
+
+    def __init__(
+        self, case: Case, subjects: Sequence[Subject], repeats: Sequence[Sequence[Evaluation]]
+    ) -> None:
+        super().__init__()
+        self._repeats = repeats
+        self._case = case
+        self._subjects = subjects
+        self._clear = False
+        self._contexts = case.draw()
+        self.steps = case.most
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next subject in a draw, or one in the next draw."""
+        count = len(self._subjects)
+        k, place = divmod(sum(map(len, self.evaluations)) + len(pending), count)
+        if k == len(self._contexts) or (self._clear and place == 0):
+            return None
+        # By turns the first and the last is first: a machine that warms up is no difference.
+        number = count - 1 - place if k % 2 else place
+        parameters, context = self._subjects[number].parameters, self._contexts[k]
+        seed = self._case.draw_seed(k)
+        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add an evaluation; a draw of all subjects is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        if len({len(drawn) for drawn in self.evaluations}) > 1:
+            return False
+        self._clear = all(map(self._is_clear, range(len(self._subjects))))
+        return True
+
+    def evidence(self, number: int) -> Evidence:
+        """Return the draws of a subject as evidence, with what was run before them."""
+        subject, drawn = self._subjects[number], tuple(self.evaluations[number])
+        repeats = tuple(self._repeats[number])
+        return Evidence(subject.parameters, drawn, earlier=subject.earlier, repeats=repeats)
+
+    def _is_clear(self, number: int) -> bool:
+        subject, drawn = self._subjects[number], self.evaluations[number]
+        if contradiction(self._case.study, [*self._repeats[number], *drawn]):
+            return True
+        # Several are compared in the same draws, so that none may need more of them later.
+        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
+        least = min(least_draws(self._case.study), self._case.most)
+        return decided is False or (decided is True and len(drawn) >= least)
+
+
+class RepeatedDraws(CertificatePlan):
+    """The first draws of all subjects with other seeds, which are to change nothing.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    subjects
+        The parameter sets.
+
+    Attributes
+    ----------
+    evaluations
+        Of each subject.
+    """
+
+    phase = "repeats without noise"
+
+    def __init__(self, case: Case, subjects: Sequence[Subject]) -> None:
+        super().__init__()
+        contexts = case.draw()[:REPEATS]
+        self._planned = iter(
+            Evaluation(
+                number,
+                k,
+                Stage.CHECK_DRAWN,
+                subject.parameters,
+                context,
+                case.noise_seed(CHECKED, k),
+            )
+            for number, subject in enumerate(subjects)
+            for k, context in enumerate(contexts)
+        )
+        self.steps = len(subjects) * len(contexts)
+        self.evaluations: list[list[Evaluation]] = [[] for _ in subjects]
+
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        planned = next(self._planned, None)
+        return None if planned is None else Run(planned)
+
+    def tell(self, task: Run) -> bool:
+        """Add a run, which is a step."""
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        return True
+
+
+class FurtherDrawPlan(CertificatePlan):
+    """More draws of one subject, as its other runs were too few beside those that it has.
+
+    Parameters
+    ----------
+    case
+        The certificate.
+    number
+        Of the subject.
+    subject
+        The parameter set.
+    evidence
+        All its runs.
+
+    Attributes
+    ----------
+    evidence
+        With the runs that have ended.
+    """
+
+    phase = "more draws"
+
+    def __init__(self, case: Case, number: int, subject: Subject, evidence: Evidence) -> None:
+        super().__init__()
+        self._case = case
+        self._number = number
+        self._subject = subject
+        self._others = evidence.others
+        self._contexts = case.draw()
+        self.evidence = evidence
+        self.steps = case.most - len(evidence.drawn)
+
+    def _next(self, pending: Sequence[Run]) -> Run | None:
+        """Return the next draw."""
+        drawn = self.evidence.drawn
+        k = len(drawn) + len(pending)
+        if (
+            k == len(self._contexts)
+            or self._case.decided(self._subject, drawn, self._others) is not None
+        ):
+            return None
+        seed = self._case.draw_seed(k)
+        parameters, context = self._subject.parameters, self._contexts[k]
+        return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
+
+    def tell(self, task: Run) -> bool:
+        """Add a draw."""
+        self.evidence = replace(self.evidence, drawn=(*self.evidence.drawn, task.evaluation))
+        return True
