@@ -1,10 +1,9 @@
 """What each choice of the algorithm `boundary` is worth: without it, with the same seeds.
 
-The runs and their judge are those of a case of the experiments `boundary` and `closed_form`, of
-which the latter are harder for the choices in question. A difference is taken between runs with the
-same seed: those in which only one of both has a truly feasible answer, with the exact test of
-McNemar (1947), and the difference of the true objective where both have one, with Student's t
-interval.
+The runs and their judge are those of a case of an experiment, or of `wide_ranges.py`: a few trials
+in wide ranges. A difference is taken between runs with the same seed: those in which only one of
+both has a truly feasible answer, with the exact test of McNemar (1947), and the difference of the
+true objective where both have one, with Student's t interval.
 
 Each case has the commit and machine that it was run with; `--cases` runs some of them again.
 """
@@ -19,8 +18,11 @@ from typing import Any
 # Before the libraries that read it.
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
+import wide_ranges
 from common import provenance, read_result, result_parser, table, write_result
 
+from bo_tuner.methods.boundary.approach import Approach
+from bo_tuner.methods.boundary.exploration import Exploration
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.boundary.repetition import OwnRuns
 from bo_tuner.methods.boundary.settling import Repetitions
@@ -43,8 +45,12 @@ EXPERIMENTS = {
     "closed-4-2": "closed_form",
     "closed-4-2-steep": "closed_form",
     "closed-4-3-crash": "closed_form",
+    "basins-2": "exploration",
 }
-"""Experiment of each case."""
+"""Experiment of each case but `WIDE`."""
+
+WIDE = "wide"
+CASES = (*EXPERIMENTS, WIDE)
 
 SHIPPED = "as shipped"
 
@@ -67,7 +73,7 @@ def _as_it_is(_: Array, limit: float, sign: float) -> Compression:
 
 
 VARIANTS = (
-    Variant(SHIPPED, cases=tuple(EXPERIMENTS)),
+    Variant(SHIPPED, cases=CASES),
     Variant(
         "no repetitions: all evaluations for trials",
         replace(BOUNDARY, repetitions=Repetitions(share=0.0)),
@@ -125,13 +131,32 @@ VARIANTS = (
         replace(BOUNDARY, avoidance=lambda *_: 1.0),
         cases=("closed-4-3-crash",),
     ),
+    Variant(
+        "a first feasible parameter set searched in the whole cube",
+        replace(BOUNDARY, approach=Approach(half_width=1.0)),
+        cases=("closed-4-2-steep", WIDE),
+    ),
+    Variant(
+        "no trial elsewhere than where improvement is expected",
+        replace(BOUNDARY, exploration=Exploration(until=0.0)),
+        cases=("basins-2",),
+    ),
 )
+
+
+def title_of(case: str) -> str:
+    """Return the title of a case."""
+    if case == WIDE:
+        return wide_ranges.TITLE
+    return load_experiment(EXPERIMENTS[case]).cases[case].title
 
 
 def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
     """Run one variant with one seed and judge its answer."""
-    variant, experiment = VARIANTS[index], load_experiment(EXPERIMENTS[case_name])
-    return judged(experiment, case_name, variant, seed)
+    variant = VARIANTS[index]
+    if case_name == WIDE:
+        return wide_ranges.run(wide_ranges.wide_study(), seed, variant.method)
+    return judged(load_experiment(EXPERIMENTS[case_name]), case_name, variant, seed)
 
 
 def judged(
@@ -192,7 +217,7 @@ def main() -> None:
     parser = result_parser(__doc__, "ablations.json")
     parser.add_argument("--runs", type=int, default=20, help="seeds (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--cases", nargs="+", choices=EXPERIMENTS, default=list(EXPERIMENTS))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
     arguments = parser.parse_args()
     about = provenance() | {"seeds": list(range(1, arguments.runs + 1))}
     known = read_result(arguments.result)
@@ -200,8 +225,7 @@ def main() -> None:
     rows = []
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for case in arguments.cases:
-            title = load_experiment(EXPERIMENTS[case]).cases[case].title
-            entry: dict[str, Any] = {"provenance": about, "title": title, "variants": {}}
+            entry: dict[str, Any] = {"provenance": about, "title": title_of(case), "variants": {}}
             for index, variant in enumerate(VARIANTS):
                 if case not in variant.cases:
                     continue
@@ -213,9 +237,7 @@ def main() -> None:
                 rows.append([case, variant.title, summary["feasible"], summary["objective"]])
                 print(f"{case}: {variant.title}: {summary}", flush=True)
             cases[case] = entry
-            write_result(
-                arguments.result, {"cases": {c: cases[c] for c in EXPERIMENTS if c in cases}}
-            )
+            write_result(arguments.result, {"cases": {c: cases[c] for c in CASES if c in cases}})
     print(table(["case", "variant", "feasible", "objective"], rows))
 
 

@@ -24,13 +24,16 @@ from scipy.optimize import differential_evolution
 
 import bo_tuner as bt
 from bo_tuner.backends.function import FunctionBackend
+from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TrialState
+from bo_tuner.trials import TrialState, count_evaluations
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
+
+TITLE = "Three gains with wide ranges, 20 trials"
 
 PERIOD, DURATION, SUBSTEPS = 0.01, 2.0, 20  # [s]
 INERTIA, FRICTION, MAX_TORQUE, LAG = 0.02, 0.05, 1.0, 0.02
@@ -160,16 +163,22 @@ def narrowed(study: Study, optimum: Mapping[str, float]) -> dict[str, tuple[floa
     return {name: (float(lower[name]), float(upper[name])) for name in space.names}
 
 
-def run(study: Study, seed: int) -> dict[str, Any]:
+def wide_study() -> Study:
+    """Return the study with all of the ranges."""
+    return study_of(BOUNDS, SCALES)
+
+
+def run(study: Study, seed: int, method: Method = METHODS[DEFAULT_METHOD]) -> dict[str, Any]:
     """Tune with one seed and judge the answer."""
     begin = time.process_time()
     study = study.replace(seed=seed)
-    driver, method = Driver(FunctionBackend(study, one_move)), METHODS[DEFAULT_METHOD]
+    driver = Driver(FunctionBackend(study, one_move))
     tuning = Tuning(study, driver, method)
     trials = list(tuning)
     answer = choose_answer(study, driver, method, trials)
     found: dict[str, Any] = {
         "seed": seed,
+        "evaluations": count_evaluations(trials),
         "failed": sum(trial.state is TrialState.FAILED for trial in trials),
         "feasible": False,
         "seconds": round(time.process_time() - begin, 1),
@@ -179,7 +188,7 @@ def run(study: Study, seed: int) -> dict[str, Any]:
         error, kept = truth(parameters)
         found |= {
             "parameters": parameters,
-            "error": error,
+            "objective": error,
             "kept": kept,
             "believed": answer.feasible,
             "feasible": kept >= PROBABILITY - TOLERANCE,
@@ -189,7 +198,7 @@ def run(study: Study, seed: int) -> dict[str, Any]:
 
 def row(name: str, found: Sequence[Mapping[str, Any]], reference: float) -> list[Any]:
     """Return counts and the median error of feasible answers as cells of the table."""
-    errors = [r["error"] for r in found if r["feasible"]]
+    errors = [r["objective"] for r in found if r["feasible"]]
     close = sum(error <= 1.2 * reference for error in errors)
     return [
         name,
@@ -207,7 +216,7 @@ def main() -> None:
     parser = result_parser(__doc__, "wide_ranges.json")
     parser.add_argument("--runs", type=int, default=10, help="seeds (default: %(default)s)")
     arguments = parser.parse_args()
-    wide = study_of(BOUNDS, SCALES)
+    wide = wide_study()
     optimum = best(wide)
     print("optimum", optimum, *truth(optimum), "default", *truth(DEFAULTS), flush=True)
     narrow = study_of(narrowed(wide, optimum), SCALES)
@@ -216,7 +225,7 @@ def main() -> None:
         for name, study in (("narrowed", narrow), ("wide", wide))
     }
     reference = min(
-        (r["error"] for r in results["narrowed"] if r["feasible"]), default=truth(optimum)[0]
+        (r["objective"] for r in results["narrowed"] if r["feasible"]), default=truth(optimum)[0]
     )
     write_result(
         arguments.result,
