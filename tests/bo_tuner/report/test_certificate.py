@@ -53,7 +53,7 @@ def test_its_numbers_are_shown(certified, content):
     assert rows["97.5 % bound"] == ["0.77", "0.77", "N"]
     assert rows["at load"] == ["2", "2", ""]
     assert rows["test runs above 1"] == ["1 of 30", "1 of 30", ""]
-    assert rows["kept in every context"] == ["NOT shown", "shown", ""]
+    assert rows["kept in every context"] == ["NOT proven", "proven", ""]
     assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
     assert "narrow optimum" in section.notes

@@ -173,7 +173,7 @@ def test_only_our_scripts_may_run(page):
     running = [text for kind, text in page.scripts if kind != "application/json"]
     digests = [hashlib.sha256(text.encode()).digest() for text in running]
     assert {f"'sha256-{base64.b64encode(d).decode()}'" for d in digests} == allowed
-    assert len(running) == 4
+    assert len(running) == 5
     assert "default-src 'none'" in policy
 
 

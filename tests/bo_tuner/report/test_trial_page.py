@@ -129,6 +129,6 @@ def test_a_failed_trial_tells_its_reason(traced):
     trial, parts = page_of(traced, TrialState.FAILED)
     assert parts["trial"].title == f"Trial {trial.number}: failed"
     assert trial.reason in parts["trial"].lead
-    assert parts["signals"].lead.startswith("No signals: the evaluation failed: ")
+    assert parts["signals"].lead.startswith("No signals: the test run failed: ")
     (table,) = parts["test-runs"].tables
     assert "window.harmed" in table.rows[0][-1]

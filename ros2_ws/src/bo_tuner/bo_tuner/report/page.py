@@ -20,7 +20,7 @@ from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.plotly_renderer import figure_data
 from bo_tuner.figures.svg_renderer import panel_svg
 from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.content import Chapter, Section
+from bo_tuner.report.content import Chapter, Section, WhatIf
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
@@ -265,7 +265,7 @@ def _environment() -> Environment:
     environment.filters["color_bars"] = color_bars
     environment.filters["figure_data"] = figure_data
     environment.filters["pictures"] = _pictures
-    environment.filters["what_if_data"] = asdict
+    environment.filters["what_if_data"] = _forecasts
     return environment
 
 
@@ -273,6 +273,15 @@ def _pictures(figure: Figure) -> list[str]:
     """Return each panel of a figure as a picture."""
     width = max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
     return [panel_svg(panel, width, figure.panel_height) for panel in figure.panels]
+
+
+def _forecasts(what_if: WhatIf) -> dict[str, object]:
+    """Return what the sliders need; titles, which are texts of others, stand in the page alone."""
+    sliders = [
+        {"name": each.name, "values": each.values, "words": each.words, "place": each.place}
+        for each in what_if.sliders
+    ]
+    return {"sliders": sliders, "along": [[asdict(f) for f in each] for each in what_if.along]}
 
 
 def _shown(value: Any) -> Any:

@@ -128,7 +128,7 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     yield row(
         f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        ("shown" if c.passed else "NOT proven" for c in both),
+        ("proven" if c.passed else "NOT proven" for c in both),
     )
 
 
