@@ -31,6 +31,7 @@ from bo_tuner.models.pooled_process import PooledProcesses
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.trials import TrialState
 from tuning_benchmark.campaign import runs
+from tuning_benchmark.experiments.experiment import Experiment
 from tuning_benchmark.experiments.experiment_file import load_experiment
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, truth_of
 from tuning_benchmark.pages.statistics import difference, mcnemar, mean
@@ -130,11 +131,18 @@ VARIANTS = (
 def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
     """Run one variant with one seed and judge its answer."""
     variant, experiment = VARIANTS[index], load_experiment(EXPERIMENTS[case_name])
+    return judged(experiment, case_name, variant, seed)
+
+
+def judged(
+    experiment: Experiment, case_name: str, variant: Variant, seed: int, window: int = 1
+) -> dict[str, Any]:
+    """Run a variant of `boundary` on a case, with so many trials at once, and judge its answer."""
     case = experiment.cases[case_name]
     study = case.study.replace(**variant.budget)
     size = runs.RunSize(case.evaluations, 0, study.budget.initial_trials)
     begin = time.process_time()
-    tuning = runs.Run(study, case.rows[ROW], seed, size, variant.method)
+    tuning = runs.Run(study, case.rows[ROW], seed, size, variant.method, window=window)
     for _ in tuning:
         pass
     answer = tuning.answer()

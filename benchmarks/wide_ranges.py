@@ -12,7 +12,7 @@ the same for all of them, and the best one is found by differential evolution of
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 # Before the libraries that read it.
@@ -53,6 +53,12 @@ SCALES = {"kp": "log", "ki": "symlog", "kd": "symlog"}
 
 def moves(parameters: Mapping[str, Any], inertia: Array, seed: int) -> dict[str, Array]:
     """Turn the motor by 1 rad, with each inertia (m,) of its nominal one; returns metrics (m,)."""
+    *_, metrics = moving(parameters, inertia, seed)
+    return metrics
+
+
+def moving(parameters: Mapping[str, Any], inertia: Array, seed: int) -> Iterator[dict[str, Array]]:
+    """Turn the motor as `moves` does; yields the metrics (m,) so far after each step."""
     rng = np.random.default_rng(seed)
     kp, ki, kd = (float(parameters[name]) for name in BOUNDS)
     steps = round(DURATION / PERIOD)
@@ -70,11 +76,11 @@ def moves(parameters: Mapping[str, Any], inertia: Array, seed: int) -> dict[str,
         state = np.einsum("mij,mj->mi", transition, state)
         error += PERIOD * np.abs(1.0 - state[:, 2])
         highest = np.maximum(highest, state[:, 2])
-    return {
-        "error": error,
-        "overshoot": 100.0 * np.maximum(highest - 1.0, 0.0),
-        "effort": effort,
-    }
+        yield {
+            "error": error,
+            "overshoot": 100.0 * np.maximum(highest - 1.0, 0.0),
+            "effort": effort,
+        }
 
 
 def _one_step(inertia: Array) -> Array:

@@ -1,19 +1,23 @@
-"""What several workers gain: whole runs of an object that sleeps, with 1, 2, 4 and 8 of them.
-
-    nice .venv/bin/python benchmarks/workers.py [--sleep S] [--trials N] [--draws N]
+"""What several workers gain: whole runs of an object that sleeps, with 1, 2, 4, 8 and 16 of them.
 
 All have the same window, so that they run the same evaluations. An evaluation sleeps, as one whose
 nodes wait does, so that the ratios say little of the machine. The start of the workers is told
-apart: that of a pool which runs nothing.
+apart: that of a run which evaluates next to nothing, beyond what it takes with one worker.
 """
 
-import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+from common import A_RESULT, provenance, result_parser, table, write_result
+from sections.cost import WORKERS_HEADER as HEADER
+from sections.cost import speedups
 
 OBJECT = """\
 import time
@@ -29,7 +33,9 @@ class Axis:
         error = 25 * (self.gain - 0.3) ** 2 + self.load + noise
         return {"status": "ok", "error": error, "peak": self.load * self.gain + noise}
 """
-WORKERS = (1, 2, 4, 8)
+WORKERS = (1, 2, 4, 8, 16)
+WINDOW = 8
+"""Of the trials: more workers have room in the validation and in the certificate."""
 
 
 def study(sleep: float, trials: int) -> dict[str, object]:
@@ -56,49 +62,65 @@ def study(sleep: float, trials: int) -> dict[str, object]:
 def seconds(folder: Path, command: str, *arguments: object) -> float:
     """Run a command to its end, and return how long it took [s]."""
     begin = time.monotonic()
-    program = str(Path(sys.executable).with_name(command))
     done = subprocess.run(
-        [program, *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "bo_tuner", command, *map(str, arguments)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    if done.returncode not in (0, 3):
+    if done.returncode not in A_RESULT:
         raise SystemExit(f"{command}: {done.stderr}")
     return time.monotonic() - begin
 
 
+def compared(folder: Path, sleep: float, trials: int, draws: int) -> Iterator[dict[str, Any]]:
+    """Yield for each number of workers what it took [s]."""
+    file = folder / "study.yaml"
+    file.write_text(json.dumps(study(sleep, trials)), encoding="utf-8")
+    short = folder / "start.yaml"
+    short.write_text(json.dumps(study(0.0, 1)), encoding="utf-8")
+    for workers in WORKERS:
+        new = ("--backend", "inprocess", "--window", WINDOW, "--workers", workers)
+        runs = f"runs-{sleep:g}-{workers}"
+        yield {
+            "workers": workers,
+            "start": seconds(folder, "tune", "--study", short, *new, "--output", "start"),
+            "tune": seconds(folder, "tune", "--study", file, *new, "--output", runs),
+            "validate": seconds(
+                folder, "validate", f"{runs}/latest", "--window", max(WORKERS), "--workers",
+                workers, "--draws", draws,
+            ),
+        }  # fmt: skip
+
+
 def main() -> None:
-    """Print a row for each number of workers."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sleep", type=float, default=2.0, help="of an evaluation [s]")
-    parser.add_argument("--trials", type=int, default=24)
-    parser.add_argument("--draws", type=int, default=100)
-    parser.add_argument("--most", type=int, default=max(WORKERS), help="workers")
+    """Print a row for each number of workers, and write the result."""
+    parser = result_parser(__doc__, "workers.json")
+    parser.add_argument("--sleep", type=float, nargs="+", default=[5.0, 1.0], help="[s]")
+    parser.add_argument("--trials", type=int, default=12)
+    parser.add_argument("--draws", type=int, default=60)
     options = parser.parse_args()
-    window = max(WORKERS)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "sleeping_axis.py").write_text(OBJECT, encoding="utf-8")
-        file = folder / "study.yaml"
-        short = folder / "start.yaml"
-        file.write_text(json.dumps(study(options.sleep, options.trials)), encoding="utf-8")
-        short.write_text(json.dumps(study(0.0, 1)), encoding="utf-8")
-        print("workers  start [s]  tune [s]  ratio  validate [s]  ratio")
-        first: tuple[float, float] | None = None
-        alone = 0.0
-        for workers in (count for count in WORKERS if count <= options.most):
-            new = ("--backend", "inprocess", "--window", window, "--workers", workers)
-            empty = seconds(folder, "tune", "--study", short, *new, "--output", "start")
-            alone = alone or empty
-            tune = seconds(folder, "tune", "--study", file, *new, "--output", f"runs-{workers}")
-            validate = seconds(
-                folder, "validate", f"runs-{workers}/latest", "--window", window, "--workers",
-                workers, "--draws", options.draws,
-            )  # fmt: skip
-            first = first or (tune, validate)
-            print(
-                f"{workers:7}  {empty - alone:9.1f}  {tune:8.1f}  {first[0] / tune:5.2f}  "
-                f"{validate:12.1f}  {first[1] / validate:5.2f}",
-                flush=True,
-            )
+    result: dict[str, Any] = {
+        "provenance": provenance(),
+        "trials": options.trials,
+        "window": WINDOW,
+        "cores": os.cpu_count(),
+        "load_before": os.getloadavg()[0],
+        "sleeps": [],
+    }
+    for sleep in options.sleep:
+        rows: list[dict[str, Any]] = []
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "sleeping_axis.py").write_text(OBJECT, encoding="utf-8")
+            for row in compared(folder, sleep, options.trials, options.draws):
+                rows.append(row)
+                print(sleep, row, flush=True)
+        result["sleeps"].append({"sleep": sleep, "rows": rows})
+        write_result(options.result, result)
+    for item in result["sleeps"]:
+        print(table(HEADER, speedups(item["rows"])))
 
 
 if __name__ == "__main__":

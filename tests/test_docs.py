@@ -398,7 +398,7 @@ def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
     assert code in (0, 3), err
     assert again[0] == 0, again
     assert (
-        "the way the evaluation ended is confirmed; no metric of this study is reproducible"
+        "the way the test run ended is confirmed; no metric of this study is reproducible"
         in again[1]
     )
     journal = read_journal(folder / "journal.sqlite")

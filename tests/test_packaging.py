@@ -192,6 +192,12 @@ def test_requirements_are_installed_by_make_and_pinned(package):
         assert names(path) <= names("constraints.txt")
 
 
+def test_workers_are_there_after_make_setup():
+    """So docs/workers.md says, and so the Dockerfile, whose image is scheduler and worker, too."""
+    extra = setup_keyword("bo_tuner", "extras_require")["workers"]
+    assert {re.match(r"[\w.-]+", text)[0] for text in extra} <= set(requirements("runtime.txt"))
+
+
 def requirements(path):
     """Names in a file of requirements."""
     lines = (ROOT / "requirements" / path).read_text(encoding="utf-8").splitlines()

@@ -82,6 +82,46 @@ def ablations(result: Result) -> list[str]:
     return parts
 
 
+def windows(result: Result) -> list[str]:
+    """Say what a window of several trials costs in quality."""
+    rows = []
+    for case in result["cases"].values():
+        for window, found in case["windows"].items():
+            low, high = found["interval"]
+            regret = found["objective"]
+            apart = found["difference"]
+            rows.append(
+                [
+                    case["title"],
+                    window,
+                    f"{found['feasible']} of {found['runs']} ({low:.0%} to {high:.0%})",
+                    "none" if regret is None else f"{regret:.1%}",
+                    f"{found['evaluations']:.0f}",
+                    *(
+                        ("", "")
+                        if window == "1"
+                        else (
+                            f"{found['only']} : {found['only_shipped']} "
+                            f"(p = {found['mcnemar']:.2g})",
+                            "{:+.1%} ({:+.1%} to {:+.1%})".format(*apart) if apart else "none",
+                        )
+                    ),
+                ]
+            )
+    return [
+        "Answers of `boundary` with equally many evaluations where 4 or 8 trials are planned at "
+        "once (`--window`), beside one by one with the same seeds. *Regret*: the true objective "
+        "beyond that of the optimum, on average over the truly feasible answers. *Only*: seeds "
+        "with a truly feasible answer with this window only, and one by one only, with the exact "
+        "test of McNemar. The difference of the regret is that of pairs in which both are "
+        "feasible, with its 95 % interval; so has the share, by Clopper and Pearson.",
+        markdown(
+            ["problem", "window", "truly feasible", "regret", "evaluations", "only", "difference"],
+            rows,
+        ),
+    ]
+
+
 def coverage(result: Result) -> list[str]:
     """Lay out how often the bands and bounds of a certificate hold the truth."""
     summary = result["summary"]

@@ -78,6 +78,47 @@ def library(result: Result) -> list[str]:
     ]
 
 
+WORKERS_HEADER = ["workers", "start [s]"] + [
+    heading
+    for command in ("tune", "validate", "both")
+    for heading in (f"{command} [s]", "times as fast", "beyond the start")
+]
+
+
+def speedups(rows: list[Result]) -> list[list[str]]:
+    """Return for each number of workers its times, and how many times as fast it is as one."""
+    return [_speedup(row, rows[0]) for row in rows]
+
+
+def _speedup(row: Result, one: Result) -> list[str]:
+    cells = [f"{row['workers']}", f"{row['start'] - one['start']:.1f}"]
+    for commands in (("tune",), ("validate",), ("tune", "validate")):
+        taken, alone = (sum(each[name] for name in commands) for each in (row, one))
+        starts = [len(commands) * each["start"] for each in (row, one)]
+        beyond = (alone - starts[1]) / (taken - starts[0])
+        cells += [f"{taken:.0f}", f"{alone / taken:.1f}", f"{beyond:.1f}"]
+    return cells
+
+
+def workers(result: Result) -> list[str]:
+    """How many times as fast several workers are."""
+    parts = [
+        f"Whole runs of `tune` with {result['trials']} trials and of `validate`, on an object that "
+        "sleeps in each evaluation, as one whose nodes wait, with the start of all processes. All "
+        f"plan {result['window']} trials at once, so that they run the same evaluations, and no "
+        "more workers have a trial at a time. *Start*: how much longer a run of one trial that "
+        "does not sleep takes than with one worker; *beyond the start*: without all that such a "
+        f"run takes. The machine has {result['cores']} cores; its load average was "
+        f"{result['load_before']:.1f} before, by other programs, which stretches every start.",
+    ]
+    for item in result["sleeps"]:
+        parts += [
+            f"Evaluations of {item['sleep']:g} s:",
+            markdown(WORKERS_HEADER, speedups(item["rows"])),
+        ]
+    return parts
+
+
 def closed_loop(result: Result) -> list[str]:
     """Cost of a cut over that of its parts."""
     rows = [

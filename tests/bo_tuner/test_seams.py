@@ -181,7 +181,7 @@ class AveragesKind:
         self.made += 1
         return Averages(x, c, y)
 
-    def condition(self, hyperparameters, x, c, y, *, coding):
+    def condition(self, hyperparameters, x, c, y, **_):
         return self.fit(x, c, y)
 
 
@@ -340,15 +340,15 @@ class TestLimit:
         capsys.readouterr()
         assert validate.run([str(record.path)], Interruption()) == 0
         told = capsys.readouterr().out
-        assert "shown to be kept by the mean over contexts and noise" in told
-        assert "peak: shown to hold: mean over contexts and noise at most 0.9" in told
+        assert "proven to be kept by the mean over contexts and noise" in told
+        assert "peak: proven: mean over contexts and noise at most 0.9" in told
         page = Analysis(record)
         assert page.verdict.certificate == page.certificate.verdict == "PASS"
         assert run([str(record.path)], Interruption()) == 0
         assert "by the mean over contexts and noise" in (record.path / "report.html").read_text()
         beyond = next(t.number for t in record.trials if t.parameters["gain"] > 0.5)
         assert validate.run([str(record.path), "--trial", str(beyond)], Interruption()) == 3
-        assert "peak: NOT shown to hold" in capsys.readouterr().out
+        assert "peak: NOT proven" in capsys.readouterr().out
 
 
 class TestMethod:

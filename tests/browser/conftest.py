@@ -61,6 +61,16 @@ def harmful_page(tmp_path_factory):
     return _page(run, tmp_path_factory)
 
 
+@pytest.fixture(scope="session")
+def front_page(tmp_path_factory):
+    """A report with a front: of two objectives, each of which has its optimum elsewhere."""
+    from report_runs import run_axis
+
+    # The error is smallest at a gain of 0.3, the peak at 0.
+    run = run_axis(tmp_path_factory.mktemp("front"), further_objectives=[{"metric": "peak"}])
+    return _page(run, tmp_path_factory)
+
+
 def _page(run, tmp_path_factory):
     from bo_tuner.report.page import write_report
     from bo_tuner.storage.record import read_run

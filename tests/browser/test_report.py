@@ -305,6 +305,62 @@ def test_sentences_in_the_list_of_runs_have_room(chromium, feed_axis_run, tmp_pa
     assert max(names) <= width
 
 
+def test_a_point_of_the_front_opens_what_is_to_know_of_it(chromium, front_page):
+    browser = opened(chromium, front_page)
+    choices = "[...document.querySelectorAll('#front details.choice')]"
+    numbers = browser.evaluate(f"{choices}.map(c => Number(c.dataset.trial))")
+    assert len(numbers) > 1
+    for number in numbers[:2]:
+        browser.evaluate(
+            "document.querySelector('#figure-front .plot')"
+            f".emit('plotly_click', {{ points: [{{ customdata: {number} }}] }})"
+        )
+        # One at a time.
+        opened_ones = f"{choices}.filter(c => c.open).map(c => Number(c.dataset.trial))"
+        browser.wait_for(f"JSON.stringify({opened_ones}) === '[{number}]'")
+        plots = f"document.querySelectorAll('#figure-response-{number} .plot-container').length"
+        browser.wait_for(f"{plots} > 0")
+        shown = f"{choices}.find(c => c.open)"
+        commands = browser.evaluate(
+            f"[...{shown}.querySelectorAll('code')].map(c => c.textContent)"
+        )
+        title = browser.evaluate(f"{shown}.querySelector('summary').textContent")
+        # Those for the result stand with it.
+        if ", the result" not in title:
+            assert [command.split()[0] for command in commands] == ["validate", "apply"]
+            assert all(command.endswith(f" --trial {number}") for command in commands)
+    assert browser.errors == []
+
+
+def test_a_slider_shows_what_is_predicted(chromium, front_page):
+    """Of one parameter at a time: a page by itself has no models."""
+    browser = opened(chromium, front_page)
+    sliders = "document.querySelector('.what-if')"
+    cells = f"[...{sliders}.querySelectorAll('tbody td:nth-child(2)')].map(c => c.textContent)"
+    data = browser.evaluate(f"JSON.parse({sliders}.querySelector('script').textContent)")
+    (slider,), (along,) = data["sliders"], data["along"]
+    before = browser.evaluate(cells)
+    assert before == along[slider["place"]]["cells"]
+    browser.evaluate(
+        f"(() => {{ const input = {sliders}.querySelector('input'); input.value = 2;"
+        "input.dispatchEvent(new Event('input')); })()"
+    )
+    assert browser.evaluate(cells) == along[2]["cells"] != before
+    said = f"[{sliders}.querySelector('output').textContent, {sliders}.querySelector('input')"
+    assert browser.evaluate(f"{said}.getAttribute('aria-valuetext')]") == [slider["words"][2]] * 2
+    browser.evaluate(f"{sliders}.querySelector('button').click()")
+    assert browser.evaluate(cells) == before
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
+def test_axe_finds_nothing_in_what_can_be_chosen(chromium, front_page, axe, theme, width):
+    browser = opened(chromium, front_page, theme=theme, width=width)
+    browser.evaluate("document.querySelector('#front details.choice').open = true")
+    assert axe(browser) == []
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+
+
 def test_the_figures_follow_the_theme(chromium, feed_axis_page):
     browser = opened(chromium, feed_axis_page, theme="light")
     light = browser.evaluate(INK)

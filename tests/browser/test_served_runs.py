@@ -1,11 +1,12 @@
 """The runs in a folder as a reader sees them: links and points lead to trials, and notes stay."""
 
+import json
 import shutil
 
 import pytest
 from pages import ServedRuns
 
-from bo_tuner.storage.notes import Note, read_notes
+from bo_tuner.storage.notes import Note, read_notes, write_note
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +58,62 @@ def test_a_note_stays(chromium, page, served):
     page("runs/first/trials/1")
     assert chromium.evaluate("document.querySelector('form.note textarea').value") == "rings"
     assert [url for url in chromium.requests if not url.startswith((served.address, "data:"))] == []
+
+
+def test_the_list_follows_without_being_loaded_again(chromium, page, served):
+    """A new run appears and a row changes, while what is ticked, typed and focused stays."""
+    page("runs")
+    row = "document.querySelector('#runs input[value=first]')"
+    chromium.evaluate(f"{row}.click(); {row}.focus(); window.same = true")
+    names = "[...document.querySelectorAll('#runs tbody a')].map(a => a.textContent)"
+    assert "third" not in chromium.evaluate(names)
+    shutil.copytree(served.folder / "first", served.folder / "third")
+    write_note(served.folder / "first", None, Note("rings"))
+    try:
+        chromium.wait_for(f"{names}.includes('third')")
+        chromium.wait_for(f"{row}.closest('tr').textContent.includes('rings')")
+        assert chromium.evaluate(f"[{row}.checked, document.activeElement === {row}, same]") == [
+            True, True, True,
+        ]  # fmt: skip
+        assert chromium.evaluate("document.querySelector('#runs caption').textContent") == "3 runs"
+    finally:
+        shutil.rmtree(served.folder / "third")
+    chromium.wait_for(f"!{names}.includes('third')")
+    # A filter holds for a run that comes later, too.
+    chromium.evaluate(
+        "(() => { const input = document.querySelector('#runs .filter input');"
+        "input.value = 'second'; input.dispatchEvent(new Event('input')); })()"
+    )
+    shutil.copytree(served.folder / "first", served.folder / "third")
+    try:
+        chromium.wait_for(f"{names}.includes('third')")
+        shown = f"{names.replace('#runs tbody', '#runs tbody tr:not([hidden])')}"
+        assert chromium.evaluate(shown) == ["second"]
+    finally:
+        shutil.rmtree(served.folder / "third")
+    assert chromium.errors == []
+
+
+def test_sliders_count_together_where_the_models_are(chromium, page):
+    page("runs/first")
+    sliders = "document.querySelector('.what-if')"
+    data = chromium.evaluate(f"JSON.parse({sliders}.querySelector('script').textContent)")
+    for k in range(2):
+        chromium.evaluate(
+            f"(() => {{ const input = {sliders}.querySelectorAll('input')[{k}]; input.value = 5;"
+            "input.dispatchEvent(new Event('input')); })()"
+        )
+    cells = f"[...{sliders}.querySelectorAll('tbody td:nth-child(2)')].map(c => c.textContent)"
+    same = f"JSON.stringify({cells}) === JSON.stringify"
+    for along in data["along"]:
+        chromium.wait_for(f"!({same}({json.dumps(along[5]['cells'])}))")
+    places = f"[...{sliders}.querySelectorAll('input')].map(i => i.value)"
+    assert chromium.evaluate(places) == ["5", "5"]
+    values = "&".join(f"{each['name']}={each['values'][5]!r}" for each in data["sliders"])
+    asked = f"fetch('/runs/first/forecast?{values}').then(a => a.json())"
+    told = chromium.evaluate(asked)
+    chromium.wait_for(f"{same}({json.dumps(told['cells'])})")
+    assert chromium.errors == []
 
 
 def test_a_row_and_a_point_lead_to_a_trial(chromium, page, served):

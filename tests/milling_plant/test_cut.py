@@ -302,3 +302,32 @@ def test_other_axes_and_trajectories_give_a_stable_loop(
     np.testing.assert_allclose(
         settled, np.broadcast_to(np.array(levels)[:, None], settled.shape), atol=0.02 * span
     )
+
+
+class TestEndBeyond:
+    def whole(self, controller):
+        return MillingPlant().run_cut(controller)
+
+    @pytest.mark.parametrize("metric", ["tracking_error", "overshoot", "effort"])
+    def test_a_cut_ends_as_soon_as_a_metric_is_beyond(self, metric):
+        whole = self.whole(MpcController())
+        plant = MillingPlant()
+        plant.end_beyond({metric: 0.5 * whole[metric]})
+        cut = plant.run_cut(MpcController())
+        assert cut["status"] == "cut short"
+        assert cut[metric] > 0.5 * whole[metric]
+        assert cut["after"] == pytest.approx(plant.settings.sample_time * cut["samples"])
+        assert cut["samples"] < whole["samples"]
+        for name in ("tracking_error", "overshoot", "effort"):
+            assert 0.0 <= cut[name] <= whole[name] * (1.0 + 1e-12)
+        assert all(len(values) == cut["samples"] for _, values in plant.trace().values())
+
+    def test_one_that_stays_within_is_the_same_as_ever(self):
+        whole = self.whole(MpcController())
+        plant = MillingPlant()
+        plant.end_beyond({"overshoot": whole["overshoot"], "effort": whole["effort"]})
+        assert plant.run_cut(MpcController()) == whole
+        plant.end_beyond({"effort": 0.5 * whole["effort"]})
+        assert plant.run_cut(MpcController())["status"] == "cut short"
+        plant.end_beyond({})
+        assert plant.run_cut(MpcController()) == whole

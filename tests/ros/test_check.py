@@ -117,9 +117,9 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"
     # Three trials of a draw, 10 runs in the check of an answer, and two sides in two draws.
-    assert "study: at most 17 evaluations, about" in out
+    assert "study: at most 17 test runs, about" in out
     # Without a limit on the worst case there is no search for it.
-    assert "certificate: probably 30 evaluations, about" in out
+    assert "certificate: probably 30 test runs, about" in out
     assert "if the result passes by a usual margin; at least 30, at most 1000, about" in out
     assert "violations" in out
     assert "note: parameters" not in out

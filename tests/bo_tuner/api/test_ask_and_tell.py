@@ -2,9 +2,12 @@
 
 import math
 import os
+import re
 import sqlite3
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -159,6 +162,29 @@ class TestAsking:
         tuner.tell(run, function(run.parameters, run.context, run.seed))
         assert tuner.ask() != run
 
+    def test_by_several_threads(self, make_function_study, function, tmp_path):
+        """None of them has begun the run, and the answer is that of one."""
+        with make_function_study().tuner(tmp_path / "run", window=3) as tuner:
+
+            def carry_out(_):
+                runs = 0
+                while True:
+                    try:
+                        if (run := tuner.ask()) is None:
+                            return runs
+                    except bt.WindowFull:
+                        time.sleep(0.001)
+                        continue
+                    tuner.tell(run, function(run.parameters, run.context, run.seed))
+                    runs += 1
+
+            with ThreadPoolExecutor(3) as threads:
+                counts = list(threads.map(carry_out, range(3)))
+        _, evaluations = evaluations_of(tmp_path / "run")
+        assert sum(counts) == len(evaluations)
+        alone = make_function_study().optimize(function, tmp_path / "alone", window=3)
+        assert tuner.result().best == alone.best
+
     def test_telling_twice(self, tuner, function):
         run = tuner.ask()
         metrics = function(run.parameters, run.context, run.seed)
@@ -252,6 +278,26 @@ class TestMetrics:
         assert evaluation.outcome.metrics == {"error": 1.0, "peak": 0.5}
         with pytest.raises(bt.MetricsError, match=said):
             make_function_study().optimize(lambda *_: metrics, tmp_path / "optimized")
+
+    @pytest.mark.parametrize(
+        ("function", "found"),
+        [
+            (42, "found 42"),
+            (lambda parameters: {}, "found one of (parameters): too many positional arguments"),
+            (lambda p, c, s, more: {}, "missing a required argument: 'more'"),
+        ],
+    )
+    def test_what_is_no_such_function_is_refused(
+        self, make_function_study, tmp_path, function, found
+    ):
+        """Each of its runs would fail, as if for its parameters."""
+        said = f"expected a function of parameters, context and seed.*{re.escape(found)}"
+        for given in ({}, {"workers": 2}):
+            with pytest.raises(bt.FunctionError, match=said):
+                make_function_study().optimize(function, tmp_path / "run", **given)
+        with pytest.raises(bt.FunctionError, match=said):
+            bt.certify(function, make_function_study())
+        assert not (tmp_path / "run").exists()
 
     @pytest.mark.parametrize("value", [math.nan, math.inf])
     def test_a_value_that_is_not_finite_is_a_failed_run(self, tuner, value):

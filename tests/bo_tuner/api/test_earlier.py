@@ -64,6 +64,7 @@ def test_what_is_left_out_is_default_and_nominal(make_function_study, tmp_path):
             bt.StudyError,
             r"earlier\[0\]\.lode: unknown; expected one of load",
         ),
+        (({"gain": "1"}, {}), bt.StudyError, r"earlier\[0\]\.gain: expected a number, found text"),
         (
             ({"gain": 7.0}, {"error": 1.0, "peak": 1.0}),
             bt.RunRecordError,
@@ -77,6 +78,20 @@ def test_what_is_none_of_the_study_is_refused(make_function_study, tmp_path, run
         study.tuner(folder, earlier=[bt.EarlierRun(*run)])
     # It is no run yet.
     study.tuner(folder).close()
+
+
+def test_what_is_no_earlier_run(make_function_study, tmp_path):
+    with pytest.raises(
+        bt.StudyError, match=r"earlier\[0\]: expected an EarlierRun, found a mapping"
+    ):
+        make_function_study().tuner(tmp_path / "run", earlier=[{"gain": 0.5}])
+
+
+def test_an_integer_may_stand_for_a_double(make_function_study, function, tmp_path):
+    runs = [bt.EarlierRun({"gain": 1}, function({"gain": 1}, {"load": 1}, 0), {"load": 1})]
+    make_function_study().tuner(tmp_path / "run", earlier=runs).close()
+    (trial,) = read_journal(tmp_path / "run" / "journal.sqlite").trials
+    assert repr(trial.parameters["gain"]) == "1.0"
 
 
 def test_more_than_the_budget(make_function_study, function, tmp_path):

@@ -1,5 +1,6 @@
 """Functions in processes of their own: workers, and runs that take too long."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -66,6 +67,19 @@ class TestWorkers:
     def test_what_is_no_result_ends_the_call(self, make_function_study, tmp_path):
         with pytest.raises(bt.MetricsError, match="metric peak is missing; expected a number"):
             make_function_study().optimize(lambda *_: {"error": 1.0}, tmp_path / "run", workers=2)
+
+    def test_a_run_that_ends_its_process(self, make_function_study, tmp_path):
+        """Another process takes its place, and the run is made again there."""
+
+        def exits(parameters, context, seed):
+            # In the first of them.
+            with contextlib.suppress(FileExistsError):
+                (tmp_path / "left").touch(exist_ok=False)
+                sys.exit("left")
+            return {"error": 1.0, "peak": parameters["gain"]}
+
+        make_function_study(3).optimize(exits, tmp_path / "run", workers=2)
+        assert {outcome.reason for outcome in outcomes(tmp_path / "run")} == {""}
 
     def test_a_function_that_cannot_be_passed(self, make_function_study, tmp_path):
         lock = threading.Lock()

@@ -124,8 +124,14 @@ class TestCertificate:
             with pytest.raises(bt.StudyError, match=said):
                 bt.certify(function, study, given)
 
+    def test_of_what_is_no_study(self, make_function_study, function):
+        with pytest.raises(bt.StudyError, match="study: expected a Study, found a function"):
+            bt.certify(make_function_study(), function)
+
     def test_of_too_few_draws(self, make_function_study, function):
         with pytest.raises(bt.StudyError, match="draws: expected at least 2, found 1"):
             bt.certify(function, make_function_study(), draws=1)
+        with pytest.raises(bt.StudyError, match="draws: expected an integer, found text '60'"):
+            bt.certify(function, make_function_study(), draws="60")
         with pytest.raises(bt.StudyError, match="confidence: expected"):
             bt.certify(function, make_function_study(), confidence=1.5)

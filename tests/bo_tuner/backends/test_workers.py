@@ -22,6 +22,7 @@ class Odd(SequentialBackend):
     """Does what the seed of an evaluation says; its outcome has the number of the worker."""
 
     name = "odd"
+    heard = None
 
     def __init__(self, study, folder, number, host_folder, interrupted):
         super().__init__(study)
@@ -46,6 +47,7 @@ class Odd(SequentialBackend):
         if planned.seed == LAST:
             while not (self._folder / "go").exists():
                 time.sleep(0.01)
+        self.heard = f"{planned.seed} of {planned.index}"
         return Outcome(EvaluationState.COMPLETE, {"error": float(self._number), "peak": 0.1})
 
 
@@ -89,8 +91,18 @@ def test_results_come_as_they_end_and_more_is_taken_when_a_worker_is_free(pool, 
         next(pool.run([doing(FIRST, 4)]))
 
 
+def test_what_a_backend_has_heard_comes_with_the_result_once(pool):
+    (done,) = pool.run([doing(FIRST, 7)])
+    answer = pool.take_answer()
+    assert (answer.heard, answer.evaluation) == ("0 of 7", done)
+    assert float(answer.worker) == done.outcome.metrics["error"]
+    assert pool.take_answer() is None
+
+
 def test_an_evaluation_that_ends_each_worker_is_lost(pool, tmp_path):
+    list(pool.run([doing(FIRST, 2)]))
     (lost,) = pool.run([doing(DEADLY, 0)])
+    assert pool.take_answer() is None
     assert lost.outcome.state is EvaluationState.LOST
     assert len((tmp_path / "deaths").read_text()) == DEATHS
     (other,) = pool.run([doing(FIRST, 1)])

@@ -78,7 +78,7 @@ def test_pruned_failed_and_interrupted_trials(study, tmp_path):
     of_optuna.optimize(fails, n_trials=3, catch=[ZeroDivisionError])
     assert (seeds[1], seeds[3]) == (seeds[2], seeds[4])
     found = read_journal(tmp_path / "run" / "journal.sqlite").evaluations
-    lost = "the objective failed, or was interrupted"
+    lost = "the objective failed, returned no number, or was interrupted"
     assert [e.outcome.reason for e in found] == ["pruned", lost, "", lost, ""]
     assert [e.outcome.state for e in found[:2]] == [EvaluationState.FAILED, EvaluationState.LOST]
     sampler.close()

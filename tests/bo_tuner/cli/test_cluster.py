@@ -243,7 +243,11 @@ class TestOptions:
         line = refused(
             "--scheduler", "tcp://127.0.0.1:1", "--workers", 1, "--attach", backend="ros"
         )
-        assert "--scheduler: expected nodes that the workers start, found --attach" in line
+        assert "--scheduler: expected nodes that the workers start, found --attach; leave" in line
+        line = refused(
+            "--scheduler", "tcp://127.0.0.1:1", "--workers", 2, "--benches", "1,2", backend="ros"
+        )
+        assert "expected nodes that the workers start, found --benches; leave --scheduler" in line
 
     def test_tls_without_keys(self, refused):
         line = refused("--scheduler", "tls://127.0.0.1:1", "--workers", 2)

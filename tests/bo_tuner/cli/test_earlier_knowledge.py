@@ -78,7 +78,7 @@ def test_a_run_begins_with_the_trials_of_an_earlier_one(commands, earlier):
     assert not any("from" in e.outcome.details for t in new for e in t.evaluations)
     assert record.provenance["carried_from"] == folder
     count, evaluations = len(carried), sum(len(trial.evaluations) for trial in carried)
-    taken = f"{count} of {count} trials and {evaluations} of {evaluations} evaluations"
+    taken = f"{count} of {count} trials and {evaluations} of {evaluations} test runs"
     assert record.provenance["carried"] == taken
     shown = f"Begins with {taken}, of {folder}."
     assert shown in (record.path / "report.html").read_text()

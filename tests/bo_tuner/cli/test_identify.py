@@ -104,6 +104,11 @@ class TestRefusals:
             (("--level", "no"), "argument --level: no: expected a number between 0 and 1"),
             (("--metrics", "error,force"), "expected some of error, peak, found 'force'"),
             (("--output", "./axis.yaml"), "--output: axis.yaml: is an input; give another name"),
+            (("--output", ""), "--output: expected the name of a file"),
+            (
+                ("--output", "machine/journal.sqlite"),
+                "--output: machine/journal.sqlite: is in a run folder; give another name",
+            ),
             (("--output", "no/n.yaml"), "--output: no/n.yaml: there is no folder no"),
             (("--trial", "7"), "machine: has no complete run of trial 7"),
             (("--contexts", "nowhere.yaml"), "nowhere.yaml"),

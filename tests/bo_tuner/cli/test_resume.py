@@ -15,7 +15,6 @@ from commands import finish, run
 from waiting import wait_until
 
 from bo_tuner.cli import tune
-from bo_tuner.cli.workers import Workers
 from bo_tuner.errors import OutputError
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.report.analysis import Analysis
@@ -118,11 +117,9 @@ class TestResume:
         assert (record.record_policy, record.record_limit) == ("notable", 1_000_000_000)
         given = tune.make_parser().parse_args(["--resume", "run", *arguments])
         other = replace(record, record_policy="all", record_limit=5_000_000)
-        assert tune._recording(given, other, Workers()) == expected
+        assert tune._recording(given, other) == expected
         unknown = replace(record, record_policy="", record_limit=None)
-        assert tune._recording(given, unknown, Workers()) == (
-            expected if arguments else RecordOptions()
-        )
+        assert tune._recording(given, unknown) == (expected if arguments else RecordOptions())
 
     def test_a_folder_in_use_is_refused(self, runs, whole):
         folder = RunFolder(runs.latest(whole).resolve())
@@ -458,7 +455,7 @@ class TestDamage:
         database.close()
         record = read_run(runs.latest(copy))
         assert len(record.trials) == 2
-        assert record.damage == "journal.sqlite: a trial lacks some of its evaluations"
+        assert record.damage == "journal.sqlite: a trial lacks some of its test runs"
 
     @pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"x" * 5000])
     def test_no_journal_at_all(self, runs, copy, content):

@@ -2,10 +2,12 @@
 
 import pytest
 from axis import write_study
-from in_process import call
+from in_process import call, complaint
 
 from bo_tuner.cli import tune
+from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.methods.registry import SAFE
 from bo_tuner.methods.safe.stage_one import NO_SAFE_START
 from bo_tuner.storage.record import read_run
@@ -29,8 +31,20 @@ def test_without_a_safe_start_it_ends_with_what_would_help(
     assert NO_SAFE_START in " ".join(err.split())
     (reason,) = run_verdict(record).reasons
     assert reason == f"{NO_SAFE_START[0].upper()}{NO_SAFE_START[1:]}"
+    # There is nothing to validate, and to resume it would end there again.
+    commands = [step.command for step in next_steps(run_verdict(record), "runs/a")]
+    assert commands == ["tune --from runs/a --start FILE"]
     code, _, _ = call(tune, capsys, "--resume", "latest", "--quiet")
     assert (code, len(read_run(tmp_path / "runs" / "latest").evaluations)) == (3, 1)
+
+
+@pytest.mark.parametrize("state", [State.VALIDATED, State.INFEASIBLE, State.REFUSED])
+def test_a_search_that_stood_still_is_not_to_be_resumed(state):
+    """Its answer is settled all the same; more trials need a study that permits more."""
+    verdict = Verdict(state=state, trial=2, evidence="", reasons=("why",), standstill=True)
+    commands = [step.command for step in next_steps(verdict, "runs/a")]
+    assert "tune --from runs/a --study FILE" in commands
+    assert not any(command.startswith("tune --resume") for command in commands)
 
 
 def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch, handlers):
@@ -45,6 +59,13 @@ def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch
         min(abs(gain - other) for other in gains[:k]) <= 0.2 + 1e-9
         for k, gain in enumerate(gains[1:], 1)
     )
+
+
+@pytest.mark.parametrize(
+    "options", [("--safe", "--algorithm", "V"), ("--algorithm", "V", "--safe")]
+)
+def test_another_algorithm_is_refused_beside_it(capsys, options):
+    assert "not allowed with argument" in complaint(tune, capsys, *options)
 
 
 def test_without_a_limit_it_is_refused(tmp_path, make_study, capsys, monkeypatch):

@@ -16,6 +16,7 @@ from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import PASS
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import chapters
+from bo_tuner.report.sections.what_if import what_if
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
@@ -99,6 +100,41 @@ def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
     assert all(name in found["all-trials"].tables[0].header for name in ("mean error", "mean peak"))
 
 
+def test_each_point_of_the_front_can_be_chosen(runs):
+    """By its commands, with its parameters beside those of the result."""
+    from report_runs import sections
+
+    analysis = Analysis(with_summary(read_run(runs.latest), str))
+    (front,) = [section for section in sections(analysis) if section.name == "front"]
+    result = analysis.record.summary["trial"]
+    assert [choice.trial for choice in front.choices] == [point["trial"] for point in runs.front]
+    for choice in front.choices:
+        number, run = choice.trial, str(runs.latest)
+        commands = [step.command for step in choice.steps]
+        both = [f"{name} {run} --trial {number}" for name in ("validate", "apply")]
+        assert commands == ([] if number == result else both)
+        (row,) = choice.values.rows
+        gain = analysis.trials[number].parameters["gain"]
+        assert float(row[1]) == pytest.approx(gain, rel=1e-3)
+        name = f"Trial {number}, the result" if number == result else f"Trial {number}"
+        assert choice.title.startswith(f"{name}: error ")
+        # The objects of this study have no signals.
+        assert choice.figure is None
+
+
+def test_what_is_predicted_of_each_objective_is_told(runs):
+    """Along the sliders, where each has a model: the cost of the compromise has no unit."""
+    analysis = Analysis(with_summary(read_run(runs.latest), str))
+    sliders = what_if(analysis)
+    assert [title for title, _ in sliders.rows[:2]] == ["mean error", "mean peak"]
+    (along,) = sliders.along
+    gains = np.array(sliders.sliders[0].values)
+    told = np.array([[float(cell.split()[0]) for cell in each.cells[:2]] for each in along])
+    # Each is smallest at its own optimum.
+    best = gains[told.argmin(axis=0)]
+    assert best == pytest.approx([0.3, 0.8], abs=0.15)
+
+
 def test_what_the_models_predict_is_called_the_cost_of_the_compromise(runs):
     """It is that of no objective, and has none's unit."""
     from report_runs import sections
@@ -170,8 +206,8 @@ def test_what_needs_one_objective_is_refused(runs):
 @pytest.mark.parametrize(
     ("algorithm", "remark"),
     [
-        ("boundary", "those that the models of all evaluations predict"),
-        ("IV", "those of their own evaluations"),
+        ("boundary", "those that the models of all test runs predict"),
+        ("IV", "those of their own test runs"),
     ],
 )
 def test_the_report_says_whose_means_the_front_has(runs, tmp_path, algorithm, remark):

@@ -1,11 +1,16 @@
 """`tune --time`: the run finishes early, which is on record, so that it can be repeated."""
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from axis import node
 from command_runs import Runs
 
+from bo_tuner.cli.time_limit import TimeLimit
+from bo_tuner.cli.time_plan import TimePlan
+from bo_tuner.evidence.certificate.outlook import probable_certificate
 from bo_tuner.plans import Event, EventKind, Phase
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
@@ -98,3 +103,57 @@ def test_bad_input(runs):
     code, out, err = runs.begin("bad", "--time", "10")
     assert (code, out) == (2, "")
     assert "argument --time: 10: expected a time such as 90s, 10min or 2h" in err
+
+
+class TestCertificate:
+    """`--certify`: a certificate follows, within the time."""
+
+    def test_after_a_run_it_is_that_of_its_result(self, runs):
+        code, out, err = runs.begin("certified", "--trials", 4, "--time", "5h", "--certify")
+        assert code == 0, err
+        (certificate,) = (runs.latest("certified") / "certificates").glob("*.json")
+        assert "PASS: the tuned parameter set is proven to stay within all limits" in out
+        assert f"certificate: {certificate.resolve()}" in out
+        # What is expected after the initial design, and what came of it.
+        assert re.search(
+            r"in the time that is left: about \d more trials?, about \d+ s for the answer and its "
+            r"validation, a certificate of probably \d+ to \d+ runs, about \d+ s.*, if it passes",
+            err,
+        )
+        assert re.search(r"took \d+ s of 5 h: trials about \d+ s, settling the answer about", err)
+        assert re.search(r"took \d+ s of 5 h, with the certificate", err)
+
+    def test_without_time_for_it_there_is_none(self, runs):
+        code, _, err = runs.begin("late", *OVER_AT_ONCE, "--certify")
+        assert code == 1
+        assert "no certificate: no time is left for it; validate " in err
+        assert not (runs.latest("late") / "certificates").exists()
+
+    def test_a_result_that_breaks_a_limit_gets_none(self, tmp_path, make_study):
+        broken = Runs(
+            tmp_path, make_study(nodes=node("broken_axis")), error="self.gain", peak="99.0"
+        )
+        code, _, err = broken.begin("broken", "--trials", 3, "--certify")
+        assert code == 3
+        assert "no certificate: " in err
+        assert not (broken.latest("broken") / "certificates").exists()
+
+    def test_words_are_not_json(self, runs):
+        code, out, err = runs.begin("words", "--certify", "--json-lines")
+        assert (code, out) == (2, "")
+        assert "--certify: tells its verdict in words; leave --json-lines out" in err
+
+    @pytest.mark.parametrize(
+        ("result", "certificate", "finishes"),
+        # Of 1000 s at most 500 are kept.
+        [(600.0, 300.0, False), (750.0, 300.0, True), (450.0, 1e6, False), (550.0, 1e6, True)],
+    )
+    def test_time_is_kept_for_it(self, make_study, result, certificate, finishes):
+        study, expected = make_study(), []
+        status = SimpleNamespace(
+            to_finish=result, certificate_seconds=certificate, expect_certificate=expected.append
+        )
+        limit = TimeLimit(1000.0)
+        plan = TimePlan(study, status, limit, print, certify=True)
+        assert expected == [probable_certificate(study).high]
+        assert plan.has_to_finish is finishes

@@ -174,7 +174,10 @@ class TestRefusals:
             (("--workers", 101), "--workers: expected at most 100, found 101"),
             (("--window", 0), "--window: expected at least 1, found 0"),
             (("--workers", 2, "--attach"), "--workers: expected 1 with --attach, found 2"),
-            (("--workers", 2, "--record", "all"), "--record: expected none with 2 workers"),
+            (
+                ("--scheduler", "", "--workers", 2),
+                "tcp://HOST:PORT or tls://HOST:PORT, found nothing",
+            ),
         ],
     )
     def test_options(self, refused, options, said):
@@ -188,12 +191,12 @@ class TestRefusals:
                 "or namespaces such as /left, separated by commas, found 'left'",
             ),
             (("--benches", "233"), "expected ROS domains from 0 to 232, or namespaces"),
+            (("--benches", ""), "separated by commas, found ''"),
             (("--benches", "1,"), "separated by commas, found ''"),
             (("--benches", "1,2,1"), "--benches: expected each once, found 1 again"),
             (("--benches", "/a,/a/"), "--benches: expected each once, found /a/ again"),
             (("--benches", "1,2", "--workers", 3), "--workers: expected 2, one for each of"),
             (("--benches", "1", "--no-attach"), "--benches: expected nodes that run, found"),
-            (("--benches", "1,2", "--record", "all"), "--record: expected none with 2 workers"),
             (
                 ("--benches", "/a", "--ros-args", "-r", "__ns:=/x"),
                 "expected namespaces in full, such as /x/a, and none in --ros-args",

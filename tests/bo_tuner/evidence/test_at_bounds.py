@@ -75,6 +75,22 @@ def test_where_the_sign_changes_no_wider_bound_is_proposed(make_study):
 
 
 @pytest.mark.parametrize(
+    ("lower", "sentence", "options"),
+    [
+        (3, "horizon is at its lower bound 3; wider bounds", "--bounds horizon=1:12"),
+        (1, "horizon is at its lower bound 1, the least of its scale.", ""),
+    ],
+)
+def test_a_whole_number_on_a_log_scale_stays_positive(make_study, lower, sentence, options):
+    """As many times less as the range is wide rounds to 0, which a log scale does not have."""
+    horizon = NODE | {"type": "integer", "bounds": [lower, 12], "default": 9, "scale": "log"}
+    study = make_study(parameters={"horizon": horizon})
+    (bound,) = each = at_bounds(study, {"horizon": lower})
+    assert bound.sentence.startswith(sentence)
+    assert wider_options(each) == options
+
+
+@pytest.mark.parametrize(
     "state", [State.VALIDATED, State.INFEASIBLE, State.CERTIFIED, State.REFUSED, State.INCOMPLETE]
 )
 def test_the_verdict_tells_of_it_and_names_the_command(make_study, state):
@@ -82,7 +98,8 @@ def test_the_verdict_tells_of_it_and_names_the_command(make_study, state):
     verdict = Verdict(state=state, trial=3, evidence="", reasons=("why",), at_bounds=each)
     assert "kp is at its upper bound 10 V/rad" in " ".join(verdict.sentences)
     assert [item["parameter"] for item in verdict.to_mapping()["at_bounds"]] == ["kp", "ki"]
-    step = next_steps(verdict, "/my runs/a")[-1]
+    # Where nothing was found feasible the range is what to change first.
+    step = next_steps(verdict, "/my runs/a")[0 if state is State.INFEASIBLE else -1]
     assert shlex.split(step.command) == [
         "tune", "--from", "/my runs/a", "--bounds", "kp=0.1:20", "--bounds", "ki=0:16",
     ]  # fmt: skip

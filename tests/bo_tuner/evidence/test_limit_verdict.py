@@ -79,10 +79,10 @@ def said(study, count, above, *, unsearched=False):
         (None, "worst_case", 25, 0, "open", "0 of 25 test runs above the limit"),
         (None, "worst_case", 25, 24, "violated",
          "NOT kept: the mean over 25 test runs is above the limit"),
-        (0.9, "chance", 0, 0, "violated", "NOT shown to be kept: no test run is complete"),
+        (0.9, "chance", 0, 0, "violated", "NOT proven to be kept: no test run is complete"),
         (0.9, "chance", 1, 0, "open", "0 of 1 test run above the limit, 0 permitted"),
         (0.9, "chance", 29, 0, "shown",
-         "shown to be kept in 90 % of the runs: 0 of 29 test runs above the limit, 2 permitted "
+         "proven to be kept in 90 % of the runs: 0 of 29 test runs above the limit, 2 permitted "
          "(95 % confidence)"),
         # No number of draws shows what is to hold in every context.
         (0.9, "worst_case", 1000, 0, "open", "0 of 1000 test runs above the limit, 100 permitted"),
@@ -97,7 +97,7 @@ def test_in_a_study_without_contexts_there_is_but_one(make_study):
     study = study_of(make_study, 0.9, "worst_case", contexts=None)
     found = said(study, 29, 0)
     assert found.standing is Standing.SHOWN
-    assert found.words.startswith("shown to be kept in 90 % of the runs: 0 of 29")
+    assert found.words.startswith("proven to be kept in 90 % of the runs: 0 of 29")
 
 
 @pytest.mark.parametrize("above", [0, 1, 3])
@@ -121,7 +121,7 @@ def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
     found = said(study_of(make_study, 0.8, "worst_case"), 25, 1, unsearched=True)
     assert found.standing is Standing.VIOLATED
     assert found.words == (
-        "NOT shown to be kept: 1 of 25 test runs above the limit, 5 permitted "
+        "NOT proven to be kept: 1 of 25 test runs above the limit, 5 permitted "
         "(no search was made for its worst context)"
     )
 
@@ -135,7 +135,7 @@ def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
         (0.8, "worst_case", 6, 2,
          "peak: 2 of 6 test runs above the limit, 1 permitted, which may be chance",
          Status.WARNING, None),
-        (0.9, "chance", 40, 0, "Shown to be kept: peak in 90 % of the runs", Status.GOOD, True),
+        (0.9, "chance", 40, 0, "Proven to be kept: peak in 90 % of the runs", Status.GOOD, True),
     ],
 )  # fmt: skip
 def test_headline(make_study, probability, kind, count, above, headline, status, keeps):
@@ -200,6 +200,6 @@ class TestIncomplete:
         found = verdict_of(study, runs(study, 10, 0), default)
         assert found.state is State.VALIDATED
         assert found.default_standing is None
-        told = "The default was not evaluated in full: 1 test run lost or disturbed by others."
+        told = "The default was not run in full: 1 test run lost or disturbed by others."
         assert told in found.sentences
         assert not found.default_preferred

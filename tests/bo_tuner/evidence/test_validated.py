@@ -16,7 +16,7 @@ from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
 from bo_tuner.tuning.validation import Validation
 
-LOAD = "Only return_time exceeded a limit; other load on this machine can cause this too."
+LOAD = "Only solve time (p99) exceeded a limit; other load on this machine can cause this too."
 
 
 def validation(study, violations):
@@ -55,13 +55,13 @@ def test_outliers_that_kept_all_limits_are_told_of():
     both = validation(study, {"real_time": 25, "overshoot": 9})
     judged = partial(validated, study, 0, both, both, (), (), doubt="", measured=False)
     found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
-    assert not any("outlier" in sentence for sentence in found[0])
+    assert not any("far off" in sentence for sentence in found[0])
     assert (
-        "Trial 4 broke no limit, but is an outlier of the objective, far from all others, and "
+        "Trial 4 broke no limit, but is far off from all others in the objective, and "
         "therefore not a candidate."
     ) in found[1]
     assert (
-        "Trials 4, 7 broke no limit, but are outliers of the objective, far from all others, and "
+        "Trials 4, 7 broke no limit, but are far off from all others in the objective, and "
         "therefore not candidates."
     ) in found[2]
     for sentences in found:
@@ -142,7 +142,7 @@ def test_of_a_default_that_was_not_evaluated_nothing_is_said():
     verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", default_reasons=None)
     assert verdict.keeps_in_words == ("–", "yes")
     assert verdict.to_mapping()["keeps_limits"] == {"default": None, "tuned": True}
-    assert "The default was not evaluated." in verdict.sentences
+    assert "The default was not run." in verdict.sentences
     assert not verdict.gained
     assert verdict.status is Status.GOOD
     assert not any("gained nothing" in sentence for sentence in verdict.sentences)

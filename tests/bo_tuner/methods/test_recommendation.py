@@ -170,7 +170,7 @@ def test_a_lost_evaluation_of_a_check_is_run_again(study, make_trial, function_b
 def test_evaluations_of_a_check_that_are_lost_again_and_again(study, make_trial, function_backend):
     lost = Outcome(EvaluationState.LOST, reason="axis gone")
     backend = function_backend(study, lambda **_: lost)
-    with pytest.raises(RunError, match="3 evaluations of the check in a row were lost"):
+    with pytest.raises(RunError, match="3 test runs of the check in a row were lost"):
         recommend(study, backend, flattering(make_trial))
 
 

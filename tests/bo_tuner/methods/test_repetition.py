@@ -29,6 +29,9 @@ class Stress(PooledResponse):
     def forecast(self, x):
         return x[:, 0], np.full(len(x), SPREAD**2), np.full(len(x), SPREAD**2)
 
+    def deviation_of_run(self, x):
+        return np.full(len(x), SPREAD)
+
 
 class Cost:
     """What is lacking to the parameter, without doubt."""

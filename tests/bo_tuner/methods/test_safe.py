@@ -8,7 +8,7 @@ import pytest
 from functions import Watcher
 
 from bo_tuner.methods.registry import METHODS, SAFE, method_of
-from bo_tuner.methods.safe.stage_one import NO_SAFE_START
+from bo_tuner.methods.safe.stage_one import NO_SAFE_START, START_REFUSED
 from bo_tuner.methods.safe.trust import FIRST, IN_A_ROW, trust_after
 from bo_tuner.plans import EventKind
 from bo_tuner.study.limits import is_within_limits, kept_by
@@ -226,7 +226,7 @@ class TestRefusal:
         gate.admission = Refusing({0})
         tuning = Tuning(study, Driver(function_backend(study, ramp), gate=gate), METHOD)
         assert list(tuning) == []
-        assert tuning.plan.standstill == NO_SAFE_START
+        assert tuning.plan.standstill == START_REFUSED
 
 
 class TestStandstill:

@@ -230,6 +230,9 @@ class Known(PooledResponse):
     def forecast(self, x):
         return tuple(np.full(len(x), v) for v in (self._mean, self._variance, self._run))
 
+    def deviation_of_run(self, x):
+        return np.full(len(x), self._run**0.5)
+
 
 class TestFutureBound:
     @pytest.mark.parametrize(("limit", "sign"), [(1.3, 1.0), (1.0, 1.0), (0.7, -1.0)])
@@ -283,6 +286,14 @@ class TestLimitOnSingleRuns:
         expected = x[:, 0] + 1.0 + norm.ppf(0.975) * self.NOISE
         assert quantile == pytest.approx(expected, abs=0.1)
         assert limit.predict_mean(x) == pytest.approx(x[:, 0] + 1.0, abs=0.06)
+
+    def test_a_run_deviates_by_its_noise_and_over_contexts_by_their_draw(self, process):
+        """The response is x + c with c uniform from 0 to 1, which has the variance 1/12."""
+        x, contexts = np.array([[0.4]]), np.linspace(0.0, 1.0, 101)[:, None]
+        everywhere = EveryContext(process, 2.0, contexts).deviation_of_run(x)
+        assert everywhere == pytest.approx(self.NOISE, rel=0.25)
+        over = OverContexts(process, 2.0, contexts, 0.9).deviation_of_run(x)
+        assert over == pytest.approx((self.NOISE**2 + 1.0 / 12.0) ** 0.5, rel=0.15)
 
     def test_never_asks_for_less_than_the_limit_does(self, process):
         limit = EveryContext(process, 2.0, CORNERS, deviations=3.0)

@@ -96,7 +96,7 @@ class TestLines:
         marked = dataclasses.replace(trial, evaluations=(whole, gap))
         follow(out, make_study(), [marked], candidate(marked))
         first, _ = text(out).splitlines()
-        assert first.strip() == "warning: trial 3, evaluation 1: signal x was silent"
+        assert first.strip() == "warning: trial 3, test run 1: signal x was silent"
 
     def test_the_units_of_the_lines_come_first(self, make_study, tmp_path):
         study = load_study("benchmark")

@@ -86,6 +86,26 @@ def test_what_a_run_takes_that_is_asked_to_finish(machine):
     assert run.left.to_finish() == pytest.approx(SPARE * 6.0)
 
 
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_certificate_follows(machine, workers):
+    run = machine("IV", workers)
+    run.left.begin(Phase.TUNING)
+    run.left.expect_certificate(30)
+    assert run.left.of_certificate() == 0.0
+    assert run.left.of_trial() is None
+    run.trial(evaluation=2.0, proposal=4.0)
+    result = run.left.to_finish()
+    without = machine("IV", workers)
+    without.left.begin(Phase.TUNING)
+    without.trial(evaluation=2.0, proposal=4.0)
+    # 30 evaluations of 2 s.
+    assert run.left.of_certificate() == pytest.approx(60.0 / workers)
+    assert run.left.estimate() == pytest.approx(without.left.estimate() + 60.0 / workers)
+    # The result itself comes as soon.
+    assert result == without.left.to_finish()
+    assert run.left.of_trial() == 2 * 2.0 + 4.0
+
+
 def test_the_record_of_each_evaluation_takes_its_time_as_well(machine):
     """Of that beside evaluations the least is the record, the rest proposals and models."""
     run = machine("IV")

@@ -13,14 +13,14 @@ from made_runs import INITIAL, make_run
 from recorded_trials import event, joints
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend, opened_backend
 from bo_tuner.cli import replay as command
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.recording.bag import NANOSECONDS
 from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
-from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.replay.side_by_side import write_side_by_side
 from bo_tuner.storage.trust import trust
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
@@ -85,7 +85,7 @@ class TestMilling:
             assert code == 0
             assert out.count("equal") == len(study.metrics)
             assert "complete, as recorded\nconfirmed" in out
-            assert "no bag: an evaluation in process has no messages" in err
+            assert "no bag: a test run in process has no messages" in err
             backend = InProcessBackend(study)
             backend.open()
             result = replay(record, recorded, backend)
@@ -164,7 +164,7 @@ class TestVerdict:
         backend = Backend(record.study)
         found = replay(record, recorded, backend)
         assert found.confirmed
-        assert "the way the evaluation ended is confirmed; no metric" in found.verdict
+        assert "the way the test run ended is confirmed; no metric" in found.verdict
         backend.ends = Outcome(EvaluationState.FAILED, reason="stalled")
         assert replay(record, recorded, backend).verdict == "NOT confirmed"
 
@@ -187,10 +187,22 @@ class TestVerdict:
         backend = function_backend(record.study, lambda **values: failed("axis: stalled"))
         result = replay(record, recorded, backend)
         assert not result.confirmed
-        assert all(row.difference is None and not row.equal for row in result.metrics)
+        assert all(row.difference is None and not row.agrees for row in result.metrics)
         assert backend.calls == [
             dict(recorded.parameters) | dict(recorded.context) | {"seed": recorded.seed}
         ]
+
+    @pytest.mark.parametrize(("peak", "confirmed"), [(0.1, True), (50.0, False)])
+    def test_one_that_was_cut_short_is_held_against_its_bounds(self, record, peak, confirmed):
+        """The replay is whole: a metric is at least as large, or the record is not confirmed."""
+        whole = find_evaluation(record, complete(record)[0].number, None)
+        outcome = Outcome.cut_short(0.5, {"peak": peak}, "peak at least")
+        backend = InProcessBackend(record.study)
+        with opened_backend(backend):
+            result = replay(record, replace(whole, outcome=outcome), backend)
+        assert result.replayed.outcome.complete
+        assert result.confirmed == confirmed
+        assert [row.metric.name for row in result.metrics if row.judged] == ["peak"]
 
 
 class TestChoice:
@@ -260,7 +272,7 @@ class TestChoice:
         for which in ("99", "-1", "1.0", "first", "", "9" * 5000, "1\n"):
             with pytest.raises(RunRecordError, match="and the run has trials 0 to 4"):
                 find_trial(record, which)
-        with pytest.raises(RunRecordError, match="has no evaluation 7, only 0 to "):
+        with pytest.raises(RunRecordError, match="has no test run 7, only 0 to "):
             find_evaluation(record, complete(record)[0].number, 7)
         nothing = replace(record, evaluations=(), trials=(), summary=None)
         for which in ("best", "worst"):
@@ -285,7 +297,7 @@ def test_what_else_has_changed_since(record):
         (("--evaluation", "one"), "--evaluation: one: expected a whole number"),
         (("--backend", "gazebo"), "--backend: invalid choice"),
         (("--trial", "99"), "no trial '99'; expected best, worst or a number"),
-        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no evaluation -3"),
+        (("--trial", "0", "--evaluation", "-3"), "trial 0 has no test run -3"),
     ],
 )
 def test_wrong_options(record, capsys, arguments, complaint):
@@ -383,15 +395,3 @@ class TestSideBySide:
         (tmp_path / "file").write_text("in the way")
         with pytest.raises(OutputError, match="cannot be written"):
             write_side_by_side(tmp_path / "file" / "bag", self.SIDES, {})
-
-
-def test_the_inbox_gives_each_message_once():
-    inbox = Inbox()
-    waiting = [state(1.0, 1.0), state(2.0, 2.0)]
-
-    def hand_over():
-        if waiting:
-            inbox.take(*waiting.pop(0))
-
-    assert [m[1] for m in inbox.collect(hand_over)] == [state(1.0, 1.0)[1], state(2.0, 2.0)[1]]
-    assert inbox.collect(hand_over) == []

@@ -52,7 +52,7 @@ def test_its_numbers_are_shown(certified, content):
     assert rows["P(violation), 97.5 % bound"] == ["0.0123", "0.0123", ""]
     assert rows["97.5 % bound"] == ["0.77", "0.77", "N"]
     assert rows["at load"] == ["2", "2", ""]
-    assert rows["evaluations above 1"] == ["1 of 30", "1 of 30", ""]
+    assert rows["test runs above 1"] == ["1 of 30", "1 of 30", ""]
     assert rows["kept in every context"] == ["NOT shown", "shown", ""]
     assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
@@ -155,4 +155,4 @@ def test_the_worst_case_is_shown_beside_a_parameter_set_without_one(certified, c
     rows = {row[0].strip(): row[1:] for row in section.tables[0].rows}
     assert rows["worst-case peak, mean"] == ["–", "0.75 ± 0.01", "N"]
     assert rows["at load"] == ["–", "2", ""]
-    assert rows["evaluations above 1"] == ["–", "1 of 30", ""]
+    assert rows["test runs above 1"] == ["–", "1 of 30", ""]

@@ -5,17 +5,24 @@ import io
 import json
 import re
 
+import numpy as np
 import pytest
 from functions import NODE
 from report_runs import sections
 from rich.console import Console
 
+from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.effects import not_seen
 from bo_tuner.evidence.table import print_verdict
+from bo_tuner.figures.keys import legend
 from bo_tuner.monitoring.progress import describe, incumbent_in_words, units_in_words
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.comparison import comparison
 from bo_tuner.report.page import chapters, render
+from bo_tuner.report.time_response import bounds_beside
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.text import JOIN
+from bo_tuner.tuning.effects import Effect, ParameterEffects
 
 TITLES = {"gain": "Reach of the arm", "error": "Miss (mean)", "peak": "Bump"}
 
@@ -44,19 +51,23 @@ def texts_of(parts):
         for table in section.tables:
             yield from (table.caption, *table.header, *(c for row in table.rows for c in row))
         for figure in section.figures:
-            yield from (figure.title, figure.caption)
+            yield from (figure.title, figure.caption, figure.alternative)
+            yield from (entry.name for entry in legend(figure))
             for panel in figure.panels:
                 yield from (panel.title, panel.x.title, panel.y.title)
+                for element in panel.elements:
+                    yield from getattr(element, "hover", None) or ()
 
 
 def named(texts, name):
-    return [text for text in texts if re.search(rf"\b{name}\b", text)]
+    """Texts with a name, unless it stands in brackets behind its label."""
+    return [text for text in texts if re.search(rf"(?<!\()\b{name}\b", text)]
 
 
 def test_the_report_and_its_pages_of_trials(analysis):
-    texts = [*texts_of(sections(analysis)), *texts_of(trial_sections(analysis, analysis.trials[2]))]
-    # Values of a trial beside each other have the names by which they are set.
-    for name in ("error", "peak"):
+    parts = [*sections(analysis), *trial_sections(analysis, analysis.trials[2])]
+    texts = [*texts_of(parts), *texts_of(comparison({"a": analysis, "b": analysis}))]
+    for name in TITLES:
         assert named(texts, name) == []
     for title in TITLES.values():
         assert any(title in text for text in texts)
@@ -66,6 +77,21 @@ def test_what_to_set_has_the_name_too(analysis):
     """By the label alone nobody could set it."""
     page = render(analysis, chapters(analysis))
     assert f"{TITLES['gain']} (gain) [m]" in page
+
+
+def test_a_limit_is_called_by_its_label_in_a_legend(analysis):
+    """At the lines of a response, which a trace has by the metric."""
+    limits = bounds_beside(analysis.study, "peak", np.zeros(2), np.zeros(2))
+    assert [limit.name for limit in limits] == [TITLES["peak"]]
+
+
+def test_sentences_of_a_verdict(analysis):
+    """On a result that is at a bound, with measured times that exceeded a limit."""
+    study = analysis.study
+    (bound,) = at_bounds(study, {"gain": 1.0})
+    assert bound.sentence.startswith(f"{TITLES['gain']} (gain) is at its upper bound 1 m")
+    effect = ParameterEffects("gain", (Effect("peak", "N", False, 0.0, 0.1),), True)
+    assert f"above 0.1 N on {TITLES['peak']} would" in not_seen(study, effect)
 
 
 def test_the_terminal(analysis):

@@ -281,7 +281,7 @@ def test_a_limit_that_makes_a_result_infeasible_is_not_kept(tuned):
     assert not run_verdict(run).feasible
     (tile,) = [t for t in answer(Analysis(run)).tiles if "limit 1: " in t.remarks[0]]
     assert tile.remarks[0].endswith(
-        "limit 1: NOT shown to be kept: 1 of 8 test runs above the limit, which is on the mean "
+        "limit 1: NOT proven to be kept: 1 of 8 test runs above the limit, which is on the mean "
         "(no search was made for its worst context)"
     )
     assert tile.status is Status.BAD
@@ -314,8 +314,8 @@ def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run
     on_mean = "by the mean over noise in every context"
     for words, peak, status in (
         ("0 of 40 test runs above the limit", None, Status.OPEN),
-        (f"shown to be kept {on_mean}", 0.5, Status.GOOD),
-        (f"NOT shown to be kept {on_mean}", 2.0, Status.BAD),
+        (f"proven to be kept {on_mean}", 0.5, Status.GOOD),
+        (f"NOT proven to be kept {on_mean}", 2.0, Status.BAD),
     ):
         if peak is not None:
             tuned_draws = [(1.0, peak + 0.001 * k) for k in range(40)]

@@ -47,8 +47,8 @@ def test_the_worst_run_of_each_is_drawn_as_it_was_heard(folder):
         heard = recording(gain, 2).signals["angle"]
         np.testing.assert_array_equal(line.x, heard.time)
         np.testing.assert_array_equal(line.y, heard.value)
-    assert "default: evaluation 2 in bags/trial_0000" in section.lead
-    assert "best so far: evaluation 2 in bags/trial_0001" in section.lead
+    assert "default: test run 2 in bags/trial_0000" in section.lead
+    assert "best so far: test run 2 in bags/trial_0001" in section.lead
 
 
 def test_what_was_heard_of_a_run_that_somebody_disturbed_is_not_that_of_its_repetition(folder):

@@ -109,11 +109,11 @@ def test_a_trace_says_where_a_metric_is_zero(make_study):
         "force": Traced("N", np.zeros(3)),
     }
     looks = {"run": (Color.BLUE, Dash.SOLID)}
-    speed, force = panels({"": {"run": trace}}, looks, make_study().constraints)
+    speed, force = panels({"": {"run": trace}}, looks, make_study())
     (limit,) = lines(speed, "limit of peak")
     np.testing.assert_array_equal(limit.y, zero + 1.0)
     # The signal itself is no line, and other panels have no limit.
     assert not [e for e in speed.elements if getattr(e, "name", "").endswith("= 0")]
     assert [type(e) for e in force.elements] == [Line]
-    without, _ = panels({"": {"run": trace}}, looks, {})
+    without, _ = panels({"": {"run": trace}}, looks, None)
     assert [type(e) for e in without.elements] == [Line]

@@ -78,7 +78,7 @@ def test_gaps_in_the_signals_are_told_beside_the_metrics_and_with_the_failures(t
     (table,) = next(s for s in trial_sections(analysis, trial) if s.name == "test-runs").tables
     states = [row[table.header.index("state")] for row in table.rows]
     assert states == [f"complete: {said}", *["complete"] * (len(states) - 1)]
-    expected = f"Gaps in signals, trial {number}, evaluation 0: {said}."
+    expected = f"Gaps in signals, trial {number}, test run 0: {said}."
     assert failures(analysis).notes == [expected]
 
 

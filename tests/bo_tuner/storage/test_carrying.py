@@ -90,6 +90,35 @@ def runs(make_study, function_backend, tmp_path_factory):
     return {name: record(path, study, function_backend, name) for name in METHODS}
 
 
+class TestRunsCutShort:
+    """Bounds are data, whatever limits are now, as long as the metric is measured as it was."""
+
+    def cut(self, runs, algorithm):
+        """A record whose second trial ended with a run that was cut short."""
+        earlier = runs[algorithm]
+        trials = list(earlier.trials)
+        *whole, last = trials[1].evaluations
+        outcome = Outcome.cut_short(1.5, {"error": 0.4, "peak": 1.2}, "peak at least 1.2")
+        evaluations = (*whole, dataclasses.replace(last, outcome=outcome))
+        trials[1] = dataclasses.replace(
+            trials[1], state=TrialState.CUT_SHORT, evaluations=evaluations, worst_cases={}
+        )
+        evaluations = tuple(e for trial in trials for e in trial.evaluations)
+        return dataclasses.replace(earlier, trials=tuple(trials), evaluations=evaluations)
+
+    def test_their_bounds_are_taken(self, runs, make_study):
+        wider = make_study(parameters={"gain": GAIN | {"bounds": [0.0, 2.0]}})
+        trial = carry(self.cut(runs, BOUNDARY), wider).trials[1]
+        assert trial.state is TrialState.CUT_SHORT
+        assert trial.evaluations[-1].outcome.at_least == {"error": 0.4, "peak": 1.2}
+        assert all(e.outcome.complete for e in trial.evaluations[:-1])
+
+    def test_not_by_a_method_that_needs_whole_runs(self, runs, make_study):
+        carried = carry(self.cut(runs, "V"), make_study())
+        assert len(carried.trials) == 5
+        assert "cut short" in carried.text
+
+
 class TestParameters:
     @pytest.mark.parametrize("algorithm", ANYWHERE)
     def test_wider_bounds_keep_all(self, runs, make_study, function_backend, algorithm):
@@ -99,7 +128,7 @@ class TestParameters:
         study = wider.replace(trials=12, initial_trials=4)
         carried = carry(earlier, study)
         count = len(earlier.evaluations)
-        assert carried.text == f"6 of 6 trials and {count} of {count} evaluations"
+        assert carried.text == f"6 of 6 trials and {count} of {count} test runs"
         for trial, before in zip(carried.trials, earlier.trials, strict=True):
             assert trial.parameters == before.parameters
             assert trial.worst_cases == before.worst_cases
@@ -289,7 +318,7 @@ class TestContexts:
         # The largest load is another one.
         for trial in carried.trials:
             assert trial.worst_cases["peak"].context["load"] > 2.0
-        assert f"{len(inside)} of {len(earlier.evaluations)} evaluations; left out:" in carried.text
+        assert f"{len(inside)} of {len(earlier.evaluations)} test runs; left out:" in carried.text
         assert "outside the distribution of load" in carried.text
         backend = function_backend(study, machine)
         found = list(Tuning(study, Driver(backend), METHODS[BOUNDARY], trials=carried.trials))
@@ -313,7 +342,7 @@ class TestContexts:
         carried = carry(runs["I"], study)
         assert [t.evaluations[0].stage for t in carried.trials] == [Stage.NOMINAL] * 6
         moved = make_study(contexts={"load": LOAD | {"bounds": [0.0, 9.0]}})
-        with pytest.raises(RunRecordError, match=r"contexts.load .* evaluates the nominal context"):
+        with pytest.raises(RunRecordError, match=r"contexts.load .* runs the nominal context"):
             carry(runs["I"], moved)
 
 

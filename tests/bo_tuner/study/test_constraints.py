@@ -83,7 +83,7 @@ def test_a_limit_is_named_where_another_one_is_on_the_same_side(make_study):
             "mean": {"kind": "chance", "metric": "peak", "upper": 0.9, "probability": 0.96},
         }
     )
-    titles = {name: study.titled(c, c.limited) for name, c in study.constraints.items()}
+    titles = {name: study.titled(c, study.limited(c)) for name, c in study.constraints.items()}
     assert titles == {
         "peak_lower": "lowest peak",
         "peak_upper": "peak (peak_upper)",

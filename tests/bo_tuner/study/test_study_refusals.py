@@ -29,6 +29,18 @@ class TestLabels:
         message = refusal(put(label, *path, "label"))
         assert message.startswith(f"{'.'.join(path)}.label: expected {found}")
 
+    @pytest.mark.parametrize(
+        ("section", "one", "other"),
+        [("parameters", "gains.kp", "window"), ("metrics", "error", "peak")],
+    )
+    def test_one_that_says_another(self, section, one, other):
+        """What a reader takes for the value of one must not be that of another."""
+        changed = put("the other", section, one, "label")
+        changed[section][other]["label"] = "the other"
+        said = f"label: expected a label of its own, found what {other} is called"
+        assert refusal(changed) == f"{section}.{one}.{said}"
+        assert refusal(put(other, section, one, "label")) == f"{section}.{one}.{said}"
+
 
 class TestRefusedTypes:
     @pytest.mark.parametrize(("value", "found"), [(3.0, "found 3.0"), *NUMBERS_REFUSED[:2]])

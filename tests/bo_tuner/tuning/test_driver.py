@@ -521,7 +521,7 @@ class TestBackends:
                 for planned in evaluations:
                     yield replace(planned, index=7)
 
-        with pytest.raises(BackendError, match=r"evaluation 7, which was not asked for$"):
+        with pytest.raises(BackendError, match=r"test run 7, which was not asked for$"):
             Driver(Other()).evaluate(TestLosses.planned(1)[0])
 
 

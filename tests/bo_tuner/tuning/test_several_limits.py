@@ -162,7 +162,7 @@ class TestEvidence:
         assert broken_limits(found) == broken
         assert found.passed is (not broken)
         for constraint in found.constraints:
-            refuted = "evaluations show that it is not kept" in constraint.reason
+            refuted = "test runs show that it is not kept" in constraint.reason
             assert refuted is (constraint.name in broken), constraint.reason
         peak, force = found.constraints
         assert (peak.side, force.side) == ("upper", "lower")

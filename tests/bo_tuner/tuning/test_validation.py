@@ -182,9 +182,7 @@ class TestFailures:
 
         study = make_study()
         backend = function_backend(study, function)
-        with pytest.raises(
-            RunError, match="3 evaluations in a row were lost with their nodes: gone"
-        ):
+        with pytest.raises(RunError, match="3 test runs in a row were lost with their nodes: gone"):
             validate(study, Driver(backend), [{"gain": 0.5}, {"gain": 0.25}])
         assert len(backend.calls) == 9
 

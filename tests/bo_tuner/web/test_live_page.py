@@ -190,7 +190,7 @@ class TestWhatWasAsked:
     @pytest.mark.parametrize("step", ["evaluation", "trial"])
     def test_it_is_told_until_it_has_come(self, told, step):
         assert told(step, "pause", "continue") == ""
-        assert told(step, "pause") == "the run pauses after the present evaluation"
+        assert told(step, "pause") == "the run pauses after the present test run"
         assert told(step, "continue") == ""
 
     @pytest.mark.parametrize("step", ["evaluation", "trial"])

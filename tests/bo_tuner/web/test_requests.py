@@ -41,7 +41,7 @@ class TestRequests:
     def test_pause_and_continue(self, held):
         run = held(6, "--web-control")
         assert run.request("pause")[0] == 202
-        asked = "the run pauses after the present evaluation"
+        asked = "the run pauses after the present test run"
         run.state_when(lambda state, _: state["now"]["texts"].get("asked") == asked)
         run.go_on()
         run.state_when(lambda state, _: state["now"]["paused"] and state["now"]["pausing"])

@@ -2,16 +2,22 @@
 
 import csv
 import io
+import json
+import os
 import re
 import shutil
 import socket
+from dataclasses import asdict
 
 import pytest
 from pages import ServedRuns
 from report_runs import run_axis
 
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.storage.notes import Note, read_notes, write_note
 from bo_tuner.storage.record import read_run
+from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web import runs as runs_module
 from bo_tuner.web.files import files_of
 from bo_tuner.web.qr_code import qr_code
@@ -57,6 +63,36 @@ class TestServed:
         assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
         assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
 
+    def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
+        """Which the page asks for from time to time."""
+        page = served.ask("/runs")[2]
+        (address,) = re.findall(r'data-news="([^"]+)"', page)
+        status, _, news = served.ask(address)
+        assert status == 200
+        assert news.lstrip().startswith('<section id="runs"')
+        assert news.strip() in page
+        assert served.ask(address, token=False)[0] == 403
+        assert served.ask("/news?page=7")[0] == 404
+        assert served.ask("/news?page=x")[0] == 400
+        shutil.copytree(folder / "first", folder / "fourth")
+        write_note(folder / "second", None, Note("rings"))
+        news = served.ask(address)[2]
+        listed = re.findall(r'<a href="/runs/(\w+)">', news)
+        assert sorted(listed) == ["first", "fourth", "second", "third"]
+        assert "<td>rings</td>" in news
+
+    def test_the_models_predict_for_other_values(self, served, finished):
+        page = served.ask("/runs/first")[2]
+        (address,) = re.findall(r'data-forecasts="([^"]+)"', page)
+        status, headers, text = served.ask(f"{address}?gain=0.3")
+        assert (status, headers["Content-Type"]) == (200, "application/json")
+        record = with_summary(read_run(finished), str)
+        assert json.loads(text) == asdict(forecast(Analysis(record), {"gain": 0.3}))
+        assert served.ask(f"{address}?gain=0.3", token=False)[0] == 403
+        for query, code in (("gain=7", 404), ("load=1", 404), ("gain=high", 400)):
+            assert served.ask(f"{address}?{query}")[0] == code, query
+        assert served.ask("/runs/none/forecast?gain=0.3")[0] == 404
+
     def test_it_ends_with_ctrl_c(self, folder):
         pages = ServedRuns(folder)
         assert pages.end() == (130, "interrupted by SIGINT\n")
@@ -86,6 +122,22 @@ class TestServed:
             "first": "prev",
             "third": "next",
         }
+
+    def test_names_that_are_no_unicode(self, served, folder):
+        """As of a folder that an old system has made: it is a run, too."""
+        folder.joinpath("second").rename(os.fsdecode(bytes(folder) + b"/caf\xe9"))
+        assert 'href="/runs/caf%E9"' in served.ask("/runs")[2]
+        status, _, page = served.ask("/runs/caf%E9")
+        assert status == 200
+        assert 'data-trials="/runs/caf%E9/trials/"' in page
+        assert served.ask("/runs/caf%E9/trials/0")[0] == 200
+        assert served.ask("/runs/caf%E9/files/study.yaml")[0] == 200
+        assert 'href="/runs/caf%E9"' in served.ask("/runs/first")[2]
+        assert served.ask("/runs.csv")[0] == 200
+        assert served.ask("/runs?token=%E9", token=False)[0] == 400
+        os.truncate(bytes(folder) + b"/caf\xe9/journal.sqlite", 4096)
+        status, _, said = served.ask("/runs/caf%E9")
+        assert (status, said.startswith("409: ")) == (409, True)
 
     def test_a_file_is_a_download(self, served, folder):
         page = served.ask("/runs/first")[2]
@@ -162,6 +214,11 @@ class TestNotes:
         headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
         status, _, _ = served.ask("/runs/first/note", method="POST", body=body, **headers)
         assert status in (400, 413)
+
+    def test_half_a_character(self, served, folder):
+        """As of an emoji that a browser has cut; the notes stay readable."""
+        assert served.note("/runs/first", "fast \ud83d", "a\udfff")[0] == 204
+        assert read_notes(folder / "first").run == Note("fast ?", ("a?",))
 
     def test_of_what_does_not_exist(self, served):
         headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}

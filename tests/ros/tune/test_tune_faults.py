@@ -158,7 +158,7 @@ class TestEvaluations:
         assert command.finish() == 0, command.err
         assert [trial.reason for trial in command.trials()] == [""] * 4
         (lost,) = command.lost()
-        assert lost.outcome.reason == "no evaluation result from axis within 5 s"
+        assert lost.outcome.reason == "no result of the test run from axis within 5 s"
 
     def test_three_in_a_row_end_the_run(self, tune):
         command = tune(DRIVE="all:die")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from bag_readers import with_rosbags
 from commands import Fork, finish
 from dask_cluster import Cluster, Host
 from example_nodes import UNCHANGED, start_script
@@ -19,6 +20,8 @@ from waiting import wait_until
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.workers.workers import Bench, Workers
 from bo_tuner.errors import BackendError
+from bo_tuner.recording.retention import custom_data, is_bag, made_bags
+from bo_tuner.replay.recompute import differing, recompute
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import (
@@ -139,7 +142,9 @@ def incomplete(folder):
 def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, tmp_path, runs_here):
     (tmp_path / "study.yaml").write_text(study_to_yaml(study(budget=SHORT)))
     peer = make_peer()
-    tune = Fork("tune", "--study", "study.yaml", "--workers", "2", folder=tmp_path)
+    tune = Fork(
+        "tune", "--study", "study.yaml", "--workers", "2", "--record", "all", folder=tmp_path
+    )
     try:
         # The run is seen in the domain of the environment, and its nodes are not.
         assert peer.call(SetBool, "tuner/pause", SetBool.Request(data=True)).success
@@ -153,6 +158,16 @@ def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, t
     assert not incomplete(run)
     assert all((run / "log" / f"worker-{number}" / "motor.log").exists() for number in (1, 2))
     assert not environments()
+    # The metrics of every run come out of the bags again, whichever worker has heard it.
+    record = read_run(run)
+    again = list(recompute(record, record.study))
+    assert len(again) == len(record.evaluations)
+    assert not any(differing(record, record.study, recomputed) for recomputed in again)
+    for bag in filter(is_bag, made_bags(run / "bags")):
+        # A run takes 2 s, and the motor publishes at 100 Hz.
+        states = [topic for topic, *_ in with_rosbags(bag) if topic == "/joint_states"]
+        assert len(states) > 100 * sum(item.run.bag == bag.name for item in again)
+        assert custom_data(bag)["lost_messages"] == "0"
     assert "certificate: " in runs_here("validate", "latest", "--draws", "60", "--workers", "2")
     assert not environments()
 
@@ -258,6 +273,10 @@ def test_nodes_on_two_hosts(cluster, hosts, empty_domain, tmp_path, runs_here):
     said = runs_here("tune", "--study", "study.yaml", *options)
     assert f"2 workers of the cluster {cluster.address}" in said
     assert not incomplete(tmp_path / "runs" / "latest")
+    # The best trial is in a bag here, and what has validated it on each host.
+    names = {bag.name for bag in made_bags(tmp_path / "runs" / "latest" / "bags") if is_bag(bag)}
+    assert names >= {"validation", "validation_part2"}
+    assert any(name.startswith("trial_") for name in names)
     # Each host has what its own nodes have printed.
     for folder in folders:
         assert len(list(folder.glob("bo_tuner/*/worker-*/motor.log"))) == 1

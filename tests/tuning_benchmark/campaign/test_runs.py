@@ -5,6 +5,7 @@ from valley import true_worst
 
 from bo_tuner.methods.boundary.stage_one import new_point
 from bo_tuner.methods.paper import check
+from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import Stage, count_checks
 from tuning_benchmark.campaign.division import divided
@@ -151,3 +152,16 @@ def test_an_optimizer_without_an_answer_is_on_record(study):
     assert found["answer"] is None
     assert found["incumbents"] == {}
     assert all(trial is None for _, trial in found["trajectory"])
+
+
+def test_a_window_proposes_without_the_trials_before(study, small):
+    class Noting(EachTrial):
+        def __call__(self, study, constraint, proposal, trials, evaluations):
+            known.append(len(trials))
+            return super().__call__(study, constraint, proposal, trials, evaluations)
+
+    method = replace(METHODS["IV"], search=Noting())
+    for window in (1, 3):
+        known = []
+        trials = list(Run(study, IV, 1, small, method, window=window))
+        assert sorted(set(known)) == list(range(len(trials) - window + 1))

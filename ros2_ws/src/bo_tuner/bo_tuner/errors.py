@@ -122,7 +122,7 @@ class MetricsError(BoTunerError, ValueError):
 
 
 class FunctionError(BoTunerError, TypeError):
-    """A function that cannot be called in another process."""
+    """A function that cannot be called, or not in another process."""
 
 
 class WindowFull(BoTunerError, RuntimeError):  # noqa: N818

@@ -127,7 +127,7 @@ class Plan(ABC, Generic[TaskT]):
     """
 
     phase: str = ""
-    what: str = "evaluations"
+    what: str = "test runs"
     steps: int = 0
     attempts: int = 1
 
@@ -212,7 +212,7 @@ class Runs(Plan[Run]):
         Those that were run, in their order.
     """
 
-    def __init__(self, planned: Sequence[Evaluation], what: str = "evaluations") -> None:
+    def __init__(self, planned: Sequence[Evaluation], what: str = "test runs") -> None:
         self.what = what
         self.steps = len(planned)
         self._planned: Iterator[Evaluation] = iter(planned)

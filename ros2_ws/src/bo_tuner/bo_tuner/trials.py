@@ -46,18 +46,26 @@ ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 
 
 class EvaluationState(StrEnum):
-    """How an evaluation ended: complete, failed, or lost because a node stopped."""
+    """How an evaluation ended: complete, failed, or lost because a node stopped.
+
+    One that was cut short was ended on purpose, as its outcome was decided; see `Outcome.at_least`.
+    """
 
     COMPLETE = "complete"
     FAILED = "failed"
     LOST = "lost"
+    CUT_SHORT = "cut short"
 
 
 class TrialState(StrEnum):
-    """How a trial ended; a failed trial has no values and counts as infeasible."""
+    """How a trial ended; a failed trial has no values and counts as infeasible.
+
+    One that ended with an evaluation that was cut short has no values of its own, either.
+    """
 
     COMPLETE = "complete"
     FAILED = "failed"
+    CUT_SHORT = "cut short"
 
 
 DISTURBED, UNPREPARED = "disturbed", "unprepared"
@@ -84,6 +92,12 @@ RESTED = "rested_seconds"
 HOLDS = "holds "
 """Begins the keys of an outcome's details with the value that a device has in place of the one
 it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
+
+CUT_AFTER = "cut short after"
+"""Key of an outcome's details: time [s] of the run at which it was cut short."""
+AT_LEAST = "at least "
+"""Begins the keys of an outcome's details with the value that a metric had when the run was cut
+short; the name of the metric follows."""
 
 DEFAULT_HAS = "default's "
 """Begins the keys of an outcome's details with what the default has, in the same context and with
@@ -119,10 +133,50 @@ class Outcome:
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def cut_short(
+        cls,
+        seconds: float,
+        at_least: Mapping[str, float],
+        decided: str,
+        details: Mapping[str, str] | None = None,
+    ) -> "Outcome":
+        """Return the outcome of a run that was ended since its outcome was decided.
+
+        Parameters
+        ----------
+        seconds
+            Time of the run [s] at which it was ended.
+        at_least
+            By metrics that only grow during a run the value by then, each in its unit.
+        decided
+            By what the outcome was decided, in words.
+        details
+            Further values that the nodes reported, as text.
+        """
+        seconds = round(seconds, 3)
+        known = {f"{AT_LEAST}{name}": repr(value) for name, value in at_least.items()}
+        return cls(
+            EvaluationState.CUT_SHORT,
+            reason=f"cut short after {seconds:.3g} s: {decided}",
+            details={**(details or {}), CUT_AFTER: f"{seconds:.3f}", **known},
+        )
+
     @property
     def complete(self) -> bool:
         """Whether it has all metrics of the study."""
         return self.state is EvaluationState.COMPLETE
+
+    @property
+    def at_least(self) -> dict[str, float]:
+        """Lower bounds of metrics by name, of a run that was cut short; empty of any other."""
+        if self.state is not EvaluationState.CUT_SHORT:
+            return {}
+        return {
+            key.removeprefix(AT_LEAST): float(value)
+            for key, value in self.details.items()
+            if key.startswith(AT_LEAST)
+        }
 
     @property
     def note(self) -> str:
@@ -199,6 +253,9 @@ class Evaluation:
         Wall time [s]; ignored when evaluations are compared.
     recorded
         Whether the outcome was read from the journal; ignored when evaluations are compared.
+    beyond
+        By metrics that only grow during a run the value beyond which its outcome is decided, so
+        that it may be cut short; ignored when evaluations are compared.
     """
 
     trial: int
@@ -210,6 +267,7 @@ class Evaluation:
     outcome: Outcome = Outcome(EvaluationState.FAILED, reason="not run")
     seconds: float = field(default=0.0, compare=False)
     recorded: bool = field(default=False, compare=False)
+    beyond: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def parameter_set(self) -> ParameterSet:
@@ -227,7 +285,7 @@ class Evaluation:
         """Which one it is, in words, such as ``trial 3, evaluation 0``; see `whose`."""
         whose = self.whose
         side = whose if isinstance(whose, str) else f"trial {whose}"
-        return f"{side}, evaluation {self.index}"
+        return f"{side}, test run {self.index}"
 
 
 @dataclass(frozen=True)
@@ -352,6 +410,12 @@ class Trial:
         if self.failed_again and all(e.outcome.complete for e in tuning):
             return replace(self, evaluations=tuning, state=TrialState.COMPLETE, reason="")
         return replace(self, evaluations=tuning)
+
+
+def ended_as(outcome: Outcome) -> TrialState:
+    """Return how a trial has ended that ended with an evaluation which is not complete."""
+    cut_short = outcome.state is EvaluationState.CUT_SHORT
+    return TrialState.CUT_SHORT if cut_short else TrialState.FAILED
 
 
 def count_trials(trials: Iterable[Trial]) -> int:

@@ -84,6 +84,7 @@ class Cut:
         n = self.reference.size
         rng = np.random.default_rng(settings.seed)
         self._noise = rng.normal(0.0, sqrt(settings.noise_variance), n)
+        self._ceiling = ceiling(self.reference, settings.overshoot_window)
         self._axis = FeedAxis(settings, float(self.reference[0]))
         self._velocity = np.full(n, np.nan)
         self._velocity[0] = self._axis.velocity
@@ -126,6 +127,17 @@ class Cut:
     def fail(self, reason: str) -> None:
         """End the cut as failed."""
         self.failure = reason
+
+    def so_far(self) -> dict[str, float]:
+        """Return the metrics of the samples so far; none of them falls as the cut goes on."""
+        velocity = self.velocity
+        n = velocity.size
+        excess = np.max(velocity - self._ceiling[:n])
+        return {
+            "tracking_error": float(tracking_error(self.reference[:n], velocity)),
+            "overshoot": max(float(excess), 0.0),
+            "effort": effort(self._commands[: self.sample]),
+        }
 
     def contradicted(self, sample: int, command: float) -> bool:
         """Fail the cut, also one that has ended, if a sample had another command [m/s] than this.
@@ -198,6 +210,17 @@ class MillingPlant:
         self.settings = default_settings() if settings is None else settings
         self.velocity: Array = np.empty(0)
         self._trace: dict[str, tuple[str, Array]] = {}
+        self._beyond: dict[str, float] = {}
+
+    def end_beyond(self, values: Mapping[str, float]) -> None:
+        """End the cuts to come as soon as one of their metrics is beyond its value.
+
+        Parameters
+        ----------
+        values
+            By the names of ``tracking_error``, ``overshoot`` and ``effort``, in their units.
+        """
+        self._beyond = dict(values)
 
     def set_parameters(self, values: Mapping[str, object]) -> None:
         """Change some parameters for the cuts to come, all of them or none.
@@ -217,9 +240,21 @@ class MillingPlant:
         while not cut.done:
             commands.append(controller.step(cut.measurement).command)
             cut.apply(commands[-1])
+            if self._is_decided(cut):
+                break
         self.velocity = cut.velocity
         self._trace = self._signals(cut, np.array(commands))
-        return cut.result()
+        if cut.done:
+            return cut.result()
+        after = self.settings.sample_time * cut.sample
+        return {**cut.result(), "status": "cut short", "after": after, **cut.so_far()}
+
+    def _is_decided(self, cut: Cut) -> bool:
+        """Return whether a cut that goes on is beyond a value of `end_beyond`."""
+        if not self._beyond or cut.done:
+            return False
+        so_far = cut.so_far()
+        return any(so_far[name] > most for name, most in self._beyond.items())
 
     def evaluate(self, controller: Controller) -> dict[str, float | str]:
         """Run one cut, under the name that the in-process backend of the tuner calls."""

@@ -89,5 +89,5 @@ class TestRefusals:
     def test_a_certificate_without_baseline_runs(self, refusal, certificate):
         certificate.with_name("0001_evaluations.csv").unlink()
         line = refusal("--against", certificate)
-        assert "0001.json: has no baseline runs: its evaluations cannot be read" in line
+        assert "0001.json: has no baseline runs: its test runs cannot be read" in line
         assert "run validate again" in line

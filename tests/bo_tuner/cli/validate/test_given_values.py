@@ -75,7 +75,7 @@ def test_values_that_do_not(here, place):
     ((kind, message),) = found["peak"]
     assert (kind, message) == (
         "failure",
-        "NOT shown to be kept by the mean over noise in every context",
+        "NOT proven to be kept by the mean over noise in every context",
     )
     ((kind, message),) = found["all limits"]
     assert kind == "failure"
@@ -111,7 +111,7 @@ def test_it_goes_on_after_an_interruption(here, place, monkeypatch):
     assert {mark for ((mark, _),) in cases("report.xml").values()} == {"error"}
     code, _, err = here("good.yaml", "--junit", "report.xml")
     assert code == 0, err
-    assert "after 4 evaluations" in err
+    assert "after 4 test runs" in err
     assert len(calls) == len(set(calls)) + 1
     assert cases("report.xml")["all limits"] == []
 
@@ -144,11 +144,20 @@ def test_with_the_default(here, place):
             ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", "nowhere/x.xml"],
             "nowhere/x.xml: cannot be written",
         ),
+        (
+            ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", ""],
+            ".: cannot be written: Is a directory",
+        ),
+        (
+            ["--parameters", "good.yaml", "--study", "axis.yaml", "--junit", "good.yaml"],
+            "good.yaml: is no XML file; expected one, or the name of a new file",
+        ),
     ],
 )
 def test_bad_input(refusal, place, arguments, complaint):
     assert complaint in refusal(*arguments)
     assert not (place / "runs").exists()
+    assert (place / "good.yaml").read_text() == "gain: 0.2\n"
 
 
 def test_values_that_are_no_parameter_set(refusal, place):

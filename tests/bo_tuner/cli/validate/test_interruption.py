@@ -65,7 +65,7 @@ class TestInterruption:
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)
         assert code == 0
-        assert f"certificate of trial {expected['trial']} after 58 evaluations" in err
+        assert f"certificate of trial {expected['trial']} after 58 test runs" in err
         assert (folder / "certificates" / "0001_evaluations.csv").read_bytes() == whole
         found = certificate(folder)
         assert found["tuned"] == expected["tuned"]
@@ -211,7 +211,7 @@ class TestInterruption:
             assert here(folder, "--trial", str(other), "--draws", "200")[0] == 1
         code, _, err = here(folder, "--until-pass", "3")
         assert code == 0
-        assert f"continuing the interrupted certificate of trial {other} after 4 evaluations" in err
+        assert f"continuing the interrupted certificate of trial {other} after 4 test runs" in err
         found = certificate(folder, 2)
         assert (found["attempt"], found["trial"]) == (2, other)
 
@@ -223,7 +223,7 @@ class TestFaults:
         code, out, err = here(folder)
         assert code == 1
         assert err.splitlines()[-1] == (
-            "error: 3 evaluations in a row were lost with their nodes: axis is gone; "
+            "error: 3 test runs in a row were lost with their nodes: axis is gone; "
             f"continue with: validate {folder}"
         )
         assert out == ""

@@ -29,7 +29,7 @@ class TestVerdict:
         most, *phases = err.splitlines()
         phases = [line for line in phases if not line.startswith("probably ")]
         told = re.fullmatch(
-            r"at most (\d+) evaluations \((\d+) draws, (\d+) to search for the worst contexts, "
+            r"at most (\d+) test runs \((\d+) draws, (\d+) to search for the worst contexts, "
             r"(\d+) in the worst contexts found\), fewer once the verdict is clear",
             most,
         )
@@ -42,7 +42,7 @@ class TestVerdict:
             "draws", "worst case of tuned", "more draws", "warning", "report", "bundle",
         ]  # fmt: skip
         assert phases[0] == "draws: at most 120"
-        assert phases[1].endswith(" evaluations")
+        assert phases[1].endswith(" test runs")
         found = certificate(folder)
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
         assert (found["draws"], found["confidence"]) == (120, 0.95)
@@ -141,7 +141,7 @@ class TestVerdict:
         assert sum(line.split()[:1] == ["gain"] for line in out.splitlines()) == 1
         assert out.count("keeps all limits") == 1
         assert "…" not in out
-        assert "peak: shown to hold: " in out
+        assert "peak: proven: " in out
 
     def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
         monkeypatch.setattr(now_and_then, "PERIOD", 0.0)
@@ -171,7 +171,7 @@ class TestVerdict:
         assert found["drawn"] < 10
         reason = f"{found['drawn']} of {found['drawn']} draws violate the limit or fail: more than"
         assert found["reasons"][0].startswith(f"peak: {reason}")
-        assert f"peak: NOT shown to hold: {reason}" in out
+        assert f"peak: NOT proven: {reason}" in out
 
     def test_failed_evaluations(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "100")

@@ -12,7 +12,7 @@ from bo_tuner.backends.function import Function
 from bo_tuner.backends.passed_function import backend_of, workers_of
 from bo_tuner.backends.protocol import opened_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.errors import OutputError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.given import given_values
@@ -82,6 +82,8 @@ def certify(
     OutputError
         If the folder cannot be written to, or another process works in it.
     """
+    if not isinstance(study, Study):
+        raise StudyError(f"expected a Study, found {checks.show(study)}", ("study",))
     inner = study.checked
     # Refused before a folder is made for them.
     values = inner.complete_set(parameters or {})
@@ -128,6 +130,8 @@ def certify_trial(
         if level is None:
             level = study.certificate.confidence
         level = checks.fraction(level, "confidence")
+        if draws is not None:
+            checks.integer(draws, "draws")
         attempt = attempt_for(record.path, study, trial.parameters, FUNCTION)
         most = draws_of(study, level, attempt, draws)
         subjects = subjects_of(record, trial, FUNCTION, with_default=False)

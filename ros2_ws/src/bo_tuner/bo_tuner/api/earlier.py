@@ -9,6 +9,7 @@ from bo_tuner.errors import MetricsError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.storage.carrying import Carried, carry_over
 from bo_tuner.storage.record import record_of_study
+from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -79,7 +80,7 @@ def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Ca
     count, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
     if study.budget.is_spent(count, evaluations):
         raise StudyError(
-            f"expected more than the {count} trials and {evaluations} evaluations of the earlier "
+            f"expected more than the {count} trials and {evaluations} test runs of the earlier "
             "runs, which count",
             ("budget",),
         )
@@ -90,8 +91,10 @@ def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
     returned = Returned(study)
     by_set: dict[ParameterSet, list[Evaluation]] = {}
     for index, run in enumerate(runs):
+        if not isinstance(run, EarlierRun):
+            raise StudyError(f"expected an EarlierRun, found {checks.show(run)}", (EARLIER, index))
         try:
-            values = {**study.search_space().defaults, **_known(run.parameters, study.parameters)}
+            values = _parameters(study, run.parameters)
             context = _context(study, run.context)
             outcome = failed(run.failure) if run.failure else returned.outcome(run.metrics)
         except StudyError as error:
@@ -117,6 +120,13 @@ def _trial(number: int, evaluations: list[Evaluation]) -> Trial:
         problems[0] if problems else "",
         tuple(replace(e, trial=number) for e in evaluations),
     )
+
+
+def _parameters(study: Study, given: Mapping[str, Value]) -> dict[str, Value]:
+    """Return a whole parameter set; a double may be given as an integer."""
+    known = _known(given, study.parameters)
+    values = {name: study.parameters[name].checked(value, name) for name, value in known.items()}
+    return {**study.search_space().defaults, **values}
 
 
 def _context(study: Study, given: Mapping[str, Value]) -> Context:

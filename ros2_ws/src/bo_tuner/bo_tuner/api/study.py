@@ -175,7 +175,8 @@ class Study:
         MetricsError
             If the function returns something else than a number for each metric.
         FunctionError
-            If it is to run in another process, and cannot be passed there.
+            If it cannot be called with these arguments, or is to run in another process, and cannot
+            be passed there.
         BackendError, MissingPackageError
             If the workers cannot be started, or packages for them are not installed.
         RunRecordError, OutputError, JournalError

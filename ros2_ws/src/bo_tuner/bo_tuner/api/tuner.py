@@ -1,6 +1,7 @@
 """Ask and tell: a run whose evaluations somebody else carries out; the journal is its state."""
 
 import contextlib
+import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,7 @@ from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study import checks
 from bo_tuner.study.changes import changes, summarized
+from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
@@ -104,7 +106,8 @@ class Tuner:
     which these are told. Each result is on disk when the call returns. A process that dies goes on
     in a new tuner with the same folder: it asks again for what was not told.
 
-    It is not for several threads at once. Use it in a ``with`` block, or `close` it.
+    Threads that ask and tell at once wait for each other. Use it in a ``with`` block, or `close`
+    it.
     """
 
     def __init__(self, run: OpenRun) -> None:
@@ -112,6 +115,7 @@ class Tuner:
         self._returned = Returned(run.study)
         self._beside = DefaultBeside(run.study)
         self._threads = ThreadpoolController()
+        self._one_thread = threading.RLock()
         self._pending: dict[tuple[object, ...], _Pending] = {}
         self._plan: Plan[Any] | None = None
         self._steps: Steps[Any] | None = None
@@ -141,14 +145,15 @@ class Tuner:
         RunError
             If the tuner is closed.
         """
-        if self._over:
-            return None
-        with self._working():
-            run = self._next_run()
-        if run is None and not self._over:
-            count = len(self._pending)
-            raise WindowFull(f"tell a result first: {count} of {self._run.window} are waited for")
-        return run
+        with self._one_thread:
+            if self._over:
+                return None
+            with self._working():
+                run = self._next_run()
+            if run is None and not self._over:
+                count, window = len(self._pending), self._run.window
+                raise WindowFull(f"tell a result first: {count} of {window} are waited for")
+            return run
 
     def tell(self, run: Run, metrics: Mapping[str, float]) -> None:
         """Take the result of a run.
@@ -195,17 +200,18 @@ class Tuner:
 
     def tell_outcome(self, run: Run, outcome: Outcome) -> None:
         """Take what came of a run; not part of the interface."""
-        pending = self._awaited(run)
-        with self._working():
-            del self._pending[_key(pending.due)]
-            try:
-                pending.due = pending.runs.send(outcome)
-            except StopIteration as end:
-                seconds = time.monotonic() - pending.begin
-                self._take(replace(pending.planned, outcome=end.value, seconds=seconds))
-            else:
-                pending.asked_for = False
-                self._pending[_key(pending.due)] = pending
+        with self._one_thread:
+            pending = self._awaited(run)
+            with self._working():
+                del self._pending[_key(pending.due)]
+                try:
+                    pending.due = pending.runs.send(outcome)
+                except StopIteration as end:
+                    seconds = time.monotonic() - pending.begin
+                    self._take(replace(pending.planned, outcome=end.value, seconds=seconds))
+                else:
+                    pending.asked_for = False
+                    self._pending[_key(pending.due)] = pending
 
     def result(self) -> Result:
         """Return what is known so far; once `ask` has returned None, the result."""
@@ -213,7 +219,8 @@ class Tuner:
 
     def close(self) -> None:
         """Let others work in the folder; what was asked for and not told is asked for again."""
-        self._run.close()
+        with self._one_thread:
+            self._run.close()
 
     @contextlib.contextmanager
     def _working(self) -> Iterator[None]:
@@ -355,6 +362,7 @@ def opened(
         name, window = record.algorithm, recorded_window(record.provenance)
     if problem := problem_of(name, study):
         raise StudyError(problem, ("algorithm",))
+    check_ends_early(study, FUNCTION)
     if window > 1 and study.relative_metrics and not by_backend:
         raise StudyError(
             f"expected 1, since limits are relative to the default, found {window}", ("window",)

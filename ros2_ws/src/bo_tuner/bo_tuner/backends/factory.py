@@ -21,6 +21,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
 ALONE = Workers()
+Listening = Callable[[RosBackend], Backend]
 HOST_LOGS = "bo_tuner"
 """Folder, where the workers of a cluster may write, of what their nodes print."""
 
@@ -37,6 +38,7 @@ def make_backend(
     earlier: Iterable[Evaluation] = (),
     halt: Callable[[str], None] | None = None,
     workers: Workers = ALONE,
+    listening: Listening | None = None,
 ) -> Backend:
     """Make a backend, not open yet.
 
@@ -56,9 +58,12 @@ def make_backend(
         Called when the guard has taken over; without it that ends the run.
     workers
         By how many workers it is run.
+    listening
+        Makes of the backend of a worker one that hears its nodes; None where nobody listens.
     """
     if workers.pooled:
-        return _pool(name, study, log_directory, tuple(ros_arguments), interrupted, workers)
+        ros = tuple(ros_arguments)
+        return _pool(name, study, log_directory, ros, interrupted, workers, listening)
     if name == IN_PROCESS:
         return InProcessBackend(study, interrupted)
     backend = RosBackend(
@@ -82,6 +87,7 @@ def _pool(
     ros_arguments: tuple[str, ...],
     interrupted: Callable[[], None],
     workers: Workers,
+    listening: Listening | None,
 ) -> WorkerPool:
     """Make the backend that has one of its own in each worker."""
     patience = BREAKING_OFF if name == IN_PROCESS else CLOSING
@@ -91,13 +97,15 @@ def _pool(
         cluster = RunningCluster(workers.scheduler, workers.count, needs_of(study, name), timed)
     if name == IN_PROCESS:
         make: MakeBackend = partial(_in_process, study)
-    elif workers.benches:
-        make = partial(_on_bench, study, log_directory, ros_arguments, workers.benches)
+        return WorkerPool(name, workers.count, make, interrupted, patience, cluster)
+    if workers.benches:
+        on_nodes = partial(_on_bench, study, log_directory, ros_arguments, workers.benches)
     else:
         # Another host does not have the folder of the run.
         relative = Path(HOST_LOGS, log_directory.resolve().parent.name)
         own = relative if workers.scheduler else log_directory.resolve()
-        make = partial(_on_own_nodes, study, own, ros_arguments)
+        on_nodes = partial(_on_own_nodes, study, own, ros_arguments)
+    make = on_nodes if listening is None else partial(_heard, listening, on_nodes)
     return WorkerPool(name, workers.count, make, interrupted, patience, cluster)
 
 
@@ -109,6 +117,17 @@ def _in_process(
     return InProcessBackend(study, interrupted)
 
 
+def _heard(
+    listening: Listening,
+    make: Callable[[int, Path, Callable[[], None]], RosBackend],
+    number: int,
+    host_folder: Path,
+    interrupted: Callable[[], None],
+) -> Backend:
+    """Make the backend of a worker, which hears its nodes."""
+    return listening(make(number, host_folder, interrupted))
+
+
 def _on_own_nodes(
     study: Study,
     log_directory: Path,
@@ -116,7 +135,7 @@ def _on_own_nodes(
     number: int,
     host_folder: Path,
     interrupted: Callable[[], None],
-) -> Backend:
+) -> RosBackend:
     """Make the backend of a worker: nodes that it starts; a relative folder is of its host."""
     return RosBackend(
         study,
@@ -136,7 +155,7 @@ def _on_bench(
     number: int,
     host_folder: Path,
     interrupted: Callable[[], None],
-) -> Backend:
+) -> RosBackend:
     """Make the backend of a worker: running nodes that are its own."""
     del host_folder
     bench, arguments = benches[number - 1], list(ros_arguments)

@@ -3,20 +3,31 @@
 The study names a class for each node. An object takes ``set_parameters(values)``, refusing by
 ValueError; the trigger's object runs an evaluation by ``evaluate(*others)``, the others being the
 objects of the remaining nodes in the study's order, and returns what its node would publish; the
-others give theirs by ``result()``.
+others give theirs by ``result()``. Where runs may be cut short, the trigger's object also takes
+``end_beyond(values)``: by the keys of its metrics that only grow, the values beyond which the next
+run is to end. What it returns of a run that it has ended has the status ``cut short``, the time
+``after`` of the run [s], and all these metrics as they are by then.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import breaking_off
-from bo_tuner.metrics.collect import STATUS_OK, Collector
+from bo_tuner.metrics.collect import (
+    STATUS_CUT_SHORT,
+    STATUS_OK,
+    Collector,
+    cut_short,
+    metric_problem,
+)
 from bo_tuner.study import named_code
+from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
+from bo_tuner.text import brief
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 
@@ -51,6 +62,7 @@ class InProcessBackend(SequentialBackend):
             imported, or it refuses a parameter.
         """
         self._triggered = triggered(self._study)
+        self._check_bounds()
         for key, node in self._study.nodes.items():
             if not node.object:
                 raise StudyError(
@@ -72,6 +84,8 @@ class InProcessBackend(SequentialBackend):
                     )
             except named_code.faults() as error:
                 raise StudyError(_reason(error), ("nodes", key, "parameters")) from error
+        if self._study.budget.cut_short:
+            _check_ends_early(self._triggered, self._objects[self._triggered])
         # What an object never takes would cost all trials.
         defaults = self._study.search_space().defaults
         for key, values in self._study.nominal_assignments(defaults).items():
@@ -100,13 +114,50 @@ class InProcessBackend(SequentialBackend):
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
             with self._foreign():
+                if self._study.budget.cut_short:
+                    self._objects[trigger].end_beyond(self._by_key(planned.beyond))
                 answer = self._objects[trigger].evaluate(*others.values())
                 said = {trigger: answer}
+                if isinstance(answer, Mapping) and answer.get("status") == STATUS_CUT_SHORT:
+                    return self._cut_short(planned, answer)
                 if isinstance(answer, Mapping) and answer.get("status") == STATUS_OK:
                     said |= {key: other.result() for key, other in others.items()}
                 return self._collector.outcome(said, assignments)
         except named_code.faults() as error:
             return Outcome(EvaluationState.FAILED, {}, named_code.described(error))
+
+    def _check_bounds(self) -> None:
+        """Refuse to cut runs short by what other nodes report: they do so after a run."""
+        study = self._study
+        if study.budget.cut_short and not self._own(study.decisive_metrics):
+            raise StudyError(
+                f"{self._triggered}, which performs a run, reports none of "
+                f"{', '.join(study.decisive_metrics)}, by which it could be ended",
+                ("budget", "cut_short"),
+            )
+
+    def _own(self, names: Iterable[str]) -> dict[str, str]:
+        """Return the keys of the metrics among some that the object of the trigger reports."""
+        metrics = {name: self._study.metrics[name] for name in names}
+        return {
+            name: metric.key
+            for name, metric in metrics.items()
+            if isinstance(metric, ReportedMetric) and metric.node == self._triggered
+        }
+
+    def _by_key(self, beyond: Mapping[str, float]) -> dict[str, float]:
+        """Return bounds of metrics by the keys of those that the object of the trigger reports."""
+        return {key: beyond[name] for name, key in self._own(beyond).items()}
+
+    def _cut_short(self, planned: Evaluation, answer: Mapping[str, Any]) -> Outcome:
+        """Return the outcome of a run that the object of the trigger has ended early."""
+        after: Any = answer.get("after")
+        if problem := metric_problem(after):
+            reason = f"{self._triggered}: the time after which it was cut short is {problem}"
+            return Outcome(EvaluationState.FAILED, {}, brief(reason))
+        own = self._own(self._study.growing_metrics)
+        so_far = {name: answer.get(key) for name, key in own.items()}
+        return cut_short(self._study, planned.beyond, float(after), so_far, {})
 
     @contextlib.contextmanager
     def _foreign(self) -> Iterator[None]:
@@ -117,6 +168,16 @@ class InProcessBackend(SequentialBackend):
     def close(self) -> None:
         """Forget the objects."""
         self._objects.clear()
+
+
+def _check_ends_early(key: str, item: object) -> None:
+    """Refuse an object that cannot end a run before its time."""
+    if not callable(getattr(item, "end_beyond", None)):
+        raise StudyError(
+            "cannot end a run early, which `budget.cut_short` needs; expected a method "
+            "end_beyond(values)",
+            ("nodes", key, "object"),
+        )
 
 
 def _reason(refusal: BaseException) -> str:

@@ -95,7 +95,8 @@ class DefaultBeside:
                 self._known[draw] = outcome.metrics
             return self._completed(outcome, outcome.metrics)
         if draw not in self._known:
-            default = yield replace(planned, parameters=self._default)
+            # What it has in full is what others are compared with.
+            default = yield replace(planned, parameters=self._default, beyond={})
             if not default.complete:
                 return _without_default(default)
             self._known[draw] = default.metrics

@@ -1,5 +1,6 @@
 """A function that is called in other processes: one after the other, or several at once."""
 
+import inspect
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -51,7 +52,8 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
     Raises
     ------
     FunctionError
-        If the function is to be called in another process, and cannot be passed there.
+        If the function cannot be called with parameters, context and seed, or is to be called in
+        another process, and cannot be passed there.
     MissingPackageError
         If the package that passes it is not installed.
     BackendError
@@ -61,6 +63,7 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
     """
     if timeout is not None:
         checks.timeout(timeout, "timeout")
+    _check_arguments(function)
     if workers == 1 and timeout is None:
         return FunctionBackend(study, function)
     returned_metrics(study)
@@ -70,6 +73,22 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
     _check_script()
     make = partial(_of_worker, study, passed, timeout)
     return WorkerPool(FUNCTION, workers, make, patience=BREAKING_OFF)
+
+
+def _check_arguments(function: object) -> None:
+    """Refuse what each run would fail for, as if it were its parameters' fault."""
+    expected = "expected a function of parameters, context and seed"
+    if not callable(function):
+        raise FunctionError(f"{expected}, found {checks.show(function)}")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        # One that is not written in Python need not have one.
+        return
+    try:
+        signature.bind({}, {}, 0)
+    except TypeError as error:
+        raise FunctionError(f"{expected}, found one of {signature}: {error}") from None
 
 
 def _check_script() -> None:

@@ -151,7 +151,7 @@ class BoTunerSampler(BaseSampler):
         elif state is TrialState.PRUNED:
             self._tuner.fail(run, PRUNED)
         else:
-            self._tuner.lose(run, "the objective failed, or was interrupted")
+            self._tuner.lose(run, "the objective failed, returned no number, or was interrupted")
         self._run = self._tuner.ask()
         self._trial = -1
         if self._run is None:

@@ -130,7 +130,7 @@ class Certifier:
         left.show(self.console)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
-            done = counted(len(unfinished.evaluations), "evaluation")
+            done = counted(len(unfinished.evaluations), "test run")
             self.console.print(
                 f"continuing the interrupted certificate of trial {trial.number} after {done}"
             )
@@ -182,7 +182,7 @@ class Certifier:
             for refutation in subject.earlier.refutations:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
-                again = f"its {failed} evaluated again, and " if count else ""
+                again = f"its {failed} run again, and " if count else ""
                 what = f"{subject.name}: {refutation.description}"
                 line = f"{what}; {again}its runs count against a PASS"
                 print_line(self.console, line, "  ")
@@ -197,8 +197,7 @@ class Certifier:
             parts.append(f"{most.repeated} in the worst contexts found")
         print_line(
             self.console,
-            f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
-            "clear",
+            f"at most {most.total} test runs ({', '.join(parts)}), fewer once the verdict is clear",
             "  ",
         )
 
@@ -229,7 +228,7 @@ class _Left(RunObserver):
             return
         each = " each" if self._subjects > 1 else ""
         console.print(
-            f"probably {self._probable} evaluations{each}, {self._times()}, by the margins of the "
+            f"probably {self._probable} test runs{each}, {self._times()}, by the margins of the "
             "run, if it passes",
             soft_wrap=True,
         )

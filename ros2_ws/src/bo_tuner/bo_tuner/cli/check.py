@@ -29,7 +29,7 @@ from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import most_evaluations
 from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.judgement import least_evaluations
-from bo_tuner.evidence.certificate.outlook import Outlook, outlook
+from bo_tuner.evidence.certificate.outlook import probable_certificate
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
@@ -40,6 +40,7 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
+from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, duration, durations, shown
@@ -233,6 +234,8 @@ def _show_runs(
             say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
+    if study.budget.cut_short:
+        say(decided_by(study))
     if noise := noise_in(study, complete):
         say_error(f"error: {noise}")
         return False
@@ -321,12 +324,6 @@ def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[
     return True
 
 
-def probable_certificate(study: Study) -> Outlook | None:
-    """Return how many evaluations the certificate of a result probably takes, of a usual one."""
-    confidence = spent(study.certificate.confidence, 1)
-    return outlook(study, required_draws(study, study.certificate.confidence), confidence)
-
-
 def evaluations_at_most(study: Study) -> tuple[int, int]:
     """Return the largest numbers of evaluations of a study and of the certificate of its result."""
     tuning = METHODS[method_of(study)].most_evaluations(study)
@@ -347,7 +344,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     starting = sum(e.outcome.starts[1] for e in complete)
     resting = max(e.outcome.rested for e in complete)
     seconds = (sum(e.seconds - e.outcome.rested for e in complete) - starting) / len(complete)
-    say(f"an evaluation took {seconds:.3g} s")
+    say(f"a test run took {seconds:.3g} s")
     if resting:
         seconds += resting
         say(f"the machine rested {resting:.3g} s ahead of one, which counts")
@@ -357,7 +354,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     if study.relative_metrics:
         seconds *= 2.0
         say(
-            "note: limits are relative to the default, which is run beside each evaluation of "
+            "note: limits are relative to the default, which is run beside each test run of "
             "another parameter set: it takes twice the time"
         )
     tuning, certificate = evaluations_at_most(study)
@@ -367,7 +364,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         starts_of_study = tuning if each else min(tuning, study.budget.trials)
         say(
             f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
-            f"once for {'each evaluation' if each else 'each parameter set'}"
+            f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
 
@@ -375,14 +372,14 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
         return evaluations * seconds + starts * starting + warming
 
-    say(f"study: at most {tuning} evaluations, {duration(seconds_of_study)}")
+    say(f"study: at most {tuning} test runs, {duration(seconds_of_study)}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
         fewest = least_evaluations(study, spent(study.certificate.confidence, 1))
         least = max(fewest, least_draws(study))
         times = durations(of_certificate(probable.low), of_certificate(probable.high))
         say(
-            f"certificate: probably {probable} evaluations, {times}, if the result passes by a "
+            f"certificate: probably {probable} test runs, {times}, if the result passes by a "
             f"usual margin; at least {least}, {at_most}"
         )
     else:

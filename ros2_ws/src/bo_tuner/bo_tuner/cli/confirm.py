@@ -21,7 +21,8 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown, values, with_unit
+from bo_tuner.study.titles import titled_values
+from bo_tuner.text import shown, with_unit
 from bo_tuner.trials import Trial, Value
 from bo_tuner.tuning.gate import Answer
 from bo_tuner.tuning.loop import TrialTask
@@ -160,9 +161,9 @@ def described(
     before = "trial before" if trials else "safe parameters"
     yield f"next, trial {len(trials)}:"
     for name in space.names:
-        unit = study.parameters[name].unit
+        item = study.parameters[name]
         compared = f"{before} {shown(now[name])}, default {shown(space.defaults[name])}"
-        yield f"  {with_unit(name, unit)}: {shown(parameters[name])} ({compared})"
+        yield f"  {with_unit(item.title, item.unit)}: {shown(parameters[name])} ({compared})"
     complete = [trial for trial in trials if not trial.unusable]
     if not complete:
         yield "  nothing is known yet to predict it by"
@@ -176,7 +177,9 @@ def described(
     points = space.cube_of(trial.parameters for trial in complete)
     for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
         trial = complete[k]
-        tried = values({name: trial.parameters[name] for name in space.names})
+        tried = titled_values(
+            study.parameters, {name: trial.parameters[name] for name in space.names}
+        )
         yield f"  nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}"
 
 
@@ -200,8 +203,9 @@ def _band(study: Study, metric: str, ends: Array) -> str:
     """Return mean and both ends (3,) of a metric in words."""
     mean, *sides = ends.tolist()
     low, high = sorted(sides)
-    unit = study.metrics[metric].unit
-    return f"{with_unit(metric, unit)} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
+    item = study.metrics[metric]
+    name = with_unit(item.title, item.unit)
+    return f"{name} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
 
 
 def _observed(study: Study, trial: Trial) -> str:
@@ -209,10 +213,11 @@ def _observed(study: Study, trial: Trial) -> str:
     outcomes = [e.outcome for e in trial.evaluations if e.outcome.complete]
     if not outcomes:
         return trial.reason or trial.ending
-    return ", ".join(
-        f"{c.metric} {c.farthest(np.array([o.metrics[c.metric] for o in outcomes])):.4g}"
+    farthest = [
+        (study.metrics[c.metric].title, c.farthest([o.metrics[c.metric] for o in outcomes]))
         for c in study.constraints.values()
-    )
+    ]
+    return ", ".join(f"{title} {value:.4g}" for title, value in farthest)
 
 
 def _user() -> str:

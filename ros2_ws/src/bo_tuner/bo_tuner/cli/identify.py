@@ -34,6 +34,7 @@ from bo_tuner.replay.identification import (
 from bo_tuner.replay.machine_runs import MachineRuns, machine_runs
 from bo_tuner.report.page import FORMATS, write_figure
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.run_folder import JOURNAL
 from bo_tuner.study import checks, maxima, strict_yaml
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.narrowing import beyond, narrowed
@@ -182,8 +183,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 def _check_output(arguments: argparse.Namespace, parser: Parser) -> None:
     """Refuse, ahead of the simulation, a file that cannot be made or that is an input."""
     output: Path = arguments.output
+    if not output.name:
+        parser.error("--output: expected the name of a file")
     if not output.absolute().parent.is_dir():
         parser.error(f"--output: {output}: there is no folder {output.parent}")
+    if (output.parent / JOURNAL).exists():
+        parser.error(f"--output: {output}: is in a run folder; give another name")
     inputs = [Path(given) for given in (arguments.study, arguments.contexts) if given is not None]
     if output.exists() and any(path.exists() and path.samefile(output) for path in inputs):
         parser.error(f"--output: {output}: is an input; give another name")

@@ -117,8 +117,8 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
         tried = listed([shown(value) for value in planned.values[item.parameter]])
         default = study.search_space().defaults[item.parameter]
         say_error(
-            f"{'error' if none else 'warning'}: {not_seen(item)}; tried: {tried}, beside the "
-            f"default {shown(default)}"
+            f"{'error' if none else 'warning'}: {not_seen(study, item)}; tried: {tried}, beside "
+            f"the default {shown(default)}"
         )
     steps = (
         []

@@ -18,7 +18,7 @@ from bo_tuner.terminal import print_table
 from bo_tuner.text import counted
 
 DESCRIPTION = """\
-Compute the metrics of every recorded evaluation again from the signals in its
+Compute the metrics of every recorded test run again from the signals in its
 bag, and compare those of the run's own study with the record: they are equal in
 all digits. With --study, compute the metrics that another study defines of the
 same signals. Nothing is run, and no node is needed.
@@ -92,7 +92,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             f"left out: {', '.join(study.relative_metrics)}, relative to the default, whose runs "
             "beside these are in no bag"
         )
-    say(f"{counted(len(rows), 'evaluation')}; {wrong} differ from the record")
+    say(f"{counted(len(rows), 'test run')}; {wrong} differ from the record")
     return EXIT_INFEASIBLE if wrong else EXIT_OK
 
 

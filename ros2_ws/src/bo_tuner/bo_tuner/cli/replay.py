@@ -24,7 +24,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
-from bo_tuner.recording.bag import Message
+from bo_tuner.recording.inbox import Batch, Inbox
 from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.replay.replay import (
     BEST,
@@ -36,7 +36,7 @@ from bo_tuner.replay.replay import (
     find_trial,
     replay,
 )
-from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.replay.side_by_side import LATEST_QUIET, QUIET, write_side_by_side
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
@@ -44,13 +44,13 @@ from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.terminal import print_table
 from bo_tuner.text import values
-from bo_tuner.trials import DEFAULT, TUNED, Evaluation
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation, EvaluationState
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
-Repeat a recorded evaluation with its parameters, context and seed, and compare
+Repeat a recorded test run with its parameters, context and seed, and compare
 its metrics with the record, bit for bit where they can be the same. On ROS the
-messages of this evaluation, and of the default parameters in the same context
+messages of this test run, and of the default parameters in the same context
 with the same noise, are recorded side by side in one bag, as /tuned/... and
 /default/...
 """
@@ -63,16 +63,16 @@ both in process.
 exit codes:
   0    the result is as recorded, in all that is judged
   1    standard output cannot be written, or an attached node was not restored
-  2    bad input: run, trial, evaluation, option or nodes, or a folder that
+  2    bad input: run, trial, test run, option or nodes, or a folder that
        cannot be written
   3    the result differs; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: the output pipe was closed)
 
 examples:
-  replay runs/latest                           the result's worst evaluation
+  replay runs/latest                           the result's worst test run
   replay runs/latest --trial worst             the worst trial's
-  replay runs/latest --trial 7 --evaluation 3  any evaluation
+  replay runs/latest --trial 7 --evaluation 3  any test run
   replay runs/latest --backend inprocess       without nodes, without a bag
 """
 
@@ -92,7 +92,7 @@ def make_parser() -> Parser:
         "--evaluation",
         type=whole_number,
         metavar="K",
-        help="number of the evaluation within the trial (default: the worst)",
+        help="number of the test run within the trial (default: the worst)",
     )
     parser.add_backend_arguments("as in the run")
     parser.add_argument(
@@ -136,13 +136,15 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         with writing(log):
             log.mkdir(parents=True, exist_ok=True)
         with opened(backend, interruption) as left:
-            result, default, inbox, sides = _run_both(record, recorded, backend)
+            result, default, sides, warnings = _run_both(record, recorded, backend)
         _show(record, result, name)
-        for warning in inbox.warnings:
+        for warning in warnings:
             console.print(warning, soft_wrap=True)
         path = output / f"trial_{recorded.trial:04d}_evaluation_{recorded.index:02d}"
-        notes = _notes(record, recorded, result.replayed, default, inbox.lost)
-        if write_side_by_side(path, sides, notes):
+        lost = sum(batch.lost for batch in sides.values())
+        notes = _notes(record, recorded, result.replayed, default, lost)
+        messages = {side: batch.messages for side, batch in sides.items()}
+        if write_side_by_side(path, messages, notes):
             say(f"bag of {' and '.join(sides)}: {path}")
         else:
             console.print("no bag: no message was received", soft_wrap=True)
@@ -150,22 +152,28 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         with opened(backend, interruption) as left:
             result = replay(record, recorded, backend)
         _show(record, result, name)
-        console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
+        console.print("no bag: a test run in process has no messages", soft_wrap=True)
     return ended(left, EXIT_OK if result.confirmed else EXIT_INFEASIBLE)
 
 
 def _description(evaluation: Evaluation, backend: str) -> str:
     return (
-        f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
+        f"trial {evaluation.trial}, test run {evaluation.index} ({evaluation.stage}; "
         f"context {values(evaluation.context) or 'none'}; seed {evaluation.seed}) on {backend}"
     )
 
 
 def _run_both(
     record: RunRecord, recorded: Evaluation, ros: RosBackend
-) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
-    """Run the evaluation, then with the default parameters; return both with their messages."""
-    inbox = Inbox()
+) -> tuple[Replay, Evaluation, dict[str, Batch], list[str]]:
+    """Run the evaluation, then with the default parameters.
+
+    Returns
+    -------
+    tuple
+        Both, the messages of each, and what could not be heard, each in a line.
+    """
+    inbox = Inbox(QUIET, LATEST_QUIET)
     listener = listen_to(ros, inbox)
     try:
         inbox.collect(listener.take)
@@ -177,7 +185,8 @@ def _run_both(
         listener.refresh()
         defaults = record.study.search_space().defaults
         default = Driver(ros).evaluate(dataclasses.replace(recorded, parameters=defaults))
-        return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
+        sides = {DEFAULT: inbox.collect(listener.take)} | sides
+        return result, default, sides, inbox.warnings
     finally:
         listener.close()
 
@@ -226,13 +235,20 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
             _word(row),
         )
     print_table(plain_console(), table)
-    measured = [row.metric.name for row in result.metrics if not row.judged]
+    bounded = result.recorded.outcome.at_least
+    measured = [
+        row.metric.name
+        for row in result.metrics
+        if not row.judged and (not bounded or row.at_least)
+    ]
     if measured:
         say(f"measured, so different in each run, and not judged: {', '.join(measured)}")
     if record.study.seed_parameter is None:
         say("the study has no parameter for the seed: noise, if there is any, was not the same")
     before, after = result.recorded.outcome, result.replayed.outcome
-    if result.same_end:
+    if before.state is EvaluationState.CUT_SHORT:
+        say(f"recorded: {before.reason}; the replay is whole, and its metrics may be larger")
+    elif result.same_end:
         how = f"{after.state}, as recorded"
         say(f"{how}: {after.reason}" if after.reason else how)
     else:
@@ -248,4 +264,6 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
 def _word(row: Comparison) -> str:
     if not row.judged:
         return "not judged"
-    return "equal" if row.equal else "DIFFERENT"
+    if not row.agrees:
+        return "DIFFERENT"
+    return "at least as large" if row.at_least else "equal"

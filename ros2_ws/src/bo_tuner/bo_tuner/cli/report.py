@@ -74,7 +74,7 @@ def make_parser() -> Parser:
         "--trial",
         type=whole_number,
         metavar="N",
-        help="the page of this trial: its parameters, its evaluations, and the signals of the "
+        help="the page of this trial: its parameters, its test runs, and the signals of the "
         "worst one (default file: RUN/trial_NNNN.html)",
     )
     parser.add_argument(

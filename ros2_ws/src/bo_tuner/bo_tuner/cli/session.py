@@ -19,6 +19,7 @@ from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.confirm import Confirmation, refused_in
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.cli.time_limit import TimeLimit
+from bo_tuner.cli.time_plan import TimePlan
 from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.effects import file_notes
@@ -37,6 +38,7 @@ from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
+from bo_tuner.recording.workers import HeardByWorkers, ListeningBackend
 from bo_tuner.report.deliverables import withdraw_result, write_deliverables
 from bo_tuner.report.sections.convergence import known_incumbents
 from bo_tuner.storage.carrying import Carried
@@ -113,6 +115,8 @@ class RunOptions:
         Whether the page may pause and end the run.
     confirm
         Whether to ask before each trial.
+    certify
+        Whether a certificate of the result follows, within `time`.
     """
 
     algorithm: str = DEFAULT_METHOD
@@ -129,6 +133,7 @@ class RunOptions:
     web: Address | None = None
     web_control: bool = False
     confirm: bool = False
+    certify: bool = False
 
 
 class Session:
@@ -160,10 +165,16 @@ class Session:
         self._live_page: RunObserver | None = None
         self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
-        self._gate = Gate(interruption.check, self._observers, finishing=self._has_to_finish)
+        self._gate = Gate(
+            interruption.check, self._observers, finishing=lambda: self._time.has_to_finish
+        )
         self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
         self._display = make_display(study, options.output, self._status, going_on)
+        self._time = TimePlan(
+            study, self._status, options.time, self._display.inform, certify=options.certify
+        )
+        records_nothing = options.record.policy is Policy.NONE
         self._backend = make_backend(
             options.backend,
             study,
@@ -173,11 +184,8 @@ class Session:
             interrupted=interruption.check,
             halt=self._halt,
             workers=options.workers,
+            listening=None if records_nothing else partial(ListeningBackend, listen_to),
         )
-
-    def _has_to_finish(self) -> bool:
-        """Return whether no more can be begun if the result is to be there in time."""
-        return self._options.time.left <= (self._status.to_finish or 0.0)
 
     def _halt(self, reason: str) -> None:
         """Let the run wait: the guard has taken over, and somebody must see to the machine."""
@@ -325,14 +333,14 @@ class Session:
             return RecordedEvaluations(self._backend, self._study, earlier.to_give_again)
         except KeyError as error:
             raise RunRecordError(
-                f"{self._folder.journal}: has evaluations of another study, with {error}"
+                f"{self._folder.journal}: has test runs of another study, with {error}"
             ) from error
 
     def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
-        if several := options.workers.text(options.backend):
+        if several := options.workers.text:
             self._display.inform(several)
         if options.carried is not None:
             self._display.inform(f"begins with {options.carried.text}, of {options.carried.run}")
@@ -389,6 +397,8 @@ class Session:
                 self._display.warn(
                     f"warning: it took longer than the --time, by {-options.time.left:.0f} s"
                 )
+            if self._time.outcome:
+                self._display.inform(self._time.outcome)
             summary = (
                 None
                 if conclusion is None
@@ -408,17 +418,10 @@ class Session:
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
         """Let all observers see the run: what is durable first, what may wait last."""
         pool, ros = self._backend, self._backend if isinstance(self._backend, RosBackend) else None
-        recording = RunRecording(
-            self._folder.path,
-            self._study,
-            self._options.record,
-            None if ros is None else partial(listen_to, ros),
-            self._display.warn,
-            *(() if ros is None else (lambda: ros.recording,)),
-        )
+        recording = self._recording()
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)
-            for observer in (journaling, recording, self._status, self._display):
+            for observer in (journaling, recording, self._status, self._time, self._display):
                 self._observers.add(observer)
             if ros is not None:
                 ros.after_extra_run = recording.skip
@@ -435,6 +438,21 @@ class Session:
             stack.enter_context(self._display)
             stack.enter_context(recording)
             yield recording
+
+    def _recording(self) -> RunRecording:
+        """Make the recording of what the nodes say, here or at workers."""
+        backend, count = self._backend, self._options.workers.count
+        about = (self._folder.path, self._study, self._options.record)
+        warn = self._display.warn
+        if isinstance(backend, RosBackend):
+            listen = partial(listen_to, backend)
+            return RunRecording(*about, listen, warn, lambda: backend.recording)
+        if isinstance(backend, WorkerPool) and backend.name == ROS:
+            heard = HeardByWorkers(backend.take_answer)
+            return RunRecording(
+                *about, heard.to, warn, lambda: heard.signals, lambda: heard.worker, at_once=count
+            )
+        return RunRecording(*about, None, warn)
 
     def _show_on_ros(
         self, context: Context, park: Callable[[], list[str]], stack: contextlib.ExitStack

@@ -22,14 +22,14 @@ def add_budget_arguments(group: Group) -> None:
         "--trials",
         type=whole_number,
         metavar="N",
-        help="number of trials, in place of the study's budget of trials and evaluations; the "
+        help="number of trials, in place of the study's budget of trials and test runs; the "
         "initial design has at most as many",
     )
     group.add_argument(
         "--evaluations",
         type=whole_number,
         metavar="N",
-        help="number of evaluations of all trials, in place of the study's budget",
+        help="number of test runs of all trials, in place of the study's budget",
     )
     group.add_argument(
         "--seed",

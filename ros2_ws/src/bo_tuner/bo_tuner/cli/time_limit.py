@@ -6,6 +6,8 @@ import re
 import time
 from dataclasses import dataclass, field
 
+from bo_tuner.text import duration
+
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 _TIME = re.compile(r"(\d+(?:\.\d+)?) ?(s|min|h)", re.ASCII)
@@ -28,6 +30,18 @@ class TimeLimit:
     def over(self) -> bool:
         """Whether it has passed."""
         return time.monotonic() - self._begin >= self.seconds
+
+    @property
+    def endless(self) -> bool:
+        """Whether there is no limit."""
+        return math.isinf(self.seconds)
+
+    @property
+    def outcome(self) -> str:
+        """How much of it was taken until now, in words."""
+        return f"took {duration(self.seconds - self.left)} of {duration(self.seconds)}".replace(
+            "about ", ""
+        )
 
     @property
     def left(self) -> float:

@@ -5,10 +5,12 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from bo_tuner.backends.ros.isolation import named_namespace, namespace_of
 from bo_tuner.backends.ros.processes import has_executable
 from bo_tuner.backends.workers.workers import Workers
+from bo_tuner.cli import validate
 from bo_tuner.cli.common import (
     RUNS,
     Parser,
@@ -21,6 +23,7 @@ from bo_tuner.cli.common import (
     split_ros_arguments,
 )
 from bo_tuner.cli.confirm import NO_TERMINAL
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
@@ -29,7 +32,7 @@ from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import SAFE, method_of, problem_of
-from bo_tuner.monitoring.display import Output
+from bo_tuner.monitoring.display import Output, plain_console
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import (
@@ -39,13 +42,15 @@ from bo_tuner.storage.carrying import (
     is_carried,
     remeasured,
 )
+from bo_tuner.storage.provenance import recorded_workers
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted
+from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
-from bo_tuner.text import counted
+from bo_tuner.terminal import print_line
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
@@ -122,7 +127,7 @@ def _run(
         backend=plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        record=_recording(arguments, plan.resumed, workers),
+        record=_recording(arguments, plan.resumed),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
         workers=workers,
@@ -133,6 +138,7 @@ def _run(
         web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
         confirm=arguments.confirm,
+        certify=arguments.certify,
     )
     if plan.resumed is not None:
         folder = RunFolder(plan.resumed.path.resolve())
@@ -144,13 +150,43 @@ def _run(
     except BaseException:
         folder.discard()
         raise
-    notify(arguments.notify, folder.path, code, session.headline, session.warn)
+    if arguments.certify and code == EXIT_OK and not arguments.time.over:
+        return _certify(arguments, folder.path, ros_arguments, interruption)
+    headline = session.headline
+    if arguments.certify and code in (EXIT_OK, EXIT_INFEASIBLE):
+        why = headline
+        if code == EXIT_OK:
+            code, why = EXIT_FAULT, f"no time is left for it; validate {folder.path} makes it"
+        headline = f"no certificate: {why}"
+        session.warn(headline)
+    notify(arguments.notify, folder.path, code, headline, session.warn)
     return code
 
 
-def _recording(
-    arguments: argparse.Namespace, resumed: RunRecord | None, workers: Workers
-) -> RecordOptions:
+def _certify(
+    arguments: argparse.Namespace,
+    run_path: Path,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> int:
+    """Certify the result of a run in the time that is left, as ``validate``; returns its code."""
+    limit, address = arguments.time, arguments.scheduler
+    command = [str(run_path)]
+    if not limit.endless:
+        command += ["--time", f"{max(limit.left, 0.001):.3f}s"]
+    if address is not None:
+        # Of a cluster, a run says nothing for others.
+        count = recorded_workers(read_run(run_path).provenance)
+        command += ["--scheduler", address, "--workers", str(count)]
+    if arguments.notify is not None:
+        command += ["--notify", arguments.notify]
+    code = validate.run([*command, *ros_arguments], interruption)
+    if not limit.endless:
+        print_line(plain_console(stderr=True), f"{limit.outcome}, with the certificate", "  ")
+    return code
+
+
+def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> RecordOptions:
     """Return which bags to keep: what the user says, else what an earlier session of the run did.
 
     The bags of that session count, too: a lower limit would delete them.
@@ -160,8 +196,6 @@ def _recording(
         known = resumed.record_policy in list(Policy)
         policy = policy or (resumed.record_policy if known else None)
         limit = resumed.record_limit if limit is None else limit
-    if workers.pooled:
-        policy = Policy.NONE
     default = RecordOptions()
     return RecordOptions(
         Policy(policy or default.policy), default.limit if limit is None else limit
@@ -214,6 +248,7 @@ def _after_earlier(
             trust_given(study)
     if problem := problem_of(record.algorithm, study):
         parser.error(f"--from: {problem}")
+    check_ends_early(study, backend)
     check_comparable(record, study, record.method)
     measure = measure_again(record, study) if remeasured(record.study, study) else None
     carried = carry_over(record, study, record.method, measure)
@@ -253,6 +288,7 @@ def _new(
     algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
         parser.error(f"--algorithm: {problem}")
+    check_ends_early(study, backend)
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 
 
@@ -323,17 +359,14 @@ def _check_options(
         answers_elsewhere = arguments.web_control or plan.backend == ROS
         if not sys.stdin.isatty() and not answers_elsewhere:
             parser.error(f"--confirm: {NO_TERMINAL}")
+    if arguments.certify and arguments.output_mode is Output.JSON_LINES:
+        parser.error("--certify: tells its verdict in words; leave --json-lines out")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
     if arguments.web_host is not None and arguments.web is None:
         parser.error("--web-host needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
-    if arguments.record not in (None, Policy.NONE) and workers.pooled:
-        parser.error(
-            f"--record: expected none with {counted(workers.count, 'worker')}, whose nodes this "
-            f"process does not hear, found {arguments.record}"
-        )
 
 
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:

@@ -31,9 +31,10 @@ exit codes:
        it
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
        full), and its record is kept; or test runs of the validation were lost,
-       so that the verdict is incomplete, and --resume completes it; or it is
-       complete, but an attached node was not restored, or an action goal did
-       not end
+       so that the verdict is incomplete, and --resume completes it; or the
+       --time is over before the certificate of --certify has a verdict, and
+       `validate` goes on with it; or the run is complete, but an attached node
+       was not restored, or an action goal did not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL
@@ -46,7 +47,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
-  tune --study my_axis.yaml --workers 4   four evaluations at once
+  tune --study my_axis.yaml --workers 4   four test runs at once
   tune --study my_axis.yaml --benches 11,12   on two sets of running nodes
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
@@ -54,6 +55,7 @@ examples:
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
   tune --time 30min                    have the result by then
+  tune --time 30min --certify          and its certificate
   tune --safe --attach                 from what runs now on, in small steps
   tune --safe --attach --confirm       the same, and ask before each step
   tune --stop-early                    stop when further trials are not worth it
@@ -124,6 +126,12 @@ def _add_study(group: Group) -> None:
         "begun that would be too late, and the best so far is settled and validated; the budget "
         "of the study stays the most",
     )
+    group.add_argument(
+        "--certify",
+        action="store_true",
+        help="certify the result at the end, as validate does; with --time that is in the time, of "
+        "which up to half is kept for it",
+    )
     add_bounds_argument(group)
 
 
@@ -133,7 +141,7 @@ def _add_known(group: Group) -> None:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
+        help="resume the interrupted run in this folder; recorded test runs are not repeated; "
         "with --trials N or --evaluations N larger than before, the run continues to N",
     )
     group.add_argument(
@@ -158,13 +166,15 @@ def _add_known(group: Group) -> None:
 
 
 def _add_method(group: Group) -> None:
-    group.add_argument(
+    # A search that is to be safe must not become another one by what stands elsewhere in a script.
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
         "--algorithm",
         choices=tuple(METHODS),
         help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
         + f" (default: {SAFE} for a study with safe_search, else {DEFAULT_METHOD})",
     )
-    group.add_argument(
+    which.add_argument(
         "--safe",
         action="store_const",
         dest="algorithm",

@@ -62,28 +62,30 @@ from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_line
 from bo_tuner.trials import Trial
 
+XML = b"<?xml"
+"""How a file begins that `--junit` may replace."""
 DESCRIPTION = """\
-Certify the result of a run, or values that somebody else tuned: evaluate them
+Certify the result of a run, or values that somebody else tuned: run them
 in fresh draws of context and noise, search for the worst context again, and
 report PASS or FAIL for the constraints of the study. It ends as soon as the
 verdict is clear, and continues where an interrupted one stopped.
 """
 
 EPILOG = """\
-PASS requires all of these; a constraint not shown to hold counts as violated:
+PASS requires all of these; a constraint not proven counts as violated:
   chance constraint   the upper bound of the probability that a draw violates it
                       is at most 1 - probability
   worst-case          in each of the worst contexts of the search, the upper
   constraint          bound of the mean over noise is within the limit, or of
                       the probability of a violation at most 1 - probability
-  failed evaluations  none
-Contexts in which this parameter set failed before are evaluated again, and its
+  failed test runs    none
+Contexts in which this parameter set failed before are run again, and its
 earlier runs count against a PASS, never for it.
-The bounds hold after each evaluation, and over all certificates of the run: the
+The bounds hold after each test run, and over all certificates of the run: the
 first has four fifths of the error probability, and each later one fresh draws
 and less; --with-default divides that between the two parameter sets.
 
-writes RUN/certificates/0001.json, or the next number, and the evaluations as
+writes RUN/certificates/0001.json, or the next number, and the test runs as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the
 draws and the confidence that the study requires, and no later FAIL of the same
 parameters.
@@ -107,7 +109,7 @@ examples:
   validate latest --time 10min             what is shown by then, if no verdict
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
-  validate runs/latest --workers 4         four evaluations at once
+  validate runs/latest --workers 4         four test runs at once
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
@@ -251,6 +253,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if of_given is None:
         allow_programs(record, trusted=arguments.trust, attach=attach)
     if arguments.junit is not None:
+        _refuse_other_content(arguments.junit)
         # It stays where there is no verdict, in place of an earlier one.
         write_atomically(arguments.junit, no_verdict_in_junit(record.study))
     folder = RunFolder(record.path) if of_given is None else of_given.open_folder()
@@ -348,6 +351,17 @@ def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
     return most
+
+
+def _refuse_other_content(path: Path) -> None:
+    """Refuse a file that is no XML: `--junit` must not replace one of the run, by a slip."""
+    with writing(path):
+        if not path.is_file():
+            return
+        with path.open("rb") as file:
+            beginning = file.read(len(XML))
+    if beginning not in (b"", XML):
+        raise OutputError(f"{path}: is no XML file; expected one, or the name of a new file")
 
 
 def _draws(

@@ -38,12 +38,12 @@ class _Benches(argparse.Action):
 
 def add_workers_arguments(parser: Parser, default: str) -> None:
     """Add the options for several workers; `default` is told in the help."""
-    group = parser.add_argument_group("several evaluations at once")
+    group = parser.add_argument_group("several test runs at once")
     group.add_argument(
         "--workers",
         type=whole_number,
         metavar="N",
-        help="evaluations that run at once, each on nodes of its own, which it starts in a ROS "
+        help="test runs at a time, each on nodes of its own, which it starts in a ROS "
         f"domain of its own, or on objects in a process of its own (default: {default})",
     )
     group.add_argument(
@@ -146,17 +146,25 @@ def _count(
         elsewhere = SCHEDULER in known and not arguments.scheduler
         return 1 if attach or elsewhere else recorded_workers(known)
     if arguments.scheduler and study.budget.workers is None:
-        parser.error("--scheduler: expected --workers N, too: how many evaluations run at once")
+        parser.error("--scheduler: expected --workers N, too: how many test runs at once")
     return study.budget.workers or 1
 
 
 def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -> str:
     """Return the address of the cluster that is to be used; empty for none."""
-    address: str = arguments.scheduler or ""
-    if address and not SCHEDULER_ADDRESS.fullmatch(address):
-        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {address}")
-    if address and attach:
-        parser.error("--scheduler: expected nodes that the workers start, found --attach")
+    address: str | None = arguments.scheduler
+    if address is None:
+        return ""
+    if not SCHEDULER_ADDRESS.fullmatch(address):
+        found = address or "nothing"
+        parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {found}")
+    if attach:
+        given = next((name for name in ("benches", "attach") if getattr(arguments, name)), "")
+        parser.error(
+            "--scheduler: expected nodes that the workers start, found "
+            f"{f'--{given}' if given else 'a run on running nodes'}; leave --scheduler out, or let "
+            "the workers start them (--no-attach)"
+        )
     return address
 
 
@@ -169,12 +177,13 @@ def _benches(
     ros_arguments: Sequence[str],
 ) -> tuple[Bench, ...]:
     """Return the test benches that are given, or those on record; empty for none."""
-    text: str = arguments.benches or ""
-    if text and not attach:
+    text: str | None = arguments.benches
+    if text is not None and not attach:
         parser.error("--benches: expected nodes that run, found --no-attach")
-    if not text and attach and arguments.workers is None:
-        text = known.get(BENCHES, "")
-    benches = [_bench(name, parser, ros_arguments) for name in text.split(",") if text]
+    if text is None and attach and arguments.workers is None:
+        text = known.get(BENCHES)
+    names = [] if text is None else text.split(",")
+    benches = [_bench(name, parser, ros_arguments) for name in names]
     for index, bench in enumerate(benches):
         if bench.place in {other.place for other in benches[:index]}:
             parser.error(f"--benches: expected each once, found {bench.name} again")

@@ -22,8 +22,8 @@ class AtBound:
 
     Attributes
     ----------
-    parameter, unit
-        Its name and unit.
+    parameter, title, unit
+        Its name, what screens call it, with the name, and its unit.
     side
         ``lower`` or ``upper``.
     bound
@@ -32,10 +32,11 @@ class AtBound:
         Both bounds of the study.
     wider
         Bounds to go on with: on this side twice as wide, or on a log scale by `LARGEST_FACTOR` at
-        most. A bound keeps its sign; None if there is nothing beyond it with the same sign.
+        most. A bound keeps its sign; None if no value beyond it has the same sign.
     """
 
     parameter: str
+    title: str
     unit: str
     side: str
     bound: int | float
@@ -46,9 +47,10 @@ class AtBound:
     def sentence(self) -> str:
         """What is to know, in a sentence."""
         value = f"{shown(self.bound)} {self.unit}".rstrip()
-        text = f"{self.parameter} is at its {self.side} bound {value}"
+        text = f"{self.title} is at its {self.side} bound {value}"
         if self.wider is None:
-            return f"{text}, where its sign changes."
+            why = "the least of its scale" if self.bound else "where its sign changes"
+            return f"{text}, {why}."
         return f"{text}; wider bounds may give a better result."
 
 
@@ -81,7 +83,7 @@ def _at_bound(item: Parameter, side: str) -> AtBound:
     wider = None
     if moved != bound:
         wider = (lower, moved) if side == UPPER else (moved, upper)
-    return AtBound(item.name, item.unit, side, bound, (lower, upper), wider)
+    return AtBound(item.name, item.title_and_name, item.unit, side, bound, (lower, upper), wider)
 
 
 def _moved(item: Parameter, bound: int | float, other: int | float) -> int | float:
@@ -108,4 +110,7 @@ def _on_steps(item: Parameter, bound: int | float, new: int | float) -> int | fl
     """Return a bound in whole steps from the present one."""
     step = item.step or 1
     moved = bound + round((new - bound) / step) * step
+    if item.scale == LOG and moved <= 0.0:
+        # Rounding must not leave the scale.
+        moved += step
     return int(moved) if item.is_integer else float(f"{moved:.12g}")

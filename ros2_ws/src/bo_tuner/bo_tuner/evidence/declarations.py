@@ -36,8 +36,9 @@ def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[st
         if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):
             key = f"metrics.{name}" if study.metrics[name].scale == LOG else "objective"
             yield (
-                f"{counted(count, 'run')} failed as {name} was 0 or negative, which has no "
-                f"logarithm ({key}.scale: log); if such a value is sound, leave the scale out."
+                f"{counted(count, 'run')} failed as {study.metrics[name].title} was 0 or "
+                f"negative, which has no logarithm ({key}.scale: log); if such a value is sound, "
+                "leave the scale out."
             )
 
 
@@ -60,9 +61,9 @@ def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[s
             values = np.array([metrics[metric] for metrics in complete if metric in metrics])
             if change := _change(values, level):
                 yield (
-                    f"{metric} drifts: of {len(values)} test runs of the {name} parameter set, "
-                    f"later ones are {change}. Every interval takes runs for alike: find what "
-                    "changes on the machine meanwhile, and validate again."
+                    f"{study.metrics[metric].title} drifts: of {len(values)} test runs of the "
+                    f"{name} parameter set, later ones are {change}. Every interval takes runs for "
+                    "alike: find what changes on the machine meanwhile, and validate again."
                 )
 
 

@@ -11,9 +11,15 @@ NAMED = 3
 """Largest number of metrics that are named beside a parameter; the summary has all."""
 
 
-def not_seen(item: ParameterEffects) -> str:
+def not_seen(study: Study, item: ParameterEffects) -> str:
     """Return what to know of a parameter that was not seen to move any metric."""
-    return f"{item.parameter} was not seen to move any metric ({_visible(item.effects)})"
+    title = study.parameters[item.parameter].title_and_name
+    return f"{title} was not seen to move any metric ({_visible(study, item.effects)})"
+
+
+def title_of(study: Study, effect: Effect) -> str:
+    """Return what screens call that which moves: a metric, or the share of failures."""
+    return effect.metric if effect.metric == FAILURES else study.metrics[effect.metric].title
 
 
 def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tuple[str, ...]:
@@ -26,9 +32,13 @@ def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tu
     parameters
         Its parameters; there is nothing to say of those that move one.
     """
-    sentences = [f"{not_seen(item)}." for item in parameters if item.unseen]
+    sentences = [f"{not_seen(study, item)}." for item in parameters if item.unseen]
     sentences += proposals(study, [item.parameter for item in parameters if item.unseen])
-    if open_ := [item.parameter for item in parameters if not item.seen and not item.conclusive]:
+    if open_ := [
+        study.parameters[item.parameter].title
+        for item in parameters
+        if not item.seen and not item.conclusive
+    ]:
         verb = "moves" if len(open_) == 1 else "move"
         sentences.append(f"The trials are too few to tell whether {listed(open_)} {verb} a metric.")
     return tuple(sentences)
@@ -46,7 +56,7 @@ def file_notes(study: Study, parameters: Iterable[ParameterEffects]) -> tuple[st
     """Return what a file of parameters is to say of its values, a line each."""
     return tuple(
         f"{item.parameter} of {study.nodes[study.parameters[item.parameter].node].node}: not seen "
-        f"to move any metric ({_visible(item.effects)})"
+        f"to move any metric ({_visible(study, item.effects)})"
         for item in parameters
         if item.unseen
     )
@@ -59,15 +69,17 @@ def amount(size: float, effect: Effect) -> str:
     return f"{shown(size)} {effect.unit}".rstrip()
 
 
-def _visible(effects: Sequence[Effect]) -> str:
+def _visible(study: Study, effects: Sequence[Effect]) -> str:
     """Return which effects would have been seen."""
     metrics = [e for e in effects if e.metric != FAILURES and not isinf(e.visible)]
     noisy = [
-        f"above {amount(float(f'{e.visible:.2g}'), e)} on {e.metric}" for e in metrics if e.visible
+        f"above {amount(float(f'{e.visible:.2g}'), e)} on {title_of(study, e)}"
+        for e in metrics
+        if e.visible
     ]
     if noisy:
         return f"an effect {listed(noisy[:NAMED])} would have been seen"
-    exact = [e.metric for e in metrics]
+    exact = [title_of(study, e) for e in metrics]
     return f"any effect on {listed(exact[:NAMED])} would have been seen"
 
 

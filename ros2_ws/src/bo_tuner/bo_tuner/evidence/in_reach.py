@@ -72,7 +72,7 @@ def _of_limit(study: Study, constraint: Constraint, trial: Trial, value: float) 
         f"is {number} (trial {trial.number}), the limit is {limit}."
     ]
     if bounds := at_bounds(study, trial.parameters):
-        names = " and ".join(f"the {b.side} bound of {b.parameter}" for b in bounds)
+        names = " and ".join(f"the {b.side} bound of {b.title}" for b in bounds)
         sentences.append(f"That trial is at {names}: widen the range first.")
     elif not constraint.violations(value):
         sentences.append(

@@ -19,7 +19,7 @@ class LimitVerdict:
     Attributes
     ----------
     standing
-        Whether it is shown to be kept, open, or violated.
+        Whether it is proven to be kept, open, or violated.
     runs, violations
         Number of test runs, and of those beyond the limit.
     permitted
@@ -73,14 +73,14 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
     if unsearched and sample.violations and sample.agrees and everywhere:
         standing = Standing.VIOLATED
         evidence += " (no search was made for its worst context)"
-        words = f"NOT shown to be kept: {evidence}"
+        words = f"NOT proven to be kept: {evidence}"
     elif not sample.count:
-        words = f"NOT shown to be kept: {evidence}"
+        words = f"NOT proven to be kept: {evidence}"
     elif not sample.agrees:
         words = f"NOT kept: {evidence}"
     elif standing is Standing.SHOWN:
         confidence = f"{100.0 * study.certificate.confidence:g} % confidence"
-        words = f"shown to be kept {how_often}: {evidence} ({confidence})"
+        words = f"proven to be kept {how_often}: {evidence} ({confidence})"
     elif sample.permitted is not None and sample.violations > sample.permitted:
         words = evidence = f"{evidence}, which may be chance"
     return LimitVerdict(
@@ -106,7 +106,7 @@ def by_certificate(
         constraint.rule.permitted(draws),
         how_often,
         "",
-        f"{'' if passed else 'NOT '}shown to be kept {how_often}",
+        f"{'' if passed else 'NOT '}proven to be kept {how_often}",
     )
 
 

@@ -15,11 +15,18 @@ class Step:
     command: str
     purpose: str
 
+    @property
+    def name(self) -> str:
+        """The command by its name, with an option that says which of its uses it is."""
+        first, second, *_ = (*self.command.split(), "")
+        return f"{first} {second}" if second.startswith("--") else first
+
 
 def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     """Return the commands that come next, the most useful one first.
 
-    Wider bounds, where the result is at one, are a further run, and come last.
+    Wider bounds, where the result is at one, are a further run, and come last, unless nothing was
+    found feasible: then the range is what to change first.
 
     Parameters
     ----------
@@ -35,7 +42,22 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         return () if verdict.feasible else (search,)
     options = wider_options(verdict.at_bounds)
     wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
-    return (*_by_state(verdict, where), *((wider,) if options else ()))
+    steps = _by_state(verdict, where)
+    if not options:
+        return steps
+    return (wider, *steps) if verdict.state is State.INFEASIBLE else (*steps, wider)
+
+
+def to_use(run: str, trial: int) -> tuple[Step, ...]:
+    """Return the commands that put another trial than the result of a run to use, in order."""
+    where = shlex.quote(run)
+    return (
+        Step(f"validate {where} --trial {trial}", "certify it: PASS or FAIL"),
+        Step(
+            f"apply {where} --trial {trial}",
+            "then show the difference, ask, set it on the live nodes",
+        ),
+    )
 
 
 def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
@@ -44,14 +66,14 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     replayed = "" if verdict.is_result else f" {verdict.trial}"
     report = Step(f"report {where}", "write the report again")
     again = Step(f"tune --resume {where}", "continue the run")
-    more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    more = _more(verdict, where)
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
     both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
     others = Step(
         f"validate {where}{trial} --until-pass 3",
         "certify it again, and after a FAIL the next best candidates",
     )
-    replay = Step(f"replay {where}{replayed}", "repeat its worst evaluation and compare")
+    replay = Step(f"replay {where}{replayed}", "repeat its worst test run and compare")
     apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
     match verdict.state:
@@ -75,3 +97,18 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
             return (apply, rollback, replay)
         case State.REFUSED:
             return (others, more, replay)
+
+
+def _more(verdict: Verdict, where: str) -> Step:
+    """Return how to search on: a search that stands still would do so again when resumed."""
+    if not verdict.standstill:
+        return Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    if verdict.trial is None:
+        return Step(
+            f"tune --from {where} --start FILE",
+            "begin with values that keep all limits, in a new run",
+        )
+    return Step(
+        f"tune --from {where} --study FILE",
+        "go on in a new run, by a study with what would help",
+    )

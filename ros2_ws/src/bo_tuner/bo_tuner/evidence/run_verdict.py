@@ -83,7 +83,8 @@ def _latest(record: RunRecord) -> Verdict:
         return open_verdict(record.study, record.trials, standstill)
     if standstill:
         remark = f"The search ended after {counted(len(record.trials), 'trial')}: {standstill}."
-        by_validation = replace(by_validation, remarks=(*by_validation.remarks, remark))
+        remarks = (*by_validation.remarks, remark)
+        by_validation = replace(by_validation, remarks=remarks, standstill=True)
     try:
         path = latest_certificate(record, trial)
         return by_validation if path is None else _certified(record, trial, path, by_validation)
@@ -235,6 +236,7 @@ def _certified(
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
+        standstill=by_validation is not None and by_validation.standstill,
     )
 
 

@@ -27,7 +27,7 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.validation import Validation
 
-FAILURES = "failed evaluations"
+FAILURES = "failed test runs"
 """Stands for them where problems have the names of constraints, which have no space."""
 
 
@@ -43,14 +43,15 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
     """
     if standstill and not kept_by(study, trials):
         reasons = (f"{standstill[0].upper()}{standstill[1:]}",)
-        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
+        return Verdict(
+            state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons, standstill=True
+        )
     done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
-    failed = sum(trial.state is TrialState.FAILED for trial in trials)
-    if spent and failed == len(trials):
+    if spent and all(trial.state is not TrialState.COMPLETE for trial in trials):
         why = {trial.reason for trial in trials}
         common = f": {why.pop()}" if len(why) == 1 else ""
-        reasons = (f"All {failed} trials failed{common}",)
+        reasons = (f"All {len(trials)} trials failed{common}",)
         return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
     evidence = f"{done} of {planned} trials"
     if spent:
@@ -248,7 +249,7 @@ def _choice(study: Study) -> str:
     """Return how the result was chosen among those of several objectives; empty for one."""
     if len(study.objectives) == 1:
         return ""
-    names = [objective.metric for objective in study.objectives]
+    names = [study.metrics[objective.metric].title for objective in study.objectives]
     return (
         f"Of the trade-offs between {', '.join(names[:-1])} and {names[-1]}, the tuned parameter "
         f"set is {RULE}. For another point of the front use validate and then apply with --trial N."
@@ -282,5 +283,5 @@ def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
     metrics = [study.metrics[study.constraints[sample.name].metric] for sample in samples]
     if all(sample.agrees for sample in samples) or not all(m.measures_time for m in metrics):
         return ()
-    names = ", ".join(metric.name for metric in metrics)
+    names = ", ".join(metric.title for metric in metrics)
     return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)

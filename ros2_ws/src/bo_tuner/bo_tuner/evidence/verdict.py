@@ -188,6 +188,8 @@ class Verdict:
         What is to know of those that were not seen to move any metric, in sentences.
     advice
         What is in reach where nothing was found feasible, and what to change, in sentences.
+    standstill
+        Whether the search ended as it could not go on; resumed, it would end there again.
     """
 
     state: State
@@ -211,6 +213,7 @@ class Verdict:
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    standstill: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -333,7 +336,10 @@ class Verdict:
             return "proven to stay within all limits"
         text = _standing_in_words(self._tuned_limits)
         over = sum(limit.violations for limit in self._default_limits.values())
-        beside = f" (default: {over})" if over and not self.is_default else ""
+        # Several limits may be broken in a run.
+        runs = max((limit.runs for limit in self._default_limits.values()), default=0)
+        times = f"{over} times" if over > runs else f"{over}"
+        beside = f" (default: {times})" if over and not self.is_default else ""
         return f"{text[:1].lower()}{text[1:]}{beside}"
 
     @property
@@ -372,8 +378,8 @@ class Verdict:
         numbers = ", ".join(map(str, self.outliers))
         return [
             f"Trial{'' if one else 's'} {numbers} broke no limit, but {'is' if one else 'are'} "
-            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
-            f"therefore not {'a candidate' if one else 'candidates'}.",
+            "far off from all others in the objective, and therefore not "
+            f"{'a candidate' if one else 'candidates'}.",
             do_not_use,
         ]
 
@@ -389,9 +395,9 @@ class Verdict:
         """What the same evidence says of the default."""
         if self.default_reasons is None:
             if not self.default_lost:
-                return "The default was not evaluated."
+                return "The default was not run."
             runs = counted(self.default_lost, "test run")
-            return f"The default was not evaluated in full: {runs} lost or disturbed by others."
+            return f"The default was not run in full: {runs} lost or disturbed by others."
         if self.default_reasons:
             reasons = "; ".join(self.default_reasons)
             return f"The default is not proven to stay within all limits: {reasons}."
@@ -501,7 +507,7 @@ def _standing_in_words(limits: Mapping[str, LimitVerdict]) -> str:
         return "No limits to keep"
     if _all_shown(limits):
         asked = "; ".join(f"{name} {limit.asked}" for name, limit in limits.items())
-        return f"Shown to be kept: {asked}"
+        return f"Proven to be kept: {asked}"
     beyond = [f"{name}: {limit.words}" for name, limit in limits.items() if limit.violations]
     runs = max(limit.runs for limit in limits.values())
     return "; ".join(beyond) or f"No limit broken in {counted(runs, 'test run')}"

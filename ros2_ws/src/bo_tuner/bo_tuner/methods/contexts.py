@@ -70,7 +70,7 @@ class NominalContext:
         for name in moved:
             before, after = (s.contexts[name].distribution.nominal for s in (then, now))
             if before != after:
-                return other_distribution(name, "evaluates the nominal context")
+                return other_distribution(name, "runs the nominal context")
         return ""
 
 

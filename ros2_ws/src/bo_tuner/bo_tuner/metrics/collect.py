@@ -12,6 +12,8 @@ from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
 
 STATUS_OK = "ok"
+STATUS_CUT_SHORT = "cut short"
+"""Status of a run that an object has ended early, as it was asked to."""
 LARGEST_METRIC = maxima.MAGNITUDE
 """Largest magnitude of a metric; beyond, a run has diverged, and nothing was measured."""
 
@@ -112,6 +114,49 @@ class Collector:
                 if not _agrees(value, pairs[name]):
                     return f"{node}: ran with parameter {name} {pairs[name]}, expected {value}"
         return ""
+
+
+def cut_short(
+    study: Study,
+    beyond: Mapping[str, float],
+    seconds: float,
+    so_far: Mapping[str, object],
+    details: Mapping[str, str],
+) -> Outcome:
+    """Return the outcome of a run that was ended early, since it was decided.
+
+    Parameters
+    ----------
+    study
+        The study.
+    beyond
+        By metric the value beyond which a run is decided, in its unit.
+    seconds
+        Time of the run [s] at which it was ended.
+    so_far
+        The metrics that only grow, by name, as they were by then.
+    details
+        Further values that the nodes reported, as text.
+
+    Returns
+    -------
+    Outcome
+        Failed if a value is none, or nothing was decided.
+    """
+    known: dict[str, float] = {}
+    for name, value in so_far.items():
+        if problem := metric_problem(value):
+            return Outcome(EvaluationState.FAILED, {}, f"metric {name} is {problem}", details)
+        known[name] = float(value)  # type: ignore[arg-type]
+    decided = [name for name, most in beyond.items() if known.get(name, most) > most]
+    if not decided:
+        reason = f"ended early after {seconds:.3g} s, but no metric was beyond its bound"
+        return Outcome(EvaluationState.FAILED, {}, reason, details)
+    words = (
+        f"{study.metrics[name].title} at least {known[name]:.3g} {study.metrics[name].unit}".strip()
+        for name in decided
+    )
+    return Outcome.cut_short(seconds, known, ", ".join(words), details)
 
 
 def judged(study: Study, outcome: Outcome) -> Outcome:

@@ -20,6 +20,23 @@ class FailedRunError(Exception):
     """A run does not count, for the reason in one line."""
 
 
+class CutShortError(FailedRunError):
+    """A run was ended early, since its outcome is decided.
+
+    Parameters
+    ----------
+    seconds
+        Time of the run [s].
+    so_far
+        By name the metrics that only grow, as they are by then.
+    """
+
+    def __init__(self, seconds: float, so_far: Mapping[str, float]) -> None:
+        super().__init__(f"cut short after {seconds:.3g} s")
+        self.seconds = seconds
+        self.so_far = so_far
+
+
 @dataclass(frozen=True)
 class Recorded:
     """When the messages of a signal came.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.censoring import Censored
 from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.protocol import Fitted
 from bo_tuner.numerics.arrays import Array
@@ -99,6 +100,7 @@ class ContextProcesses(Protocol):
         minimum_length_scales: Array | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        censored: Censored | None = None,
     ) -> ContextProcess:
         """Fit to responses y (N,) of the parameter sets x (N, d) in contexts c (N, e).
 
@@ -118,9 +120,18 @@ class ContextProcesses(Protocol):
             `warm_start` of an earlier fit.
         keep
             Whether `start` is good enough as it is, since little is new since that fit.
+        censored
+            Further observations, of which lower bounds are known.
         """
 
     def condition(
-        self, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
+        self,
+        hyperparameters: Sequence[float],
+        x: Array,
+        c: Array,
+        y: Array,
+        *,
+        coding: Coding,
+        censored: Censored | None = None,
     ) -> ContextProcess:
         """Condition on observations with the `warm_start` of an earlier fit."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding, coded, coded_fit
+from bo_tuner.models.censoring import Censored
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
-from bo_tuner.models.observations import joint_observations
+from bo_tuner.models.observations import censored_observations, joint_observations
 from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
@@ -127,9 +128,18 @@ class Fitting:
         return model
 
     def process(
-        self, processes: ContextProcesses, name: str, x: Array, c: Array, y: Array
+        self,
+        processes: ContextProcesses,
+        name: str,
+        x: Array,
+        c: Array,
+        y: Array,
+        censored: Censored | None = None,
     ) -> ContextProcess:
-        """Fit the process of a response y (N,) of parameter sets x (N, d) in contexts c (N, e)."""
+        """Fit the process of a response y (N,) of parameter sets x (N, d) in contexts c (N, e).
+
+        Of `censored` ones a lower bound is known.
+        """
         process = processes.fit(
             x,
             c,
@@ -139,6 +149,7 @@ class Fitting:
             minimum_length_scales=self.minimum,
             start=self._start.get(name),
             keep=self._keep,
+            censored=censored,
         )
         self.models[name] = process
         return process
@@ -184,6 +195,11 @@ class Fitting:
         """Return what `observations.joint_observations` does."""
         contexts = self.study.context_space()
         return joint_observations(self.points(trials), contexts, trials, metric)
+
+    def censored_observations(self, trials: Sequence[Trial], metric: str) -> Censored:
+        """Return what `observations.censored_observations` does."""
+        contexts = self.study.context_space()
+        return censored_observations(self.points(trials), contexts, trials, metric)
 
     def points(self, trials: Sequence[Trial]) -> Array:
         """Return the parameter sets (n, d) of trials in the unit cube."""

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bo_tuner.models.censoring import Censored
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
@@ -28,6 +29,26 @@ def joint_observations(
         np.array([point for point, _ in complete]).reshape(-1, points.shape[1]),
         contexts.cube_of([evaluation.context for _, evaluation in complete]),
         np.array([evaluation.outcome.metrics[metric] for _, evaluation in complete]),
+    )
+
+
+def censored_observations(
+    points: Array, contexts: ContextSpace, trials: Sequence[Trial], metric: str
+) -> Censored:
+    """Return the lower bounds of a metric, in its unit, of all evaluations that were cut short.
+
+    The `points` (n, d) are the parameter sets of the n trials, in the unit cube.
+    """
+    cut = [
+        (point, evaluation)
+        for trial, point in zip(trials, points, strict=True)
+        for evaluation in trial.evaluations
+        if metric in evaluation.outcome.at_least
+    ]
+    return Censored(
+        np.array([point for point, _ in cut]).reshape(-1, points.shape[1]),
+        contexts.cube_of([evaluation.context for _, evaluation in cut]),
+        np.array([evaluation.outcome.at_least[metric] for _, evaluation in cut]),
     )
 
 

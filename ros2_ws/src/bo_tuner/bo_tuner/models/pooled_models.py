@@ -1,10 +1,11 @@
 """Models of all evaluations, pooled in processes over parameter set and context.
 
 One process for each objective and one for each limited metric, with local noise. Evaluations of a
-trial that failed are data as far as they are complete, and not to fail is one more limit. Measured
-contexts are further columns beside the contexts. An expectation or a probability is one over them,
-too; a worst case is one over the contexts alone, of the mean over what was measured. Whether runs
-fail is learnt without them, since a run that fails has not measured any.
+trial that failed are data as far as they are complete, and not to fail is one more limit. Of a run
+that was cut short, lower bounds are data (`bo_tuner.models.censoring`). Measured contexts are
+further columns beside the contexts. An expectation or a probability is one over them, too; a
+worst case is one over the contexts alone, of the mean over what was measured. Whether runs fail is
+learnt without them, since a run that fails has not measured any.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -163,8 +164,13 @@ class PooledModels:
         costs: dict[str, ExpectedObjective] = {}
         for objective in study.objectives if several else (study.objective,):
             x, c, y = _observations(fitting, trials, covariates, objective.metric)
+            censored = None
+            if objective.sign > 0.0:
+                # Of what is maximized a lower bound is one that the cost stays below.
+                known = fitting.censored_observations(trials, objective.metric)
+                censored = known.on_scale(objective.to_cost)
             name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
-            process = fitting.process(self.processes, name, x, c, objective.to_cost(y))
+            process = fitting.process(self.processes, name, x, c, objective.to_cost(y), censored)
             costs[objective.metric] = ExpectedObjective(process, over, objective)
         return costs
 
@@ -179,6 +185,8 @@ class PooledModels:
     def _crashes(self, fitting: Fitting, trials: Sequence[Trial]) -> CrashModel:
         """Return the probability that a run fails, as a constraint."""
         contexts = fitting.study.context_space()
+        # Nobody knows whether a run that was cut short would have failed.
+        trials = [trial for trial in trials if trial.state is not TrialState.CUT_SHORT]
         runs = [
             (point, evaluation)
             for trial, point in zip(trials, fitting.points(trials), strict=True)
@@ -232,7 +240,10 @@ class _Responses:
         x, c, y = _observations(self.fitting, self.trials, self.covariates, limited.metric)
         rule = self.models.of_metric(self.fitting.study, limited.metric).scale
         scale, processes = rule(y, limited.limit, limited.sign), self.models.processes
-        return self.fitting.process(processes, limited.name, x, c, scale.apply(y)), scale
+        censored = self.fitting.censored_observations(self.trials, limited.metric)
+        censored = censored.on_scale(scale.apply)
+        process = self.fitting.process(processes, limited.name, x, c, scale.apply(y), censored)
+        return process, scale
 
 
 def _scalarized(

@@ -13,6 +13,9 @@ divided by its expectation, are averaged with a kernel around a place (Fan and Y
 is that of the local noise variance to the common one, and the process is conditioned once more with
 the local variances (one step of Kersting and others 2007).
 
+Of a censored observation a lower bound is known (`bo_tuner.models.censoring`). It informs the
+posterior; hyperparameters and noise are those of the others.
+
 The mean over values of the last context columns, which nobody knows ahead, is a process of the same
 form: as the kernel is a product, its factor of these columns is replaced by the mean of it.
 
@@ -39,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.censoring import Censored, normal_factors
 from bo_tuner.models.conditioning import Posterior, Prior, choose_basis
 from bo_tuner.models.context_reduction import ContextReduction
 from bo_tuner.models.gaussian_process import GaussianProcess
@@ -70,6 +74,9 @@ FITTED = 500
 The time of a likelihood grows with the cube of that number, and with more of them it hardly
 changes.
 """
+
+LEAST_VARIANCE = 1e-10
+"""Least posterior variance at a censored observation, in standardized units: rounding is less."""
 
 BLOCK = 1000
 """Number of points at which noise is estimated at a time."""
@@ -129,7 +136,8 @@ class PooledProcess:
         Sum of squares of each point's observations, in common noise variances, and its degrees of
         freedom.
     posterior : Posterior
-        Of the standardized response, with the local noise.
+        Of the standardized response, with the local noise; its points are those of the data, and
+        then those of censored observations.
     width : float
         Of the kernel around a place where noise is estimated, see `PooledProcesses`.
     warnings : tuple of str
@@ -165,6 +173,7 @@ class PooledProcess:
         minimum_length_scales: Array | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        censored: Censored | None = None,
         width: float = WIDTH,
         restarted: int = RESTARTED,
     ) -> Self:
@@ -184,12 +193,14 @@ class PooledProcess:
             As `GaussianProcess.fit`.
         minimum_length_scales : ndarray, shape (d,), optional
             Lower bounds of the parameters' length scales.
+        censored
+            Further observations.
         width, restarted
             Of the kernel around a place, and most observations with which a fit starts anew; see
             `WIDTH` and `RESTARTED`.
         """
         if keep and start is not None:
-            return cls.condition(start, x, c, y, coding=coding, width=width)
+            return cls.condition(start, x, c, y, coding=coding, censored=censored, width=width)
         minimum = None
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
@@ -212,6 +223,7 @@ class PooledProcess:
             coding,
             c,
             width,
+            censored,
             process.warnings,
         )
 
@@ -224,6 +236,7 @@ class PooledProcess:
         y: Array,
         *,
         coding: Coding,
+        censored: Censored | None = None,
         width: float = WIDTH,
     ) -> Self:
         """Condition on data with given hyperparameters, a `warm_start` of an earlier fit."""
@@ -235,6 +248,7 @@ class PooledProcess:
             coding,
             c,
             width,
+            censored,
         )
 
     @classmethod
@@ -247,6 +261,7 @@ class PooledProcess:
         coding: Coding,
         c: Array,
         width: float,
+        censored: Censored | None = None,
         warnings: tuple[str, ...] = (),
     ) -> Self:
         standardized = standardization.apply(y)
@@ -262,7 +277,14 @@ class PooledProcess:
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
         local = _local_ratio(data.x, data.x, columns, squares, degrees, width)
-        posterior = prior.condition(data.mean, error * local)
+        error = error * local
+        if censored is None or not len(censored):
+            posterior = prior.condition(data.mean, error)
+        else:
+            places = np.hstack([coding.encode(censored.x), censored.c])
+            noise = common * _local_ratio(places, data.x, columns, squares, degrees, width)
+            bounds = standardization.apply(censored.bounds)
+            posterior = _with_censored(hyperparameters, data, error, places, bounds, noise)
         return cls(
             hyperparameters,
             standardization,
@@ -386,9 +408,9 @@ class PooledProcess:
     def _shape(self) -> NoiseShape:
         # Each of r observations at a point has the variance σ² (1 - h / r) about the posterior
         # mean, with h the leverage of their mean.
-        own, index = self.posterior, self.data.index
-        left = np.clip(1.0 - own.leverages / self.data.count, 0.0, 1.0)[index]
-        deviation = np.sqrt(own.variances * self.data.count)[index]
+        own, index, whole = self.posterior, self.data.index, len(self.data.x)
+        left = np.clip(1.0 - own.leverages[:whole] / self.data.count, 0.0, 1.0)[index]
+        deviation = np.sqrt(own.variances[:whole] * self.data.count)[index]
         residuals = (self.apart + own.residuals[index]) / deviation
         least = np.finfo(np.float64).eps
         return NoiseShape.of(residuals / np.sqrt(np.maximum(left, least)), left)
@@ -538,6 +560,7 @@ class PooledProcesses:
         minimum_length_scales: Array | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        censored: Censored | None = None,
     ) -> PooledProcess:
         """Fit a process, see `PooledProcess.fit`."""
         return PooledProcess.fit(
@@ -550,15 +573,61 @@ class PooledProcesses:
             minimum_length_scales=minimum_length_scales,
             start=start,
             keep=keep,
+            censored=censored,
             width=self.width,
             restarted=self.restarted,
         )
 
     def condition(
-        self, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
+        self,
+        hyperparameters: Sequence[float],
+        x: Array,
+        c: Array,
+        y: Array,
+        *,
+        coding: Coding,
+        censored: Censored | None = None,
     ) -> PooledProcess:
         """Condition a process on data, see `PooledProcess.condition`."""
-        return PooledProcess.condition(hyperparameters, x, c, y, coding=coding, width=self.width)
+        return PooledProcess.condition(
+            hyperparameters, x, c, y, coding=coding, censored=censored, width=self.width
+        )
+
+
+def _with_censored(
+    hyperparameters: Hyperparameters,
+    data: Replicates,
+    error: Array,
+    places: Array,
+    bounds: Array,
+    noise: Array,
+) -> Posterior:
+    """Return the posterior by data with the errors (n,) and by censored observations.
+
+    Parameters
+    ----------
+    hyperparameters, data, error
+        Of the data.
+    places : ndarray, shape (k, d + e)
+        Where the others are.
+    bounds, noise : ndarray, shape (k,)
+        Their lower bounds and noise variances, in standardized units.
+    """
+    points, whole = np.vstack([data.x, places]), len(data.x)
+    errors = np.concatenate([error, noise])
+    prior = Prior(hyperparameters, points, choose_basis(hyperparameters, points, errors))
+
+    def conditioned(means: Array, variances: Array) -> Posterior:
+        return prior.condition(
+            np.concatenate([data.mean, means]), np.concatenate([error, variances])
+        )
+
+    def marginals(means: Array, variances: Array) -> tuple[Array, Array]:
+        posterior = conditioned(means, variances)
+        variance = variances * posterior.leverages[whole:]
+        return means - posterior.residuals[whole:], np.maximum(variance, LEAST_VARIANCE)
+
+    return conditioned(*normal_factors(marginals, bounds, noise))
 
 
 def _local_ratio(

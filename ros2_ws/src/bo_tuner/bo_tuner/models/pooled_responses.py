@@ -163,6 +163,13 @@ class PooledResponse(LimitedResponse):
         mean, low, high = map(self.scale.restore, super().band(x, deviations))
         return mean, low, high
 
+    @abstractmethod
+    def deviation_of_run(self, x: Array) -> Array:
+        """Return the standard deviation (m,) of one run of x (m, d), on the scale of the process.
+
+        It is that of its noise, and where the limit is one over contexts also of their draw.
+        """
+
     def doubtful_context(self, x: Array) -> tuple[Array | None, float]:
         """Return where runs of x (1, d) show most clearly whether the limit is kept.
 
@@ -249,6 +256,11 @@ class EveryContext(PooledResponse):
         """Return the most doubtful context (e,) of x (1, d), and the log probability there."""
         rows, log_probability = self.most_doubtful(x)
         return self.contexts[rows[0]], float(log_probability[0])
+
+    def deviation_of_run(self, x: Array) -> Array:
+        """Return the standard deviation (m,) of the noise in the context where it is largest."""
+        largest: Array = self.process.noise_everywhere(x, self.contexts)[0].max(axis=1)
+        return np.sqrt(largest)
 
     def log_kept_in(self, x: Array, contexts: Array) -> Array:
         """Return the log probability (k,) that the limit is kept by x (1, d) in contexts (k, e)."""
@@ -376,6 +388,12 @@ class OverContexts(PooledResponse):
         margin = (weights * standardized * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
         of_runs = mean.var(axis=1) + noise.mean(axis=1)
         return self.sign * quantile, variance + margin**2, _variance_of_quantile(of_runs, z)
+
+    def deviation_of_run(self, x: Array) -> Array:
+        """Return the standard deviation (m,) of a run in a drawn context."""
+        mean, noise, _, _ = self._everywhere(x)
+        deviation: Array = np.sqrt(mean.var(axis=1) + noise.mean(axis=1))
+        return deviation
 
     def predict_mean(self, x: Array) -> Array:
         """Return the limited quantile (m,) at x (m, d) in the metric's unit."""

@@ -53,7 +53,7 @@ class CertificateProgress(RunObserver):
             self._progress.remove_task(task)
         self._progress.add_task(phase, total=total, left=self._time_left())
         if self._progress.disable:
-            most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
+            most = f"at most {total}" if phase == DRAWS else f"up to about {total} test runs"
             self._print(f"{phase}: {most}")
 
     def advance(self) -> None:

@@ -47,7 +47,7 @@ class RunControl:
     def pause(self, wait: bool) -> str:
         """Ask the run to wait, or to go on."""
         self._gate.requests.request(wait)
-        return "the run pauses after the present evaluation" if wait else "the run continues"
+        return "the run pauses after the present test run" if wait else "the run continues"
 
     def finish(self) -> str:
         """Ask for the end of the trials, so that the best so far becomes the result."""

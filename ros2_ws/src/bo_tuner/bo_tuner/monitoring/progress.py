@@ -247,19 +247,21 @@ def _pair(title: str, value: Value) -> str:
 
 
 def describe(trial: Trial, study: Study) -> str:
-    """Describe a trial in a line: tuned parameters, and its values or why it failed.
+    """Describe a trial in a line: tuned parameters, and its values or why it has none.
 
     What belongs together is joined by `JOIN` instead of a space.
     """
     tuned = [item for item in study.parameters.values() if item.is_tuned]
     where = "  ".join(_pair(item.title, trial.parameters[item.name]) for item in tuned)
-    if trial.state is TrialState.FAILED:
+    if trial.state is not TrialState.COMPLETE:
         evaluation = trial.evaluations[-1]
         context = ", ".join(
             f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {shown(value)}"
             for name, value in evaluation.context.items()
         )
         conditions = f"context {context or 'none'}; seed {evaluation.seed}"
+        if trial.state is TrialState.CUT_SHORT:
+            return f"{where}  {trial.reason} ({conditions})"
         return f"{where}  {trial.ending.upper()}: {trial.reason} ({conditions})"
     mean, title = trial.mean(study.objective.metric), study.metrics[study.objective.metric].title
     text = f"{where}  {trial.origin if mean is None else _pair(title, mean)}"

@@ -172,6 +172,20 @@ class RunStatus(RunObserver):
         """Time [s] that the result takes at least, see `TimeLeft.to_finish`."""
         return self._times.to_finish()
 
+    @property
+    def trial_seconds(self) -> float | None:
+        """Time [s] of the latest trials, on average; None before the first."""
+        return self._times.of_trial()
+
+    def expect_certificate(self, evaluations: int) -> None:
+        """Set how many evaluations a certificate takes that follows the result."""
+        self._times.expect_certificate(evaluations)
+
+    @property
+    def certificate_seconds(self) -> float:
+        """Time [s] that they take; 0 before the first trial."""
+        return self._times.of_certificate()
+
     def conclude(self, verdict: Verdict) -> None:
         """Set the verdict on the result."""
         self._update(verdict=verdict)

@@ -45,6 +45,7 @@ class TimeLeft:
         # All trials, and what counts for the budget.
         self._made = self._trials = self._evaluations = 0
         self._finish: int | None = None
+        self._certificate = 0
         # Evaluations of a trial, their time, and that of the whole trial [s].
         self._lately: deque[tuple[int, float, float]] = deque(maxlen=LATELY)
         # Beside its own time, from one evaluation to the next [s]; also proposals, and the record.
@@ -85,6 +86,10 @@ class TimeLeft:
         self._take(trial, now - self._trial_began)
         self._trial_began = self._latest = now
 
+    def expect_certificate(self, evaluations: int) -> None:
+        """Note that a certificate follows the result, and how many evaluations it takes."""
+        self._certificate = evaluations
+
     def finish(self, trials: int) -> None:
         """Note that the run is to end its trials after so many."""
         self._finish = trials
@@ -96,11 +101,23 @@ class TimeLeft:
         self._trial_began, self._latest = now - self._trial_began, now - self._latest
 
     def estimate(self) -> float | None:
-        """Return the time [s] until the result is there; None before the first trial."""
+        """Return the time [s] until the result, or the certificate of it, is there.
+
+        None before the first trial.
+        """
         left = self._study.budget.remaining(self._trials, self._evaluations)
         if self._finish is not None:
             left = min(left, max(0, self._finish - self._made))
-        return self._until_result(left)
+        seconds = self._until_result(left)
+        return None if seconds is None else seconds + self.of_certificate()
+
+    def of_certificate(self) -> float:
+        """Return the time [s] that the certificate takes; 0 before the first trial."""
+        return self._certificate * self._each() / self._workers if self._lately else 0.0
+
+    def of_trial(self) -> float | None:
+        """Return the time [s] of the latest trials, on average; None before the first."""
+        return fmean(seconds for _, _, seconds in self._lately) if self._lately else None
 
     def to_finish(self) -> float | None:
         """Return the time [s] that the result takes at least; None before the first trial.
@@ -125,11 +142,8 @@ class TimeLeft:
         if not self._lately:
             return None
         count = sum(evaluations for evaluations, _, _ in self._lately)
-        evaluating = sum(seconds for _, seconds, _ in self._lately)
         total = sum(seconds for _, _, seconds in self._lately)
-        each, validating = evaluating / count, 2 * self._study.budget.validation_draws
-        # Nothing is computed between evaluations of the validation, but they are recorded.
-        each += min(self._beside, default=0.0)
+        each, validating = self._each(), 2 * self._study.budget.validation_draws
         if self._phase == Phase.VALIDATION:
             return max(0, validating - self._done) * self._lately_step(each)
         trials = 0.0
@@ -144,6 +158,13 @@ class TimeLeft:
             + runs_left * self._lately_step(total / count)
             + validating * each / self._workers
         )
+
+    def _each(self) -> float:
+        """Return the time [s] of an evaluation that nothing is computed for."""
+        count = sum(evaluations for evaluations, _, _ in self._lately)
+        evaluating = sum(seconds for _, seconds, _ in self._lately)
+        # Nothing is computed between evaluations of the validation, but they are recorded.
+        return evaluating / count + min(self._beside, default=0.0)
 
     def _lately_step(self, otherwise: float) -> float:
         return fmean(self._steps) if self._steps else otherwise

@@ -193,6 +193,15 @@ NEVER_NEGATIVE = frozenset(MEASURES) - {"mean", "minimum", "maximum", "percentil
 """Names of those that are at least 0, whatever the signal."""
 
 
+NEVER_FALLS = frozenset(
+    {
+        "iae", "ise", "itae", "maximum", "overshoot",
+        "total_variation", "largest_rate", "largest_gap", "duration",
+    }
+)  # fmt: skip
+"""Names of those that of more of the same signal are never smaller."""
+
+
 def options_of(measure: str) -> dict[str, bool]:
     """Return the names of a measure's keyword arguments, and whether each is required."""
     parameters = inspect.signature(MEASURES[measure]).parameters.values()

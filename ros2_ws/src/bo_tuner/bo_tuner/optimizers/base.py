@@ -8,12 +8,35 @@ import numpy as np
 
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, Value
+from bo_tuner.trials import ESTIMATING, Stage, Trial, Value
 
 DEFAULT, START = "default", "start"
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
 RANDOM, SPACE_FILLING = "random", "space-filling"
 EXPANSION, REPETITION = "expansion", "repetition"
+
+
+@dataclass(frozen=True)
+class Hopeless:
+    """Beyond what a run shows that its parameter set cannot be the answer.
+
+    Attributes
+    ----------
+    anywhere
+        By metric the value beyond which it does, in its unit, whatever the context.
+    drawn
+        The same for a context that was drawn: of what is over the distribution of the contexts.
+    """
+
+    anywhere: Mapping[str, float] = field(default_factory=dict)
+    drawn: Mapping[str, float] = field(default_factory=dict)
+
+    def beyond(self, stage: Stage) -> dict[str, float]:
+        """Return by metric the value beyond which a run of a stage is hopeless."""
+        bounds = dict(self.anywhere)
+        for name, most in self.drawn.items() if stage in ESTIMATING else ():
+            bounds[name] = min(most, bounds.get(name, most))
+        return bounds
 
 
 @dataclass(frozen=True)
@@ -36,6 +59,8 @@ class Proposal:
         study and the algorithm have it.
     outliers
         Numbers of the trials that its models left out.
+    hopeless
+        Beyond what a run shows that the parameter set cannot be the answer.
     """
 
     parameters: dict[str, Value]
@@ -44,6 +69,7 @@ class Proposal:
     hyperparameters: dict[str, tuple[float, ...]] = field(default_factory=dict)
     protocol: tuple[int, int] | None = None
     outliers: frozenset[int] = frozenset()
+    hopeless: Hopeless = Hopeless()
 
 
 class Optimizer(Protocol):

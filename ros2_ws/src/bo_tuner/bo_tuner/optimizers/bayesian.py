@@ -1,6 +1,6 @@
 """Bayesian optimization, Algorithm 1 of the paper."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -26,6 +26,7 @@ from bo_tuner.optimizers.base import (
     REFINEMENT,
     SPACE_FILLING,
     DesignedOptimizer,
+    Hopeless,
     Proposal,
 )
 from bo_tuner.study.search_space import SearchSpace
@@ -240,7 +241,10 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
             for point, origin in points(surrogates, rng):
                 parameters = self.space.to_parameters(point)
                 if not self.has_judged(parameters):
-                    return Proposal(parameters, origin, warnings, warm, protocol, outliers)
+                    hopeless = self.hopeless(surrogates, parameters)
+                    return Proposal(
+                        parameters, origin, warnings, warm, protocol, outliers, hopeless
+                    )
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cause = f"{type(error).__name__}: {error}"
             warnings += (f"the acquisition function could not be maximized: {cause}",)
@@ -289,6 +293,10 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     def avoid(self) -> float:
         """Largest probability of a failure or an outlier of a proposal, as long as others exist."""
         return 0.5
+
+    def hopeless(self, surrogates: S, parameters: Mapping[str, Value]) -> Hopeless:
+        """Return beyond what a run of a parameter set is hopeless; by default nothing is."""
+        return Hopeless()
 
     def around(self, surrogates: S) -> Box | None:
         """Return where a first feasible parameter set is searched, None for the whole cube."""

@@ -6,15 +6,14 @@ bounded; beyond that messages are dropped, and counted in the bag's custom data.
 """
 
 import json
-import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
-from bo_tuner.recording.bag import Message, Topic, TrialBag, stamp, timed
+from bo_tuner.recording.bag import PARTIAL, Topic, TrialBag, stamp, timed
+from bo_tuner.recording.inbox import Batch, Inbox
 from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import (
     BADNESS,
@@ -27,7 +26,7 @@ from bo_tuner.recording.retention import (
     note_bag,
 )
 from bo_tuner.recording.signal_bag import RECORDING, recording_note, signal_messages
-from bo_tuner.storage.run_files import bag_name
+from bo_tuner.storage.run_files import bag_name, trial_bag
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial, TrialState
@@ -39,16 +38,37 @@ QUIET, LATEST_QUIET = 0.02, 0.3
 
 
 @dataclass
-class _Batch:
-    """Messages of an evaluation, their size, and how many are missing.
+class _Open:
+    """A bag that is being written.
 
-    Dropped are those for which there was no memory, lost those that the middleware lost.
+    Attributes
+    ----------
+    bag
+        The bag.
+    key
+        Its name without a part, and of a check or of the validation the worker that it is of.
+    is_evidence
+        Whether it is of a check or of the validation, and not of a trial.
+    notes
+        Metadata as far as they are known.
+    evaluations
+        What the metadata say of each.
+    dropped, lost
+        Messages that it lacks.
     """
 
-    messages: list[Message] = field(default_factory=list)
-    size: int = 0
+    bag: TrialBag
+    key: tuple[str, str]
+    is_evidence: bool
+    notes: dict[str, str] = field(default_factory=dict)
+    evaluations: list[dict[str, object]] = field(default_factory=list)
     dropped: int = 0
     lost: int = 0
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """What the metadata say of messages that it lacks."""
+        return {"dropped_messages": str(self.dropped), "lost_messages": str(self.lost)}
 
 
 class Recorder:
@@ -63,30 +83,30 @@ class Recorder:
     options
         What to record.
     memory
-        Most bytes that wait to be written.
+        Most bytes that wait to be written, of each evaluation that is run at once.
+    at_once
+        How many evaluations are run at once.
     """
 
     def __init__(
-        self, folder: Path, study: Study, options: RecordOptions, memory: int = MEMORY
+        self,
+        folder: Path,
+        study: Study,
+        options: RecordOptions,
+        memory: int = MEMORY,
+        *,
+        at_once: int = 1,
     ) -> None:
         self._folder = folder
         self._study = study
         self._options = options
-        self._memory = memory
-        self._lock = threading.Lock()
-        self._batch = _Batch()
-        self._waiting = 0
+        self._inbox = Inbox(QUIET, LATEST_QUIET, memory * at_once)
         self._dropped = 0
         self._lost = 0
-        self._bag: TrialBag | None = None
-        self._bag_name = ""
-        self._notes: dict[str, str] = {}
-        self._evaluations: list[dict[str, object]] = []
-        self._bag_missing = _Batch()
+        self._open: dict[tuple[str, str], _Open] = {}
         self._displaced = False
         self._stopped = False
-        self._news: list[str] = []
-        self._said: list[str] = []
+        self._said = 0
         self._incomplete: list[str] = []
         self._retention: Retention | None = None
         self._writer = ThreadPoolExecutor(1, "bag-writer")
@@ -94,51 +114,53 @@ class Recorder:
 
     def take(self, topic: Topic, data: bytes) -> None:
         """Take a message; called from any thread."""
-        with self._lock:
-            if self._stopped:
-                return
-            if self._waiting + len(data) > self._memory:
-                self._batch.dropped += 1
-                return
-            self._waiting += len(data)
-            self._batch.size += len(data)
-            self._batch.messages.append((topic, data))
+        if not self._stopped:
+            self._inbox.take(topic, data)
 
     def lose(self, count: int) -> None:
         """Take note of messages that were lost on the way; called from any thread."""
-        with self._lock:
-            self._batch.lost += count
+        self._inbox.lose(count)
 
-    def evaluation(self, evaluation: Evaluation, recording: Recording = NOTHING_RECORDED) -> None:
-        """Assign what came since the last call, and the signals, to `evaluation`."""
-        self._submit(self._write, self._take_batch(), evaluation, recording)
+    def add(self, batch: Batch) -> None:
+        """Take messages that were heard elsewhere."""
+        if not self._stopped:
+            self._inbox.add(batch)
+
+    def evaluation(
+        self,
+        evaluation: Evaluation,
+        recording: Recording = NOTHING_RECORDED,
+        worker: str = "",
+    ) -> None:
+        """Assign what came since the last call, and the signals, to `evaluation`.
+
+        The evaluations of a check or of the validation run at the same time on several workers:
+        those of each are in a bag of their own.
+        """
+        self._submit(self._write, self._inbox.empty(), evaluation, recording, worker)
 
     def forget(self) -> None:
         """Let go of what came since the last call of `evaluation`: it belongs to none."""
-        batch = self._take_batch()
-        with self._lock:
-            self._waiting -= batch.size
+        self._inbox.forget()
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Note that a trial is complete, and whether no other is better so far."""
         self.wait_for_quiet()
-        self._submit(self._finish, self._take_batch(), trial, best)
+        self._submit(self._finish, self._inbox.empty(), trial, best)
 
     def phase_ended(self) -> None:
         """Note that no evaluation of a check, or of the validation, is to come for now."""
         self.wait_for_quiet()
-        self._submit(self._finish_evidence, self._take_batch())
+        self._submit(self._finish_evidence, self._inbox.empty())
 
     def warn(self, text: str) -> None:
         """Add to what `news` returns."""
-        with self._lock:
-            self._news.append(text)
+        self._inbox.warn(text)
 
     def news(self) -> list[str]:
         """Return what went wrong since the last call, a line each."""
-        with self._lock:
-            news, self._news = self._news, []
-        self._said += news
+        news = self._inbox.warnings[self._said :]
+        self._said += len(news)
         return news
 
     def close(self) -> dict[str, object]:
@@ -152,21 +174,12 @@ class Recorder:
             "incomplete": self._incomplete,
             "dropped_messages": self._dropped,
             "lost_messages": self._lost,
-            "warnings": [*self._said, *self._news],
+            "warnings": list(self._inbox.warnings),
         }
 
-    def _take_batch(self) -> _Batch:
-        with self._lock:
-            batch, self._batch = self._batch, _Batch()
-        return batch
-
     def wait_for_quiet(self) -> None:
-        """Let the last messages come: topics have no order between them."""
-        end = time.monotonic() + LATEST_QUIET
-        count = -1
-        while count != len(self._batch.messages) and time.monotonic() < end:
-            count = len(self._batch.messages)
-            time.sleep(QUIET)
+        """Let the last messages come."""
+        self._inbox.wait_for_quiet()
 
     def _submit(self, work: Callable[..., None], *arguments: object) -> None:
         self._writer.submit(self._attempt, work, *arguments)
@@ -185,39 +198,33 @@ class Recorder:
             self.warn(
                 f"recording stopped: {self._folder}: {reason or repr(error)}; the run goes on"
             )
-            if self._bag is not None:
-                # What a full disk has left is for the journal.
-                self._bag.discard()
-                self._bag = None
+            # What a full disk has left is for the journal.
+            for open_bag in self._open.values():
+                open_bag.bag.discard()
+            self._open.clear()
 
     def _start(self) -> None:
         self._folder.mkdir(exist_ok=True)
         for partial in partial_bags(self._folder):
             path = recover(partial)
             if path is None:
-                self.warn(f"{partial.name}: cut off before a whole evaluation; nothing to recover")
+                self.warn(f"{partial.name}: cut off before a whole test run; nothing to recover")
             else:
                 note_bag(path)
                 self._incomplete.append(path.name)
                 self.warn(f"{path.name}: cut off; recovered as far as it was written")
         self._retention = Retention(self._folder, self._options)
 
-    def _write(self, batch: _Batch, evaluation: Evaluation, recording: Recording) -> None:
+    def _write(
+        self, batch: Batch, evaluation: Evaluation, recording: Recording, worker: str
+    ) -> None:
         parameters = dict(evaluation.parameters)
-        if evaluation.stage not in TUNING and self._bag_name != bag_name(evaluation):
-            self._finish_evidence(_Batch())
-        if self._bag is None:
-            self._bag_name = bag_name(evaluation)
-            path = _free(self._folder / self._bag_name)
-            note_bag(path)
-            self._bag = TrialBag(path)
-            self._bag_missing = _Batch()
-            self._evaluations = []
+        written = self._bag_of(evaluation, worker)
         signals = signal_messages(recording)
-        messages = timed([*batch.messages, *signals], self._bag.latest)
+        messages = timed([*batch.messages, *signals], written.bag.latest)
         stamps = [time for message in batch.messages if (time := stamp(message)) is not None]
         outcome = evaluation.outcome
-        self._evaluations.append(
+        written.evaluations.append(
             {
                 "trial": evaluation.trial,
                 "index": evaluation.index,
@@ -233,27 +240,41 @@ class Recorder:
                 RECORDING: recording_note(recording),
             }
         )
-        self._count(batch)
-        self._notes = {
+        self._count(batch, written)
+        written.notes = {
             "study": self._study.name,
             "trial": str(evaluation.trial),
             "state": "interrupted",
             "parameters": json.dumps(parameters),
-            "evaluations": json.dumps(self._evaluations),
+            "evaluations": json.dumps(written.evaluations),
             "study_seed": str(self._study.seed),
-        } | self._missing()
-        self._bag.write(messages, self._notes)
+        } | written.missing
+        written.bag.write(messages, written.notes)
 
-    def _finish(self, batch: _Batch, trial: Trial, best: bool) -> None:
-        self._count(batch)
-        bag, retention = self._bag, self._retention
-        if bag is None or retention is None:
+    def _bag_of(self, evaluation: Evaluation, worker: str) -> _Open:
+        """Return the bag that takes an evaluation; made if it is the first in it."""
+        is_evidence = evaluation.stage not in TUNING
+        # Those of a trial run one after the other, on any workers.
+        key = (bag_name(evaluation), worker if is_evidence else "")
+        if key not in self._open:
+            if is_evidence:
+                self._finish_evidence(Batch(), worker)
+            path = _free(self._folder / bag_name(evaluation))
+            note_bag(path)
+            self._open[key] = _Open(TrialBag(path), key, is_evidence)
+        return self._open[key]
+
+    def _finish(self, batch: Batch, trial: Trial, best: bool) -> None:
+        finished = self._open.get((trial_bag(trial.number), ""))
+        self._count(batch, finished)
+        retention = self._retention
+        if finished is None or retention is None:
             return
         reason = retention.reason(self._study, trial, best)
-        bag.write(timed(batch.messages, bag.latest), self._notes)
-        if bag.empty or not retention.wants(reason):
-            bag.discard()
-            self._bag = None
+        finished.bag.write(timed(batch.messages, finished.bag.latest), finished.notes)
+        if finished.bag.empty or not retention.wants(reason):
+            finished.bag.discard()
+            del self._open[finished.key]
             return
         value = badness(self._study, trial) if trial.state is TrialState.COMPLETE else None
         notes = {
@@ -262,39 +283,46 @@ class Recorder:
             "reason": trial.reason,
             "verdict": outcome_in_words(self._study, trial),
         }
-        self._keep(retention, bag, notes, reason, value)
+        self._keep(retention, finished, notes, reason, value)
 
-    def _finish_evidence(self, batch: _Batch) -> None:
-        """Finish the bag of a check or of the validation, if one is open."""
-        self._count(batch)
-        bag, retention = self._bag, self._retention
-        if bag is None or retention is None:
+    def _finish_evidence(self, batch: Batch, worker: str | None = None) -> None:
+        """Finish the bags of a check or of the validation that are open, of a worker or of all.
+
+        The batch is of the last of these.
+        """
+        evidence = [item for item in self._open.values() if item.is_evidence]
+        finished = [item for item in evidence if worker in (None, item.key[1])]
+        self._count(batch, finished[-1] if finished else None)
+        if not finished or self._retention is None:
             return
-        bag.write(timed(batch.messages, bag.latest), self._notes)
-        self._keep(retention, bag, {"state": "complete"}, Reason.EVIDENCE, None)
+        last = finished[-1]
+        last.bag.write(timed(batch.messages, last.bag.latest), last.notes)
+        for item in finished:
+            self._keep(self._retention, item, {"state": "complete"}, Reason.EVIDENCE, None)
 
     def _keep(
         self,
         retention: Retention,
-        bag: TrialBag,
+        finished: _Open,
         notes: dict[str, str],
         reason: Reason | None,
         value: float | None,
     ) -> None:
         """Finish a bag with further notes, and let others go if there is no room for it."""
-        bag.finish(
-            self._notes
-            | self._missing()
+        finished.bag.finish(
+            finished.notes
+            | finished.missing
             | notes
             | {KEPT_AS: str(reason or ""), "complete": "true"}
             | ({} if value is None else {BADNESS: repr(value)})
         )
-        self._bag = None
-        displaced = retention.keep(bag.path, reason, value)
+        del self._open[finished.key]
+        path = finished.bag.path
+        displaced = retention.keep(path, reason, value)
         limit = f"limit of {self._options.limit / MEGABYTE:g} MB"
-        if bag.path.name in displaced:
-            displaced.remove(bag.path.name)
-            self.warn(f"{bag.path.name}: not kept, it is too large for the bags' {limit}")
+        if path.name in displaced:
+            displaced.remove(path.name)
+            self.warn(f"{path.name}: not kept, it is too large for the bags' {limit}")
         if displaced and not self._displaced:
             self._displaced = True
             self.warn(
@@ -302,27 +330,22 @@ class Recorder:
                 f"starting with {displaced[0]}"
             )
 
-    def _count(self, batch: _Batch) -> None:
-        """Count what a batch lacks, and let new messages have its memory."""
-        self._bag_missing.dropped += batch.dropped
-        self._bag_missing.lost += batch.lost
+    def _count(self, batch: Batch, written: _Open | None) -> None:
+        """Count what a batch lacks, and with it its bag, and let new messages have its memory."""
         self._dropped += batch.dropped
         self._lost += batch.lost
-        with self._lock:
-            self._waiting -= batch.size
-
-    def _missing(self) -> dict[str, str]:
-        return {
-            "dropped_messages": str(self._bag_missing.dropped),
-            "lost_messages": str(self._bag_missing.lost),
-        }
+        if written is not None:
+            written.dropped += batch.dropped
+            written.lost += batch.lost
+        self._inbox.let_go(batch)
 
     def _abandon(self) -> None:
-        """Leave the bag of a trial that was cut short as a kill would leave it."""
-        if self._bag is None or self._retention is None:
+        """Leave the bags of trials that were cut short as a kill would leave them."""
+        if not self._open or self._retention is None:
             return
-        self._bag.abandon()
-        self._bag = None
+        for item in self._open.values():
+            item.bag.abandon()
+        self._open.clear()
         for partial in partial_bags(self._folder):
             path = recover(partial)
             if path is not None:
@@ -334,7 +357,7 @@ def _free(path: Path) -> Path:
     """Take `path`, or the first of ``<path>_part2``...: a trial that goes on keeps what it had."""
     free = path
     number = 1
-    while free.exists():
+    while free.exists() or free.with_name(f"{free.name}{PARTIAL}").exists():
         number += 1
         free = path.with_name(f"{path.name}_part{number}")
     return free

@@ -129,6 +129,8 @@ class Retention:
         """
         if trial.state is TrialState.FAILED:
             return Reason.FAILED
+        if trial.state is TrialState.CUT_SHORT:
+            return None
         if best:
             return Reason.BEST
         return Reason.WORST if badness(study, trial) > self._worst else None

@@ -52,6 +52,10 @@ class RunRecording(RunObserver):
         Called with a line of text on each thing that goes wrong.
     signals
         Returns the signals of the last run.
+    worker
+        Returns which of several workers that was on.
+    at_once
+        How many evaluations are run at once.
     """
 
     def __init__(
@@ -62,6 +66,8 @@ class RunRecording(RunObserver):
         listen: Listen | None,
         report: Callable[[str], None],
         signals: Callable[[], Recording] = lambda: NOTHING_RECORDED,
+        worker: Callable[[], str] = lambda: "",
+        at_once: int = 1,
     ) -> None:
         self._folder = folder
         self._study = study
@@ -69,6 +75,8 @@ class RunRecording(RunObserver):
         self._listen = listen
         self._report = report
         self._signals = signals
+        self._worker = worker
+        self._at_once = at_once
         self._recorder: Recorder | None = None
         self._listener: Listener | None = None
         self.summary: dict[str, object] = {"policy": str(Policy.NONE)}
@@ -76,7 +84,9 @@ class RunRecording(RunObserver):
     def __enter__(self) -> Self:
         """Start to listen."""
         if self._listen is not None and self._options.policy is not Policy.NONE:
-            self._recorder = Recorder(self._folder / BAGS, self._study, self._options)
+            self._recorder = Recorder(
+                self._folder / BAGS, self._study, self._options, at_once=self._at_once
+            )
             try:
                 self._listener = self._listen(self._recorder)
             except BaseException:
@@ -100,7 +110,7 @@ class RunRecording(RunObserver):
             return
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
-            self._recorder.evaluation(evaluation, self._signals())
+            self._recorder.evaluation(evaluation, self._signals(), self._worker())
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Finish the bag of a trial."""

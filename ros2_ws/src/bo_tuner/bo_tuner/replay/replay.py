@@ -11,7 +11,14 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.parts import IN_PROCESS
-from bo_tuner.trials import CHECKS, TUNING, Evaluation, TrialState, latest_by_place
+from bo_tuner.trials import (
+    CHECKS,
+    TUNING,
+    Evaluation,
+    EvaluationState,
+    TrialState,
+    latest_by_place,
+)
 from bo_tuner.tuning.driver import Driver
 
 BEST, WORST = "best", "worst"
@@ -28,17 +35,22 @@ class Comparison:
     recorded, replayed
         Its values; None if the evaluation is not complete.
     judged
-        Whether the values must be equal.
+        Whether the replay must have the recorded value.
+    at_least
+        Whether the recorded value is a lower bound, of a run that was cut short.
     """
 
     metric: Metric
     recorded: float | None
     replayed: float | None
     judged: bool
+    at_least: bool = False
 
     @property
-    def equal(self) -> bool:
-        """Whether the values are equal, bit for bit."""
+    def agrees(self) -> bool:
+        """Whether the values are equal, bit for bit; of a lower bound, whether it is kept."""
+        if self.at_least and self.recorded is not None and self.replayed is not None:
+            return self.replayed >= self.recorded
         return self.recorded == self.replayed
 
     @property
@@ -67,14 +79,19 @@ class Replay:
 
     @property
     def same_end(self) -> bool:
-        """Whether both ended in the same state, for the same reason if they failed."""
+        """Whether both ended in the same state, for the same reason if they failed.
+
+        The replay of a run that was cut short is whole.
+        """
         one, other = self.recorded.outcome, self.replayed.outcome
+        if one.state is EvaluationState.CUT_SHORT:
+            return other.complete
         return (one.state, one.reason) == (other.state, other.reason)
 
     @property
     def confirmed(self) -> bool:
         """Whether the state and all judged metrics are as recorded."""
-        return self.same_end and all(row.equal for row in self.metrics if row.judged)
+        return self.same_end and all(row.agrees for row in self.metrics if row.judged)
 
     @property
     def verdict(self) -> str:
@@ -84,7 +101,7 @@ class Replay:
         complete = self.replayed.outcome.complete
         if complete and not any(row.judged for row in self.metrics):
             return (
-                "the way the evaluation ended is confirmed; no metric of this study is "
+                "the way the test run ended is confirmed; no metric of this study is "
                 "reproducible, so none was judged"
             )
         return "confirmed"
@@ -107,13 +124,15 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """
     old = recorded
     new = Driver(backend).evaluate(old)
+    bounds = old.outcome.at_least
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
         Comparison(
             metric,
-            old.outcome.metrics.get(name),
+            old.outcome.metrics.get(name, bounds.get(name)),
             new.outcome.metrics.get(name),
-            metric.reproducible or exact,
+            (metric.reproducible or exact) and (not bounds or name in bounds),
+            at_least=name in bounds,
         )
         for name, metric in record.study.metrics.items()
     )
@@ -184,7 +203,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
         return max(evaluations.values(), key=lambda item: evaluation_badness(record.study, item))
     if index not in evaluations:
         raise RunRecordError(
-            f"{record.path}: trial {trial} has no evaluation {index}, only {min(evaluations)} to "
+            f"{record.path}: trial {trial} has no test run {index}, only {min(evaluations)} to "
             f"{max(evaluations)}"
         )
     return evaluations[index]

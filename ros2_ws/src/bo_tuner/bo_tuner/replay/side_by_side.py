@@ -2,13 +2,11 @@
 
 import json
 import struct
-import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from bo_tuner.recording.bag import NANOSECONDS, Message, Topic, TrialBag, stamp, timed
+from bo_tuner.recording.bag import NANOSECONDS, Message, TrialBag, stamp, timed
 from bo_tuner.storage.atomic import writing
 
 QUIET, LATEST_QUIET = 0.1, 1.0
@@ -17,49 +15,6 @@ QUIET, LATEST_QUIET = 0.1, 1.0
 _STAMP = struct.Struct("<iI")
 _ENCODING = 4
 """Length of the encapsulation header of a serialized message [byte]."""
-
-
-class Inbox:
-    """Collects the messages of one evaluation at a time from a listener's thread."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._messages: list[Message] = []
-        self.lost = 0
-        self.warnings: list[str] = []
-
-    def take(self, topic: Topic, data: bytes) -> None:
-        """Store a message."""
-        with self._lock:
-            self._messages.append((topic, data))
-
-    def lose(self, count: int) -> None:
-        """Count messages that the middleware has lost."""
-        with self._lock:
-            self.lost += count
-
-    def warn(self, text: str) -> None:
-        """Store a warning on a topic that cannot be recorded."""
-        self.warnings.append(text)
-
-    def collect(self, hand_over: Callable[[], None]) -> list[Message]:
-        """Wait for the last messages of an evaluation, and return all since the last call.
-
-        Parameters
-        ----------
-        hand_over
-            Makes the listener deliver the messages that it has received.
-        """
-        end = time.monotonic() + LATEST_QUIET
-        count = -1
-        # Topics have no order between them.
-        while count != len(self._messages) and time.monotonic() < end:
-            count = len(self._messages)
-            time.sleep(QUIET)
-            hand_over()
-        with self._lock:
-            messages, self._messages = self._messages, []
-        return messages
 
 
 def write_side_by_side(

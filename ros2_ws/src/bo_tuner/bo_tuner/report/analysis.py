@@ -26,6 +26,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
 
 T = TypeVar("T")
@@ -38,6 +39,7 @@ class TrialOutcome(StrEnum):
     UNCERTAIN = limits.MARGIN
     VIOLATES = limits.OVER
     OUTLIER = "far off"
+    CUT_SHORT = "cut short"
     FAILED = "failed"
     LOST = "lost"
     DISTURBED = "disturbed"
@@ -206,7 +208,7 @@ class Analysis:
 
     def outcome(self, trial: Trial) -> TrialOutcome:
         """Return the outcome of a trial."""
-        if trial.state is TrialState.FAILED:
+        if trial.state is not TrialState.COMPLETE:
             return TrialOutcome(trial.ending)
         if trial.number in self.models.outliers:
             return TrialOutcome.OUTLIER
@@ -232,6 +234,10 @@ class Analysis:
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
         return {name: parameters[name] for name in self.study.search_space().names}
+
+    def tuned_in_words(self, parameters: Mapping[str, Value]) -> str:
+        """Return the tuned ones among `parameters` in a line."""
+        return titled_values(self.study.parameters, self.tuned_values(parameters))
 
     def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
         """Return the complete evaluations of a parameter set, of any stage."""

@@ -105,7 +105,7 @@ def _parameters(runs: Mapping[str, Analysis]) -> Section:
 def _parameter_set(analysis: Analysis) -> dict[Row, Cell]:
     result_parameters = {} if analysis.answer is None else analysis.answer.parameters
     return {
-        (name, item.unit): (
+        (item.title_and_name, item.unit): (
             f"{number(result_parameters[name])} ({number(analysis.defaults[name])})",
             result_parameters[name],
         )
@@ -181,6 +181,7 @@ def _difference(values: Sequence[Value | None]) -> str:
 def _convergence(runs: Mapping[str, Analysis]) -> Section:
     panels: dict[tuple[str, str], list[Line]] = {}
     scales: dict[tuple[str, str], Scale] = {}
+    titles: dict[str, str] = {}
     without = []
     for (name, analysis), (dash, color) in zip(runs.items(), cycle(LINES), strict=False):
         study = analysis.study
@@ -189,6 +190,7 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         if not any(candidate.believed_feasible for _, candidate in best_by_trial):
             without.append(name)
             continue
+        titles.setdefault(study.objective.metric, study.metrics[study.objective.metric].title)
         scales.setdefault(objective, Scale(study.objective.scale))
         panels.setdefault(objective, []).append(
             Line(
@@ -205,14 +207,17 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         name="convergence",
         title="Convergence",
         lead="How soon each run found what it found, by its own models.",
-        figures=[_incumbents(panels, scales)] if panels else [],
+        figures=[_incumbents(panels, scales, titles)] if panels else [],
         notes=[f"{name}: no trial is likely within limits." for name in without],
     )
 
 
 def _incumbents(
-    panels: Mapping[tuple[str, str], list[Line]], scales: Mapping[tuple[str, str], Scale]
+    panels: Mapping[tuple[str, str], list[Line]],
+    scales: Mapping[tuple[str, str], Scale],
+    titles: Mapping[str, str],
 ) -> Figure:
+    """Draw the lines of a metric and unit in a panel, which has the title of the metric."""
     return Figure(
         name="comparison",
         title="The best so far of each run",
@@ -226,7 +231,7 @@ def _incumbents(
         panels=[
             Panel(
                 x=Axis(label="trial"),
-                y=Axis(label=f"mean {metric}", unit=unit, scale=scales[metric, unit]),
+                y=Axis(label=f"mean {titles[metric]}", unit=unit, scale=scales[metric, unit]),
                 elements=lines,
             )
             for (metric, unit), lines in panels.items()
@@ -252,7 +257,7 @@ def _trajectories(runs: Mapping[str, Analysis]) -> Section:
             notes.append(f"{name}: no trajectories: {error}.")
     columns = {title: sides for title, sides in columns.items() if sides}
     same = all(analysis.study.constraints == first.study.constraints for analysis in runs.values())
-    common = first.study.constraints if same else {}
+    common = first.study if same else None
     styles = {name: (color, dash) for name, (dash, color) in zip(runs, cycle(LINES), strict=False)}
     figures = []
     if columns:

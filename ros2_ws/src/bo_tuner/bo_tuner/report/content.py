@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.next_steps import Step
 from bo_tuner.figures.figure import Figure
 from bo_tuner.methods.registry import DEFAULT_METHOD
 from bo_tuner.text import shown
@@ -42,6 +43,87 @@ class Table:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A parameter set that the reader may choose, folded at first.
+
+    Attributes
+    ----------
+    trial
+        Number of its trial.
+    title
+        What it is, in a line.
+    values
+        Its parameters beside those of the result.
+    steps
+        Commands that put it to use.
+    figure
+        Its response; None if there are no signals.
+    """
+
+    trial: int
+    title: str
+    values: Table
+    steps: Sequence[Step]
+    figure: Figure | None
+
+
+@dataclass(frozen=True)
+class Slider:
+    """The values of a parameter, from its lower to its upper bound.
+
+    Attributes
+    ----------
+    name, title
+        Its name, and what screens call it, with its unit.
+    values, words
+        The values (n,), and the same in words.
+    place
+        Which of them is that of the answer.
+    """
+
+    name: str
+    title: str
+    values: Sequence[float]
+    words: Sequence[str]
+    place: int
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is predicted of a parameter set.
+
+    Attributes
+    ----------
+    cells
+        A prediction with its band for each row of `WhatIf.rows`, in words.
+    remark
+        Why it must not be relied on; empty if it may.
+    """
+
+    cells: Sequence[str]
+    remark: str
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """Sliders, and what is predicted along them.
+
+    Attributes
+    ----------
+    sliders
+        One for each tuned number.
+    rows
+        What is predicted, and its limit in words, which is empty without one.
+    along
+        For each slider the forecasts (n,) at its values, the others being those of the answer.
+    """
+
+    sliders: Sequence[Slider]
+    rows: Sequence[tuple[str, str]]
+    along: Sequence[Sequence[Forecast]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Section:
     """A section of the report.
 
@@ -57,6 +139,10 @@ class Section:
         Its figures and tables, in order.
     notes
         Remarks at the end.
+    choices
+        Parameter sets to choose from.
+    what_if
+        Sliders over the predictions; None without any.
     """
 
     name: str
@@ -65,6 +151,8 @@ class Section:
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
+    choices: Sequence[Choice] = ()
+    what_if: WhatIf | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

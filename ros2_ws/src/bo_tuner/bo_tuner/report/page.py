@@ -5,7 +5,7 @@ import hashlib
 import importlib.resources
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,9 @@ from bo_tuner.trials import Trial
 
 PICTURE_WIDTH, LEAST_PICTURE_WIDTH = 1080, 340
 """Width of the pictures of a row of panels, and of one at least [px]."""
+
+SCRIPTS = ("report.js", "tables.js", "trials.js", "what_if.js")
+"""Of all pages."""
 
 FORMATS = ("png", "svg")
 """Kinds of image files of a figure."""
@@ -200,6 +203,11 @@ def answer_html(analysis: Analysis) -> str:
     return str(_macros().show_answer(content, ""))
 
 
+def list_html(**content: object) -> str:
+    """Return the HTML of the list of runs by itself, with the content of its page."""
+    return _environment().get_template("runs_list.html").render(**content)
+
+
 def render(
     analysis: Analysis,
     parts: Sequence[Chapter],
@@ -228,7 +236,7 @@ def render(
 
 def fill(template: str, scripts: Sequence[str] = (), **content: object) -> str:
     """Fill a template that extends the base of all pages, with further scripts by their names."""
-    texts = [_plotly(), *map(_template, ("report.js", "tables.js", "trials.js", *scripts))]
+    texts = [_plotly(), *map(_template, (*SCRIPTS, *scripts))]
     return (
         _environment()
         .get_template(template)
@@ -257,6 +265,7 @@ def _environment() -> Environment:
     environment.filters["color_bars"] = color_bars
     environment.filters["figure_data"] = figure_data
     environment.filters["pictures"] = _pictures
+    environment.filters["what_if_data"] = asdict
     return environment
 
 

@@ -30,7 +30,7 @@ def recorded_response(study: Study, recording: Recording) -> list[Panel]:
 
 def traced_response(study: Study, trace: Trace) -> list[Panel]:
     """Return the signals of a run that its objects have traced."""
-    return _told_apart(panels({"": {THIS: trace}}, {THIS: STYLES[TUNED]}, study.constraints))
+    return _told_apart(panels({"": {THIS: trace}}, {THIS: STYLES[TUNED]}, study))
 
 
 def _told_apart(drawn: Sequence[Panel]) -> list[Panel]:
@@ -89,8 +89,13 @@ def single_run_sections(run: SingleRun, figure: Figure | None, missing: str) -> 
         caption="Parameters",
         header=["parameter", "default", THIS, "unit"],
         rows=[
-            [name, number(value), number(evaluation.parameters[name]), study.parameters[name].unit]
-            for name, value in defaults.items()
+            [
+                item.title_and_name,
+                number(defaults[name]),
+                number(evaluation.parameters[name]),
+                item.unit,
+            ]
+            for name, item in study.parameters.items()
         ],
         numeric=[1, 2],
     )

@@ -4,14 +4,13 @@ They belong to metrics that are the largest or smallest value of a signal, or ho
 beyond another one: the metric's value is what is between the two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bo_tuner.figures.figure import Band, Color, Dash, Element, Line, Panel
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.study import Study
 
@@ -52,7 +51,7 @@ class Bound:
     Attributes
     ----------
     name
-        What is limited.
+        What is limited, as screens call it.
     x, y
         Times (n,) and the limit (n,) at them.
     sign
@@ -71,13 +70,11 @@ def is_zero_of(name: str) -> str:
     return last.removesuffix(ZERO) if last.endswith(ZERO) else ""
 
 
-def bounds_beside(
-    constraints: Mapping[str, Constraint], name: str, x: Array, y: Array
-) -> list[Bound]:
+def bounds_beside(study: Study, name: str, x: Array, y: Array) -> list[Bound]:
     """Return the limits on a metric that is 0 where its signal is at y (n,), at times x (n,)."""
     return [
-        Bound(constraint.limited, x, y + constraint.limit, constraint.sign)
-        for constraint in constraints.values()
+        Bound(study.limited(constraint), x, y + constraint.limit, constraint.sign)
+        for constraint in study.constraints.values()
         if constraint.metric == name
     ]
 
@@ -93,7 +90,7 @@ def bounds_of_signal(study: Study, name: str, end: float) -> list[Bound]:
             and EXTREMES.get(metric.measure) == constraint.sign
         ):
             y = np.full(2, constraint.limit)
-            bounds.append(Bound(metric.name, np.array([0.0, end]), y, constraint.sign))
+            bounds.append(Bound(metric.title, np.array([0.0, end]), y, constraint.sign))
     return bounds
 
 

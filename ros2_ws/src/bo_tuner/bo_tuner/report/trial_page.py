@@ -69,7 +69,12 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
                 caption="Parameters",
                 header=["parameter", "default", "this trial", "unit"],
                 rows=[
-                    [name, number(value), number(trial.parameters[name]), item.unit]
+                    [
+                        item.title_and_name,
+                        number(value),
+                        number(trial.parameters[name]),
+                        item.unit,
+                    ]
                     for (name, value), item in zip(
                         analysis.defaults.items(), study.parameters.values(), strict=True
                     )
@@ -166,7 +171,7 @@ def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:
     default = replace(worst, parameters=analysis.defaults)
     of_default, of_trial = simulate(analysis.study, [default, worst])
     sides = {DEFAULT: of_default, name: of_trial}
-    drawn = panels({"": sides}, side_styles(name), analysis.study.constraints)
+    drawn = panels({"": sides}, side_styles(name), analysis.study)
     return _figure(drawn, "Drag across a panel to zoom in; double-click to zoom out.")
 
 

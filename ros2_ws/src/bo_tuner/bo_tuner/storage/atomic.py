@@ -1,6 +1,7 @@
 """Writing a file so that it holds its old content or its new one, whatever happens meanwhile."""
 
 import contextlib
+import errno
 import os
 import re
 import stat
@@ -73,8 +74,10 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         followed: it may lead out of the run folder.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
-    temporary = temporary_path(path)
     with writing(path):
+        if not path.name:
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        temporary = temporary_path(path)
         if _is_regular(path) and path.read_bytes() == data:
             return path
         try:

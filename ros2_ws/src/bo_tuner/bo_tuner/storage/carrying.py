@@ -47,8 +47,10 @@ from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
+    AT_LEAST,
     DEFAULT_HAS,
     Evaluation,
+    EvaluationState,
     Outcome,
     Stage,
     Trial,
@@ -56,6 +58,7 @@ from bo_tuner.trials import (
     Value,
     WorstCase,
     count_evaluations,
+    ended_as,
 )
 
 ORIGIN = "from"
@@ -208,7 +211,7 @@ class _Taking:
     @property
     def left_out(self) -> str:
         """Counts and reasons."""
-        kinds = ((self._trials, "trial"), (self._evaluations, "evaluation"))
+        kinds = ((self._trials, "trial"), (self._evaluations, "test run"))
         counts = [
             f"{counted(n, kind)} {reason}"
             for reasons, kind in kinds
@@ -221,7 +224,7 @@ class _Taking:
         before = self._record.trials
         text = (
             f"{len(taken)} of {counted(len(before), 'trial')} and {count_evaluations(taken)} of "
-            f"{counted(sum(len(t.evaluations) for t in before), 'evaluation')}"
+            f"{counted(sum(len(t.evaluations) for t in before), 'test run')}"
         )
         return f"{text}; left out: {self.left_out}" if self.left_out else text
 
@@ -244,11 +247,12 @@ class _Taking:
             for index, evaluation in enumerate(kept)
         )
         failed = [e.outcome for e in kept if not e.outcome.complete]
+        state = ended_as(failed[0]) if failed else TrialState.COMPLETE
         return dataclasses.replace(
             trial,
             number=number,
             origin=trial.origin if is_carried(trial) else self._origin(trial),
-            state=TrialState.FAILED if failed else TrialState.COMPLETE,
+            state=state,
             reason=failed[0].reason if failed else "",
             evaluations=evaluations,
             worst_cases={} if failed or reasons else self._worst_cases(trial),
@@ -295,6 +299,8 @@ class _Taking:
 
     def _outcome(self, evaluation: Evaluation) -> Outcome:
         outcome = evaluation.outcome
+        if outcome.state is EvaluationState.CUT_SHORT:
+            return self._bounds(outcome)
         if not outcome.complete:
             if self._measured_otherwise and OF_MEASURING.search(outcome.reason):
                 raise _LeftOutError("failed by what is measured otherwise now")
@@ -312,6 +318,16 @@ class _Taking:
             return dataclasses.replace(measured, details=outcome.details)
         metrics = {name: known.get(name, measured.metrics[name]) for name in self._study.metrics}
         return dataclasses.replace(outcome, metrics=metrics)
+
+    def _bounds(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of a run that was cut short with the bounds that hold still."""
+        gone = outcome.at_least.keys() - (self._study.metrics.keys() - self._anew)
+        keys = {f"{AT_LEAST}{name}" for name in gone}
+        details = {key: text for key, text in outcome.details.items() if key not in keys}
+        bounded = dataclasses.replace(outcome, details=details)
+        if not bounded.at_least or not self._method.takes_parts():
+            raise _LeftOutError("cut short")
+        return bounded
 
     def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:
         """Return metrics relative to the default, as far as the default's values are on record."""

@@ -98,7 +98,8 @@ class Journal:
             evaluations = [evaluation for trial in trials for evaluation in trial.evaluations]
             create_journal(path, [provenance], evaluations, trials)
         try:
-            self._db = sqlite3.connect(path, isolation_level=None)
+            # Results may be told by another thread than the one that began the run.
+            self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {error}") from error
         try:

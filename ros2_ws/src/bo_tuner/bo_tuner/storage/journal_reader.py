@@ -109,7 +109,7 @@ def read_journal(path: Path) -> JournalContent:
         raise JournalError(
             f"{path}: rows that this program does not write: {one_line(str(error))[:200]}"
         ) from error
-    missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its evaluations"
+    missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its test runs"
     damaged = damaged_evaluations or damaged_trials or damaged_events or damaged_sessions
     damage = damaged or missing
     return JournalContent(

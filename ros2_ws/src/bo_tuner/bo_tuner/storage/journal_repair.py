@@ -43,7 +43,7 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     content = read_journal(path)
     used = (
         f"everything before it is used ({len(content.trials)} trials, "
-        f"{len(content.evaluations)} evaluations)"
+        f"{len(content.evaluations)} test runs)"
     )
     if not content.damage:
         lost = _lost_commits(path)

@@ -46,6 +46,8 @@ class Note:
         ValueError
             If something is too long: with one line on it.
         """
+        # A browser may cut a character in two, half of which no file takes.
+        text, tags = (given.encode(errors="replace").decode() for given in (text, tags))
         text = text.replace("\r\n", "\n").strip()
         words = tuple(dict.fromkeys(filter(None, (" ".join(t.split()) for t in tags.split(",")))))
         if len(text) > LONGEST_NOTE:

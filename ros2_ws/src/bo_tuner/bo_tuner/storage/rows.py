@@ -48,6 +48,9 @@ def evaluation_of(row: Row) -> Evaluation:
         # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
+    outcome = Outcome(state, metrics, reason, _texts(row, "details"))
+    if unbounded := [name for name, value in outcome.at_least.items() if not math.isfinite(value)]:
+        raise ValueError(f"details: {unbounded[0]} is at least {outcome.at_least[unbounded[0]]}")
     return Evaluation(
         trial=_count(row, "trial"),
         index=_count(row, "position"),
@@ -55,7 +58,7 @@ def evaluation_of(row: Row) -> Evaluation:
         parameters=_values(row, "parameters"),
         context=_values(row, "context"),
         seed=_count(row, "seed"),
-        outcome=Outcome(state, metrics, reason, _texts(row, "details")),
+        outcome=outcome,
         seconds=float(_number(row["seconds"], "seconds")),
     )
 
@@ -143,12 +146,13 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             check_parameters(evaluation.parameters)
             check_context(evaluation.context)
             _same_names(outcome.metrics, study.metrics if complete else (), "metrics")
+            _same_names(outcome.at_least, set(outcome.at_least) & set(study.metrics), "details")
             _check_size(outcome.metrics.values(), "metrics")
             for objective in study.objectives if complete else ():
                 if not math.isfinite(float(objective.to_cost(outcome.metrics[objective.metric]))):
                     raise ValueError(f"{objective.metric} has no {objective.scale} scale")
         except ValueError as error:
-            where = f"evaluation {evaluation.index} of trial {evaluation.trial}"
+            where = f"test run {evaluation.index} of trial {evaluation.trial}"
             raise ValueError(f"{where}: {error}") from error
     for trial in trials:
         complete = trial.state is TrialState.COMPLETE
@@ -156,7 +160,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
         try:
             check_parameters(trial.parameters)
             if not states or complete != all(s is EvaluationState.COMPLETE for s in states):
-                raise ValueError(f"is {trial.state}, unlike its evaluations")
+                raise ValueError(f"is {trial.state}, unlike its test runs")
             _same_names(trial.worst_cases, searched if complete else (), "worst_cases")
             for worst_case in trial.worst_cases.values():
                 check_context(worst_case.context)
@@ -164,7 +168,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
                 # Estimates may lie above all metrics.
                 _check_size((worst_case.value, worst_case.noise), "worst_cases", LARGEST_RESPONSE)
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
-                raise ValueError("has evaluations of other parameters")
+                raise ValueError("has test runs of other parameters")
         except ValueError as error:
             raise ValueError(f"trial {trial.number}: {error}") from error
 

@@ -68,6 +68,10 @@ class Budget:
     workers : int, optional
         Evaluations that run at once, each on nodes or objects of its own in a process of its own.
         Unless given, 1.
+    cut_short : bool
+        Whether a run of a trial ends as soon as its outcome is decided: a limited metric that only
+        grows during a run is farther beyond its limit than noise explains, or the objective beyond
+        the best one.
     """
 
     trials: int
@@ -77,6 +81,7 @@ class Budget:
     validation_draws: int = 25
     evaluations: int | None = None
     workers: int | None = None
+    cut_short: bool = False
 
     def remaining(self, trials: int, evaluations: int) -> int:
         """Return how many trials are left of the budget, after so many trials and evaluations.
@@ -108,7 +113,10 @@ class Budget:
         return self.remaining(trials, evaluations) == 0
 
     def __post_init__(self) -> None:
+        checks.boolean(self.cut_short, "cut_short")
         for item in dataclasses.fields(self):
+            if item.name not in MOST:
+                continue
             if item.default is None and getattr(self, item.name) is None:
                 continue
             lowest = 0 if item.name == "search_evaluations" else 1

@@ -251,7 +251,7 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
 def outcome_in_words(study: Study, trial: Trial) -> str:
     """Return the outcome of a trial: `WITHIN`, or the limits that it violates, or may violate.
 
-    For a trial without values it is the `Trial.ending`, such as ``failed`` or ``lost``.
+    For a trial without values it is the `Trial.ending`, such as ``failed`` or ``cut short``.
     """
     return _outcome(study, trial, "violates {}", "may violate {}")
 
@@ -262,7 +262,7 @@ def outcome_on_screen(study: Study, trial: Trial) -> str:
 
 
 def _outcome(study: Study, trial: Trial, over: str, margin: str) -> str:
-    if trial.state is TrialState.FAILED:
+    if trial.state is not TrialState.COMPLETE:
         return trial.ending
     kinds = {over: violated(study, trial), margin: uncertain(study, trial)}
     parts = [words.format(", ".join(names)) for words, names in kinds.items() if names]

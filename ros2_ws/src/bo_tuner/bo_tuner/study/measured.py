@@ -103,8 +103,8 @@ def seen_in_words(
     for name, seen_range in seen.items():
         ends = f"{shown(seen_range.low)} and {shown(seen_range.high)} {metrics[name].unit}".rstrip()
         yield (
-            f"{name} was between {ends} in these runs (mean {shown(seen_range.mean)}); nothing is "
-            "claimed beyond."
+            f"{metrics[name].title} was between {ends} in these runs (mean "
+            f"{shown(seen_range.mean)}); nothing is claimed beyond."
         )
 
 

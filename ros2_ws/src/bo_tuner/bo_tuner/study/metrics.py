@@ -80,6 +80,9 @@ class ReportedMetric(Titled):
     range : tuple of float, optional
         The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
         limit on a mean by it, whatever the noise is.
+    grows : bool
+        Whether it only grows during a run, as a maximum so far or a sum of what is never negative,
+        and the object can end a run early by it; for `cut_short`.
     """
 
     name: str
@@ -90,6 +93,7 @@ class ReportedMetric(Titled):
     scale: str = LINEAR
     reproducible: bool = True
     range: tuple[float, float] | None = None
+    grows: bool = False
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
@@ -99,6 +103,7 @@ class ReportedMetric(Titled):
         checks.text(self.unit, "unit")
         check_scale(self)
         checks.boolean(self.reproducible, "reproducible")
+        checks.boolean(self.grows, "grows")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
 

@@ -59,7 +59,7 @@ def check_contexts(run: Run | None, contexts: Mapping[str, ContextVariable | Non
         for name in names_in(text):
             with findings.under():
                 raise StudyError(
-                    f"expected no context, found '{name}': it must hold whatever an evaluation is",
+                    f"expected no context, found '{name}': it must hold whatever a test run is",
                     path,
                 )
     for path, text in () if run is None else _in_streams(run):

@@ -17,6 +17,7 @@ from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.growing import check_cut_short, decisive, why_not
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.measured import check_measured, measured_names
@@ -57,6 +58,7 @@ from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.study.titles import check_titles
 from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
@@ -218,6 +220,9 @@ class Study:
         for name, constraint in self.constraints.items():
             with findings.under("constraints", in_file.get(name, name)):
                 check_constraint(constraint, self.metrics)
+        for section in ("parameters", "metrics"):
+            with findings.under(section):
+                check_titles(getattr(self, section))
         with findings.under("metrics"):
             check_scales(self.metrics, self.constraints.values())
         if self.certificate.distribution_free:
@@ -228,6 +233,10 @@ class Study:
             check_measured(
                 self.measured, self.metrics, self.contexts, self.objectives, self.constraints
             )
+        if self.budget.cut_short:
+            with findings.under("budget", "cut_short"):
+                limits = self.constraints.values()
+                check_cut_short(self.metrics, limits, self.objectives, self.measured)
         if has_nodes:
             with findings.under():
                 self._check_sets(findings)
@@ -322,6 +331,18 @@ class Study:
         if len(self.objectives) > 1:
             return np.asarray(cost, dtype=np.float64)
         return self.objective.from_cost(cost)
+
+    @property
+    def growing_metrics(self) -> list[str]:
+        """Names of the metrics that only grow during a run."""
+        return [name for name, metric in self.metrics.items() if not why_not(metric)]
+
+    @property
+    def decisive_metrics(self) -> list[str]:
+        """Names of the metrics by which a run of a trial may be cut short; empty if it is not."""
+        if not self.budget.cut_short:
+            return []
+        return decisive(self.metrics, self.constraints.values(), self.objectives)
 
     @property
     def relative_metrics(self) -> dict[str, RelativeMetric]:

@@ -21,6 +21,7 @@ from bo_tuner.trials import (
     WorstCase,
     count_evaluations,
     count_trials,
+    ended_as,
 )
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
@@ -32,7 +33,8 @@ ATTEMPTS = 2
 class TrialTask:
     """A trial: evaluations in its first contexts, then those of the search for the worst one.
 
-    It ends with the first evaluation that fails, or as the method says.
+    It ends with the first evaluation that fails, is cut short or shows that the parameter set
+    cannot be the answer, or as the method says.
 
     Parameters
     ----------
@@ -110,11 +112,12 @@ class TrialTask:
         """Return the trial, once it has ended."""
         proposal = self._proposal
         failed = [e.outcome for e in self._done if not e.outcome.complete]
+        state = ended_as(failed[0]) if failed else TrialState.COMPLETE
         return Trial(
             number=self._number,
             parameters=proposal.parameters,
             origin=proposal.origin,
-            state=TrialState.FAILED if failed else TrialState.COMPLETE,
+            state=state,
             reason=failed[0].reason if failed else "",
             evaluations=tuple(self._done),
             worst_cases={} if failed else self._worst_cases(),
@@ -130,7 +133,10 @@ class TrialTask:
 
     def _ends_with(self, evaluation: Evaluation) -> bool:
         outcome = evaluation.outcome
-        return not outcome.complete or self._method.ends_trial(self._study, outcome)
+        if not outcome.complete or self._method.ends_trial(self._study, outcome):
+            return True
+        hopeless = self._proposal.hopeless.beyond(evaluation.stage)
+        return any(outcome.metrics[name] > most for name, most in hopeless.items())
 
     def _worst_cases(self) -> dict[str, WorstCase]:
         # One that ended early has not searched yet.
@@ -146,8 +152,12 @@ class TrialTask:
     def _planned(self, stage: Stage, context: Context) -> Evaluation:
         index = len(self._done)
         seed = noise_seed(self._study.seed, Stream.NOISE, self._number, index)
-        parameters = self._proposal.parameters
-        return Evaluation(self._number, index, stage, parameters, context, seed)
+        proposal, decisive = self._proposal, self._study.decisive_metrics
+        hopeless = proposal.hopeless.beyond(stage)
+        beyond = {name: most for name, most in hopeless.items() if name in decisive}
+        return Evaluation(
+            self._number, index, stage, proposal.parameters, context, seed, beyond=beyond
+        )
 
     def _rng(self) -> np.random.Generator:
         return generator(self._study.seed, Stream.SEARCH, self._number, len(self._done))

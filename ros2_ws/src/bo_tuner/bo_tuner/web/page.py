@@ -22,6 +22,7 @@ from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bo_tuner.errors import BoTunerError
+from bo_tuner.text import printable
 from bo_tuner.web.address import TOKEN_BYTES, is_own_host
 
 LARGEST_REQUEST = 16_384
@@ -136,7 +137,7 @@ class Page(RequestHandler):
         if isinstance(error, HTTPError) and error.log_message:
             said = error.log_message % error.args
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(f"{status_code}: {said or self._reason}\n")
+        self.finish(f"{status_code}: {printable(said) or self._reason}\n")
 
 
 Route = tuple[str, type[Page], dict[str, Any]]

@@ -5,6 +5,18 @@ from urllib.parse import quote
 
 HOME = "/"
 RUNS = "/runs"
+NEWS = "/news"
+"""What changes in the list of runs; a run may have any name below `RUNS`."""
+
+
+def list_address(page: int) -> str:
+    """Return the address of a page of the list of runs."""
+    return f"{RUNS}?page={page}"
+
+
+def news_address(page: int) -> str:
+    """Return the address of what a page of the list has now."""
+    return f"{NEWS}?page={page}"
 
 
 def run_address(name: str) -> str:
@@ -15,6 +27,11 @@ def run_address(name: str) -> str:
 def file_address(name: str, path: str) -> str:
     """Return the address of a file of a run by its path in the run folder."""
     return f"{run_address(name)}/files/{quote(os.fsencode(path))}"
+
+
+def forecasts_address(name: str) -> str:
+    """Return the address of predictions for values of a run's parameters, a query behind it."""
+    return f"{run_address(name)}/forecast"
 
 
 def trials_address(name: str) -> str:

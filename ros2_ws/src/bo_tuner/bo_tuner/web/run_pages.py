@@ -7,7 +7,9 @@ stranger's run has named HTML would else be a page of ours.
 import asyncio
 import json
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import quote
@@ -15,11 +17,12 @@ from urllib.parse import quote
 from tornado.web import HTTPError
 
 from bo_tuner.interruption import LOOK_AROUND, Interruption
+from bo_tuner.report.content import Forecast
 from bo_tuner.storage.notes import Note
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.web.address import Address
 from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
-from bo_tuner.web.places import RUNS
+from bo_tuner.web.places import NEWS, RUNS
 from bo_tuner.web.runs import MOST_COMPARED, Runs
 
 NO_RUN = "there is no such run here"
@@ -40,6 +43,10 @@ class RunsHandler(Page):
         self.runs: Runs = shared["runs"]
         self.thread: ThreadPoolExecutor = shared["thread"]
 
+    def decode_argument(self, value: bytes, name: str | None = None) -> str:
+        """Take folders and files in a path as the system has them, which need not be UTF-8."""
+        return super().decode_argument(value, name) if name else os.fsdecode(value)
+
 
 class Entrance(RunsHandler):
     """Where the address that was printed leads to, without a run in progress."""
@@ -55,11 +62,23 @@ class RunsPage(RunsHandler):
 
     async def get(self) -> None:
         """Answer with a page of the list."""
+        await self.answer(self.runs.listing)
+
+    async def answer(self, make: Callable[[int], str | None]) -> None:
+        """Answer with what is made of the page that is asked for."""
         page = self.get_query_argument("page", "0")
         if not page.isascii() or not page.isdecimal() or len(page) > 9:
             raise HTTPError(400, "page: expected a whole number")
         missing = "there is no such page of the list"
-        self.finish(await self.made(missing, self.thread, self.runs.listing, int(page)))
+        self.finish(await self.made(missing, self.thread, make, int(page)))
+
+
+class RunsNews(RunsPage):
+    """What a page of the list has now, which the page asks for from time to time."""
+
+    async def get(self) -> None:
+        """Answer with the list without what is around it."""
+        await self.answer(self.runs.news)
 
 
 class RunsTable(RunsHandler):
@@ -87,6 +106,22 @@ class TrialPage(RunsHandler):
         """Answer with the page, if there is such a trial."""
         page = await self.made(NO_TRIAL, self.thread, self.runs.trial, name, int(number))
         self.finish(page)
+
+
+class ForecastOf(RunsHandler):
+    """What the models predict for values of a run's parameters."""
+
+    async def get(self, name: str) -> None:
+        """Answer with predictions in JSON."""
+        asked = self.request.query_arguments
+        try:
+            values = {key: float(given[-1]) for key, given in asked.items() if key != "token"}
+        except ValueError:
+            raise HTTPError(400, "expected numbers") from None
+        missing = "there is nothing to predict for these values"
+        found: Forecast = await self.made(missing, self.thread, self.runs.forecast, name, values)
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(asdict(found)))
 
 
 class ComparisonPage(RunsHandler):
@@ -143,10 +178,12 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
     """Return the routes of the pages about runs, which are made in a thread."""
     shared = {"runs": runs, "thread": thread}
     pages: list[tuple[str, type[RunsHandler]]] = [
-        (r"/runs", RunsPage),
+        (RUNS, RunsPage),
+        (NEWS, RunsNews),
         (r"/runs\.csv", RunsTable),
         (r"/runs/([^/]+)", RunPage),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})", TrialPage),
+        (r"/runs/([^/]+)/forecast", ForecastOf),
         (r"/runs/([^/]+)/note", NoteOf),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})/note", NoteOf),
         (r"/runs/([^/]+)/files/(.+)", RunFile),

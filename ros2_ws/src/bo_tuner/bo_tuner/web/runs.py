@@ -11,15 +11,25 @@ from bo_tuner.errors import BoTunerError, RunRecordError
 from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
-from bo_tuner.report.content import Table
-from bo_tuner.report.page import chapters, fill, render, trial_html
+from bo_tuner.report.content import Forecast, Table
+from bo_tuner.report.page import chapters, fill, list_html, render, trial_html
+from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.notes import Note, Notes, read_notes, write_note
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.text import counted, csv_cell, with_unit
 from bo_tuner.trials import Value
 from bo_tuner.web.files import files_of, size_in_words
-from bo_tuner.web.places import HOME, RUNS, file_address, run_address, trials_address
+from bo_tuner.web.places import (
+    HOME,
+    RUNS,
+    file_address,
+    forecasts_address,
+    list_address,
+    news_address,
+    run_address,
+    trials_address,
+)
 from bo_tuner.web.sections import read_as_it_stands
 
 MOST_RUNS = 50
@@ -113,6 +123,25 @@ class Runs:
 
     def listing(self, page: int = 0) -> str | None:
         """Return a page of the list of runs, counted from 0; None if there is no such page."""
+        content = self._listed(page)
+        if content is None:
+            return None
+        return fill(
+            "runs.html",
+            ["runs.js"],
+            title="Runs",
+            folder=self._folder.resolve().name,
+            sections=[],
+            **content,
+        )
+
+    def news(self, page: int = 0) -> str | None:
+        """Return what a page of the list has now, without what is around it."""
+        content = self._listed(page)
+        return None if content is None else list_html(**content)
+
+    def _listed(self, page: int) -> dict[str, object] | None:
+        """Return the content of a page of the list; None if there is no such page."""
         names = self.names()
         count = max(1, -(-len(names) // MOST_RUNS))
         if not 0 <= page < count:
@@ -140,24 +169,22 @@ class Runs:
                 f"Runs {begin + 1} to {begin + len(listed)} of {len(names)}, the latest first; the "
                 "filter is for these."
             )
-        return fill(
-            "runs.html",
-            title="Runs",
-            folder=self._folder.resolve().name,
-            present=self._present,
-            table=Table(
+        return {
+            "present": self._present,
+            "news": news_address(page),
+            "table": Table(
                 caption=counted(len(names), "run"),
                 header=["run", *COLUMNS, "tags", "note"],
                 rows=rows,
                 numeric=[1 + COLUMNS.index("trials")],
             ),
-            notes=problems,
-            most=MOST_COMPARED,
-            sections=[],
-            home=HOME,
-            newer=_page_address(page - 1) if page > 0 else "",
-            older=_page_address(page + 1) if page + 1 < count else "",
-        )
+            "notes": problems,
+            "most": MOST_COMPARED,
+            "home": HOME,
+            "address": run_address,
+            "newer": list_address(page - 1) if page > 0 else "",
+            "older": list_address(page + 1) if page + 1 < count else "",
+        }
 
     def report(self, name: str) -> str | None:
         """Return the report of a run; None if there is no such run.
@@ -194,6 +221,7 @@ class Runs:
                 for path, size in files_of(self._folder / name)
             ],
             trials=trials_address(name),
+            forecasts=forecasts_address(name),
         )
 
     def trial(self, name: str, number: int) -> str | None:
@@ -220,6 +248,16 @@ class Runs:
         frame = self._frame(name, number, home, beside(number - 1), beside(number + 1))
         parts = trial_sections(analysis, trial)
         return trial_html(analysis, trial, parts, "run_trial.html", ["notes.js"], frame=frame)
+
+    def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
+        """Return what is predicted for values of a run's parameters; None if there are none such.
+
+        Raises
+        ------
+        BoTunerError
+            If the run cannot be read.
+        """
+        return None if name not in self.names() else forecast(self._analysis(name), values)
 
     def compared(self, names: Sequence[str]) -> str | None:
         """Return the page that compares runs; None if one does not exist.
@@ -344,10 +382,6 @@ def _values(analysis: Analysis) -> dict[str, Value]:
         column = with_unit(quantity.label, quantity.unit)
         found[column], found[f"default: {column}"] = quantity.tuned, quantity.default
     return found
-
-
-def _page_address(page: int) -> str:
-    return f"{RUNS}?page={page}"
 
 
 def _of_journal(folder: Path) -> list[Path]:

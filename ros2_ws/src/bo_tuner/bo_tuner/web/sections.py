@@ -10,7 +10,7 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.text import counted
 from bo_tuner.trials import count_trials
 from bo_tuner.tuning.summary import with_summary
-from bo_tuner.web.places import trials_address
+from bo_tuner.web.places import forecasts_address, trials_address
 
 ANSWER = "answer"
 
@@ -101,6 +101,7 @@ class LiveSections:
             sections=[],
             control=control,
             trials=trials_address(self._folder.name),
+            forecasts=forecasts_address(self._folder.name),
         )
 
 

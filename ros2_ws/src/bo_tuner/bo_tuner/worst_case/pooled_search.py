@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.censoring import Censored
 from bo_tuner.models.context_process import ContextProcess
 from bo_tuner.models.covariates import ROWS, Covariates
 from bo_tuner.models.pooled_models import PooledModels
@@ -30,6 +31,8 @@ class KnownRuns:
         Of the parameters' columns.
     measured
         By name of a measured context its values (n,).
+    censored
+        Further ones, of which lower bounds are known.
     """
 
     x: Array
@@ -37,6 +40,7 @@ class KnownRuns:
     y: Array
     coding: Coding
     measured: Mapping[str, Array] = field(default_factory=dict)
+    censored: Censored | None = None
 
 
 class PooledSearch:
@@ -91,6 +95,7 @@ class PooledSearch:
         self._scale = models.scale(known.y, limit, 1.0)
         self._x, self._c, self._y = known.x, known.c, self._scale.apply(known.y)
         self._coding = known.coding
+        self._censored = known.censored
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
         self._measured = dict(known.measured)
@@ -147,12 +152,15 @@ class PooledSearch:
         return self._fitted_to(c, rng).averaged(covariates.rows(ROWS))
 
     def _fitted_to(self, c: Array, rng: np.random.Generator) -> ContextProcess:
+        data, coding, censored = (self._x, c, self._y), self._coding, None
+        if self._censored is not None:
+            censored = self._censored.on_scale(self._scale.apply)
         if self._hyperparameters is None:
             return self._processes.fit(
-                self._x, c, self._y, coding=self._coding, rng=rng, priors=PRIORS
+                *data, coding=coding, rng=rng, priors=PRIORS, censored=censored
             )
         return self._processes.condition(
-            self._hyperparameters, self._x, c, self._y, coding=self._coding
+            self._hyperparameters, *data, coding=coding, censored=censored
         )
 
     def _quantile(self, process: ContextProcess, c: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value, count_evaluations
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.reinterpolation_search import OBSERVED
@@ -73,6 +73,8 @@ class Run:
         Its budget.
     method
         In place of the one that the row names.
+    window
+        Number of trials, or other tasks, that are planned at once.
 
     Attributes
     ----------
@@ -87,7 +89,14 @@ class Run:
     """
 
     def __init__(
-        self, study: Study, row: Row, seed: int, size: RunSize, method: Method | None = None
+        self,
+        study: Study,
+        row: Row,
+        seed: int,
+        size: RunSize,
+        method: Method | None = None,
+        *,
+        window: int = 1,
     ) -> None:
         whole = _study_of(study, row, seed, size)
         self._peer: PeerOptimizer | None = None
@@ -102,7 +111,8 @@ class Run:
         self.study = whole.replace(evaluations=self.budget)
         self.backend = TimedBackend(self.study)
         self.backend.open()
-        self._tuning = Tuning(self.study, Driver(self.backend), self.method)
+        self._window = window
+        self._tuning = Tuning(self.study, self._driver(), self.method)
         self._recommendation: Recommendation | None = None
 
     @property
@@ -135,7 +145,7 @@ class Run:
         left = self._evaluations - self.backend.evaluations
         self._recommendation = choose_answer(
             self.study,
-            Driver(self.backend, settling),
+            self._driver(settling),
             self.method,
             self.trials,
             most_repeated=max(0, left),
@@ -147,8 +157,11 @@ class Run:
         known = self.method.continued(self.trials, settling.evaluations, more=True)
         self.budget = self.backend.evaluations + more
         self.study = self.study.replace(evaluations=count_evaluations(known) + more)
-        self._tuning = Tuning(self.study, Driver(self.backend), self.method, trials=known)
+        self._tuning = Tuning(self.study, self._driver(), self.method, trials=known)
         return True
+
+    def _driver(self, observer: RunObserver = NOBODY) -> Driver:
+        return Driver(self.backend, observer, window=self._window)
 
     def incumbent(self) -> int | None:
         """Return the number of the trial believed feasible and best; None if there is none yet."""

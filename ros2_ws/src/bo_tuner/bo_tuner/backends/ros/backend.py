@@ -41,10 +41,15 @@ from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
-from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.collect import Collector, cut_short
 from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.message_rates import MessageRates
-from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
+from bo_tuner.metrics.recording import (
+    NOTHING_RECORDED,
+    CutShortError,
+    FailedRunError,
+    Recording,
+)
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.storage.trust import python_functions
@@ -454,7 +459,7 @@ class RosBackend(SequentialBackend):
                 self._procedure.forget()
                 self._procedure.expect_rest()
                 self._rest(self._procedure)
-                self._procedure.enter(planned.context)
+                self._procedure.enter(planned.context, planned.beyond)
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure)
@@ -463,6 +468,8 @@ class RosBackend(SequentialBackend):
             result = self._collector.outcome(said, wanted)
             # A metric may be a function of the user's that takes its time.
             self._suspension.skip()
+        except CutShortError as end:
+            return cut_short(self._study, planned.beyond, end.seconds, end.so_far, self._counts())
         except (RefusedError, FailedRunError) as refusal:
             return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), self._counts())
         except DisturbedError as error:

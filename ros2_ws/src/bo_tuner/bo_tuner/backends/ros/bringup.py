@@ -131,7 +131,7 @@ class Bringup:
             if missing := client.presence.missing():
                 names = " and ".join(self._study.nodes[key].node for key in missing)
                 tuner.warn(
-                    f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}"
+                    f"a test run was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}"
                 )
         else:
             self._suspension.look()

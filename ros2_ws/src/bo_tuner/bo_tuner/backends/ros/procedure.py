@@ -33,6 +33,7 @@ from bo_tuner.metrics.recording import (
     FailedRunError,
     Recording,
 )
+from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
@@ -138,8 +139,9 @@ class Procedure:
                 self._started,
                 list(self._topics.values()),
                 self._streams,
+                MetricsSoFar(study),
             )
-            self._watch.enter(self._context)
+            self._watch.enter(self._context, {})
         except BaseException:
             self.close()
             raise
@@ -152,11 +154,14 @@ class Procedure:
         if problems:
             raise LostError("; ".join(problems))
 
-    def enter(self, context: Context) -> None:
-        """Let the steps that follow have the values of a context."""
+    def enter(self, context: Context, beyond: Mapping[str, float]) -> None:
+        """Let the steps that follow have the values of a context.
+
+        A run is cut short as soon as one of its metrics is `beyond` its value.
+        """
         self._context = context
         self._fill(context)
-        self._watch.enter(context)
+        self._watch.enter(context, beyond)
 
     def rest(self) -> float:
         """Wait until the machine has rested since the last run; returns for how long [s].
@@ -221,6 +226,8 @@ class Procedure:
 
         Raises
         ------
+        CutShortError
+            If the outcome of the run is decided before its end. Then, too, `leave` it.
         FailedRunError
             If the run does not count: a step is refused, a condition does not hold in time or says
             that the run is to be aborted, or signals are not whole. Then, as after whatever else

@@ -12,13 +12,17 @@ from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.streams import Streams
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
-from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.metrics.recording import CutShortError, FailedRunError
+from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import TIME, Signal, expression
 from bo_tuner.trials import Context
+
+LOOK, PART = 0.1, 0.02
+"""Time between two looks at the metrics so far: in seconds, and as a part of that of the run."""
 
 OVERLAP = 0.5
 """Time [s] of a run that a condition is judged on again, for messages that come in late."""
@@ -45,6 +49,8 @@ class RunWatch:
         What the steps publish.
     streams
         What streams while steps go on.
+    so_far
+        Computes the metrics that only grow.
 
     Attributes
     ----------
@@ -62,6 +68,7 @@ class RunWatch:
         goals: Sequence[Goal],
         topics: Sequence[OwnTopic],
         streams: Streams,
+        so_far: MetricsSoFar,
     ) -> None:
         self._run = run
         self._signals = signals
@@ -71,6 +78,9 @@ class RunWatch:
         self._goals = goals
         self._topics = topics
         self._streams = streams
+        self._so_far = so_far
+        self._beyond: Mapping[str, float] = {}
+        self._looked = 0.0
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
         self._end: Expression | None = None
         self._when = ""
@@ -78,8 +88,12 @@ class RunWatch:
         self._largest_gaps: Mapping[str, float] = {}
         self.aborted: float | None = None
 
-    def enter(self, context: Context) -> None:
-        """Let the condition that ends a run have the values of a context."""
+    def enter(self, context: Context, beyond: Mapping[str, float]) -> None:
+        """Let the condition that ends a run have the values of a context.
+
+        A run is cut short as soon as one of its metrics is `beyond` its value.
+        """
+        self._beyond = beyond
         self._when = filled_condition(self._run.end.when, context)
         self._end = expression(self._when, self._signals) if self._when else None
 
@@ -103,7 +117,7 @@ class RunWatch:
         largest_gaps
             Longest time [s] without a message, of signals for which the study has none.
         """
-        self._judged = 0.0
+        self._judged = self._looked = 0.0
         self._largest_gaps = largest_gaps
         self.aborted = None
 
@@ -149,6 +163,8 @@ class RunWatch:
 
         Raises
         ------
+        CutShortError
+            If its outcome is decided.
         FailedRunError
             If it is to be aborted, a goal has failed, or the signals will not be whole.
         LostError
@@ -175,7 +191,18 @@ class RunWatch:
         for goal in self._goals:
             goal.check()
         self._judged = seen
+        if self._beyond and now < end and now >= self._looked + max(LOOK, PART * now):
+            self._looked = now
+            self._expect_open()
         return now
+
+    def _expect_open(self) -> None:
+        """Raise `CutShortError` if the run is decided by its messages so far."""
+        # Until the next message nobody knows how long the value of the last one holds.
+        recording = self._recorder.recording(min(self._looked, self._recorder.latest))
+        values = self._so_far.of(recording, self._beyond)
+        if any(values[name] > self._beyond[name] for name in values):
+            raise CutShortError(recording.end, self._so_far.of(recording))
 
     def look_for_abort(self, now: float, seen: float) -> None:
         """Take the messages that are here, and see whether the run is to be aborted by them.

@@ -150,7 +150,7 @@ class StudyClient:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
                 raise DisturbedError(
-                    f"{self.results.contradicted[0]}: two different results of one evaluation"
+                    f"{self.results.contradicted[0]}: two different results of one test run"
                 )
             return said
         finally:
@@ -176,7 +176,7 @@ class StudyClient:
         self._refuse_twins()
         if anew:
             name = self._study.nodes[anew[0]].node
-            raise LostError(f"{name} was started anew in the evaluation")
+            raise LostError(f"{name} was started anew during the test run")
 
     def _refuse_twins(self) -> None:
         if twins := self.presence.twins(LONGEST_LEASE):

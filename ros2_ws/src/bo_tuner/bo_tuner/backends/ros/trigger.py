@@ -81,7 +81,7 @@ class TriggeredRun:
                 return str(response.message)
             # Right after the start the nodes may not have found each other yet.
             if time.monotonic() > deadline:
-                raise LostError(f"{name} does not start an evaluation: {response.message}")
+                raise LostError(f"{name} does not start a test run: {response.message}")
             self._tuner.spin_once()
 
     def _await_results(self, trigger: TriggerSpec, deadline: float) -> dict[str, dict[str, object]]:
@@ -101,7 +101,7 @@ class TriggeredRun:
             if time.monotonic() > deadline:
                 silent = ", ".join(sorted(awaited - said.keys()))
                 raise SilentError(
-                    f"no evaluation result from {silent} within {trigger.timeout:g} s"
+                    f"no result of the test run from {silent} within {trigger.timeout:g} s"
                 )
             self._tuner.spin_once()
 

@@ -28,6 +28,8 @@ class Answer:
         What went wrong beside, each in a line.
     returned
         Whether the problem is what a function has returned, which is no result.
+    heard
+        What was heard in the evaluation, by a backend that listens; for whoever made that.
     """
 
     worker: str
@@ -35,3 +37,4 @@ class Answer:
     problem: str = ""
     remarks: tuple[str, ...] = ()
     returned: bool = False
+    heard: object = None

@@ -163,7 +163,7 @@ class RunningCluster:
             if worker["nthreads"] != 1:
                 raise BackendError(
                     f"worker {address}: expected 1 thread, found {worker['nthreads']}; start it "
-                    "with --nthreads 1, and several for several evaluations"
+                    "with --nthreads 1, and several for several test runs"
                 )
         needs = (self.needs.packages, self.needs.modules, self.needs.folder)
         # The scheduler reads what the run sends it, too.

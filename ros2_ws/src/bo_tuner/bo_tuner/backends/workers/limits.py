@@ -40,7 +40,7 @@ def problem_of_workers(study: Study, backend: str, workers: Workers, *, attach: 
     if attach and count > len(workers.benches or (1,)):
         return (
             f"expected 1 with --attach, found {count}: running nodes are one set, which runs one "
-            "evaluation at a time; name several sets (--benches), or let each worker start nodes "
+            "test run at a time; name several sets (--benches), or let each worker start nodes "
             "of its own (--no-attach)"
         )
     if count == 1 or backend != ROS:

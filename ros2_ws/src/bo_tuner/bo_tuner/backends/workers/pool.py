@@ -78,6 +78,7 @@ class WorkerPool:
         self._running: dict[Any, Evaluation] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._last_seen = 0.0
+        self._latest: Answer | None = None
 
     def open(self) -> None:
         """Start the workers, and open their backends.
@@ -190,9 +191,15 @@ class WorkerPool:
         elif (seconds := time.monotonic() - self._last_seen) > LEFT_ALONE:
             raise RunError(f"there has been no worker for {seconds:.0f} s")
 
+    def take_answer(self) -> Answer | None:
+        """Return what a worker has said with the latest result; None if it was taken, or lost."""
+        answer, self._latest = self._latest, None
+        return answer
+
     def _result(self, future: Any, planned: Evaluation) -> Evaluation:
         from distributed import KilledWorker
 
+        self._latest = None
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
             deaths = error.allowed_failures + 1
@@ -208,6 +215,7 @@ class WorkerPool:
             if answer.returned:
                 raise MetricsError(answer.problem)
             raise RunError(f"worker {answer.worker}: {answer.problem}")
+        self._latest = answer
         return answer.evaluation
 
     def _gone(self, reason: object) -> str:

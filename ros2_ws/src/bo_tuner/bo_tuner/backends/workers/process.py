@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any, Protocol, cast, runtime_checkable
 
 from distributed import Scheduler, SchedulerPlugin, Worker, WorkerPlugin, get_worker
 
@@ -37,6 +37,13 @@ class Parks(Protocol):
 
     def park(self) -> list[str]:
         """Set them; returns what went wrong."""
+
+
+@runtime_checkable
+class Hears(Protocol):
+    """A backend that has heard something of the last evaluation, which goes with the result."""
+
+    heard: object
 
 
 @dataclass(frozen=True)
@@ -238,6 +245,9 @@ def _answered(run: str, act: Callable[[OwnBackend], Answer]) -> Answer:
         return Answer(own.label, problem=str(error), returned=isinstance(error, MetricsError))
     except Exception as error:
         return Answer(own.label, problem=f"{type(error).__name__}: {error}")
+    except (SystemExit, KeyboardInterrupt):
+        # Of foreign code. Dask would take it for an end that is meant, and start no other process.
+        os._exit(1)
 
 
 def begin(run: str) -> Answer:
@@ -254,8 +264,10 @@ def evaluate(run: str, planned: Evaluation) -> Answer:
     """Run an evaluation."""
 
     def act(own: OwnBackend) -> Answer:
-        (evaluation,) = own.opened().run([planned])
-        return Answer(own.label, evaluation)
+        backend = own.opened()
+        (evaluation,) = backend.run([planned])
+        heard = backend.heard if isinstance(backend, Hears) else None
+        return Answer(own.label, evaluation, heard=heard)
 
     return _answered(run, act)
 

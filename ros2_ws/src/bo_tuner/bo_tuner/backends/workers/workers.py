@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from bo_tuner.study.parts import ROS
 from bo_tuner.text import counted
 
 
@@ -56,11 +55,11 @@ class Workers:
         """Whether evaluations are run by processes of their own."""
         return self.count > 1 or bool(self.scheduler or self.benches)
 
-    def text(self, backend: str) -> str:
+    @property
+    def text(self) -> str:
         """Tell of workers in a line; empty without any beside the run itself."""
         if not self.pooled:
             return ""
         where = f" of the cluster {self.scheduler}" if self.scheduler else ""
         planned = counted(self.window, "task") + " planned at once"
-        bags = "; no bags are recorded" if backend == ROS else ""
-        return f"{counted(self.count, 'worker')}{where}, {planned}{bags}"
+        return f"{counted(self.count, 'worker')}{where}, {planned}"

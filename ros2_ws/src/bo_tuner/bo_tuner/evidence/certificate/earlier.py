@@ -99,7 +99,7 @@ def earlier_in_words(certificate: Certificate) -> Iterator[str]:
             yield f"{sentence}."
             continue
         contexts = " and ".join(f"({text.values(c)})" for c in failure.contexts if c)
-        where = f"in the context {contexts}" if contexts else "by fresh evaluations"
+        where = f"in the context {contexts}" if contexts else "by fresh test runs"
         yield (
             f"{sentence}. This PASS covers it: the limits were shown anew {where}, and the earlier "
             "runs, which count against a PASS only, do not contradict."

@@ -256,9 +256,9 @@ def _worst_case(
     contexts = text.counted(unvisited, "context")
     not_run = f"{contexts} that may be the worst had no run, as another one had decided"
     if not worst:
-        return False, not_run if unvisited else "its worst contexts were not evaluated"
+        return False, not_run if unvisited else "its worst contexts were not run"
     if failures := sum(w.failures for w in worst):
-        failed = text.counted(failures, "evaluation")
+        failed = text.counted(failures, "test run")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
     passed = all(w.shown for w in worst)
     if passed and unvisited:

@@ -21,9 +21,15 @@ from bo_tuner.evidence.certificate.independent_search import (
     most_searched,
 )
 from bo_tuner.evidence.certificate.limited_runs import is_exact
+from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
-from bo_tuner.numerics.sequential import draws_needed, log_evidence, log_mean_evidence
+from bo_tuner.numerics.sequential import (
+    draws_needed,
+    log_evidence,
+    log_mean_evidence,
+    spent,
+)
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.study.study import Study
@@ -98,6 +104,23 @@ def outlook(
         return None
     low, high = np.quantile(passed, ENDS)
     return Outlook(round(low), round(high))
+
+
+def probable_certificate(
+    study: Study, worst_cases: Mapping[str, WorstCase] | None = None
+) -> Outlook | None:
+    """Return how many evaluations the first certificate of a result probably takes, as `outlook`.
+
+    Parameters
+    ----------
+    study
+        The study, which says how many draws and what confidence it is to have.
+    worst_cases
+        What is estimated of the result; None if nothing is.
+    """
+    confidence = study.certificate.confidence
+    draws = required_draws(study, confidence)
+    return outlook(study, draws, spent(confidence, 1), worst_cases=worst_cases)
 
 
 @dataclass(frozen=True)

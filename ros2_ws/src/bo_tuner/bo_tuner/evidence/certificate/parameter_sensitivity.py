@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess, relative_loss
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import Value
 
 
@@ -85,7 +85,7 @@ def narrow_in_words(study: Study, around: ParameterSensitivity) -> str:
     if not around.narrow:
         return ""
     steps = "; ".join(
-        ", ".join(f"{name} {shown(value)}" for name, value in n.changed.items())
+        titled_values(study.parameters, n.changed)
         + f" (objective {change_in_words(study, around.optimum, n)}"
         + (f", {100.0 * n.excess:.0f} % over a limit)" if n.excess > 0.0 else ")")
         for n in around.narrow

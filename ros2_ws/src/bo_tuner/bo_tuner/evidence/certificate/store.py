@@ -228,7 +228,7 @@ def evaluations_problem(path: Path, certificate: Certificate) -> str:
     try:
         evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
     except OSError as error:
-        return f"its evaluations cannot be read: {error.strerror}"
+        return f"its test runs cannot be read: {error.strerror}"
     if certificate.evaluations_sha256 != evaluations:
         return f"{evaluations_path(path).name} does not match its digest in the certificate"
     return ""

@@ -59,13 +59,13 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
         rows += _of_constraint(study, constraints, level)
     failed = tuple(f"{side.failures} of {side.evaluations}" for side in sides)
     verdicts = tuple(PASS if side.passed else FAIL for side in sides)
-    return [*rows, Row("failed evaluations", "", failed), Row("verdict", "", verdicts)]
+    return [*rows, Row("failed test runs", "", failed), Row("verdict", "", verdicts)]
 
 
 def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
     """Yield lines on what the verdict leaves out: reasons, training and robustness."""
     for constraint in certificate.tuned.constraints:
-        kept = "shown to hold" if constraint.passed else "NOT shown to hold"
+        kept = "proven" if constraint.passed else "NOT proven"
         yield f"{constraint.name}: {kept}: {constraint.reason}"
     yield from certificate.tuned.assumptions
     yield certificate.tuned.price
@@ -124,11 +124,11 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
         for name in study.contexts:
             yield row(f"  at {name}", "", searched(partial(_coordinate, name)))
         counts = searched(lambda worst: f"{worst[0].beyond} of {worst[0].evaluations}")
-        yield row(f"  evaluations {beyond}", "", counts)
+        yield row(f"  test runs {beyond}", "", counts)
     yield row(
         f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        ("shown" if c.passed else "NOT shown" for c in both),
+        ("shown" if c.passed else "NOT proven" for c in both),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from bo_tuner.methods.searches import ModelSearch
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.covariates import measured_in
-from bo_tuner.models.observations import joint_observations
+from bo_tuner.models.observations import censored_observations, joint_observations
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.constraint import Constraint
@@ -40,6 +40,10 @@ class Pooled(ModelSearch):
         kept = [t for t in trials if t.number not in proposal.outliers]
         points = space.cube_of(t.parameters for t in kept)
         x, c, y = joint_observations(points, contexts, kept, constraint.metric)
+        censored = None
+        if constraint.sign > 0.0:
+            # The mirror image of a lower limit would be one that the metric stays below.
+            censored = censored_observations(points, contexts, kept, constraint.metric)
         # Without context variables, drawn evaluations are those in the worst context.
         idle = contexts.dimension == 0 and proposal.protocol is None
         return PooledSearch(
@@ -51,6 +55,7 @@ class Pooled(ModelSearch):
                 constraint.sign * y,
                 Coding(space.levels),
                 dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
+                censored,
             ),
             limit=constraint.sign * constraint.limit,
             deviations=constraint.deviations,

@@ -19,21 +19,22 @@ References
 Gibbs and Candès (2021). Adaptive conformal inference under distribution shift. NeurIPS 34.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule
 from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration, elsewhere, ends_in_a_basin
+from bo_tuner.methods.boundary.hopeless import hopeless_beyond
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.pooled_models import PooledSurrogates
 from bo_tuner.models.pooled_responses import FutureBound
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
+from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Hopeless, Proposal
 from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,
     BayesianOptimization,
@@ -41,8 +42,9 @@ from bo_tuner.optimizers.bayesian import (
     PointRule,
     lowest_believed,
 )
+from bo_tuner.optimizers.ranking import relative_excess
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState, count_evaluations, count_trials
+from bo_tuner.trials import Trial, TrialState, Value, count_evaluations, count_trials
 
 DOOMED = 0.95
 """Probability of a failure from which on no point is proposed as long as there are others."""
@@ -50,6 +52,9 @@ DOOMED = 0.95
 DRAWN, WORST = 1, 2
 """Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
 
+
+LEAST = 2
+"""Complete trials that must be more before a run of the initial design may be cut short."""
 
 Avoidance = Callable[[Study, Sequence[Trial]], float]
 """Returns the largest probability of a failure of a proposal, by all trials so far."""
@@ -82,7 +87,7 @@ class AdaptedAvoidance:
         """Return the largest probability of a failure of the next proposal."""
         level, highest = 0.0, np.log2(DOOMED / self.failing)
         for trial in trials[study.budget.initial_trials :]:
-            if trial.unusable:
+            if trial.unusable or trial.state is TrialState.CUT_SHORT:
                 continue
             failed = trial.state is TrialState.FAILED
             level += self.adaptation * (-1.0 if failed else self.failing / (1.0 - self.failing))
@@ -170,7 +175,8 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
             points, protocol = self._at_boundary, new_point(self.study)
         if self._exploration.is_due(self.study, *done):
             points = self._elsewhere_before(points)
-        return self.initial() or self.propose(points, protocol)
+        initial = self.initial()
+        return self.propose(points, protocol) if initial is None else self._bounded(initial)
 
     @property
     def avoid(self) -> float:
@@ -181,6 +187,29 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         """Return the box around the least violating parameter set, see `Approach`."""
         known = self._ranking.comparable(surrogates, self.trials)
         return self._approach.box(surrogates, self.study, known)
+
+    def hopeless(self, surrogates: PooledSurrogates, parameters: Mapping[str, Value]) -> Hopeless:
+        """Return beyond what a run of a parameter set is hopeless, if runs may be cut short."""
+        if not self.study.budget.cut_short:
+            return Hopeless()
+        lowest, least = self._ranking.lowest_cost(surrogates, self.study, self.trials), 0.0
+        known = self._ranking.comparable(surrogates, self.trials)
+        if lowest is None and known:
+            points = self.space.cube_of(trial.parameters for trial in known)
+            least = max(float(relative_excess(surrogates, points).min()), 0.0)
+        point = self.space.to_cube(parameters)
+        return hopeless_beyond(self.study, surrogates, point, lowest, least)
+
+    def _bounded(self, initial: Proposal) -> Proposal:
+        """Return a proposal of the initial design with what is hopeless, if enough is known."""
+        complete = sum(trial.state is TrialState.COMPLETE for trial in self.trials)
+        if not self.study.budget.cut_short or complete <= max(self.space.dimension, LEAST):
+            return initial
+        try:
+            surrogates = self._models(self.study, self.trials, rng=self.rng())
+            return replace(initial, hopeless=self.hopeless(surrogates, initial.parameters))
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError):
+            return initial
 
     def _elsewhere_before(self, points: PointRule[PooledSurrogates]) -> PointRule[PooledSurrogates]:
         """Return a rule that first explores if the search ends in a basin, before `points`."""

@@ -85,7 +85,7 @@ class CheckedAnswer(AnswerSearch):
         The recommendation, once there is nothing more to ask.
     """
 
-    what = "evaluations of the check"
+    what = "test runs of the check"
 
     def __init__(
         self, study: Study, trials: Sequence[Trial], ranking: Ranking[Surrogates], most: int

@@ -69,7 +69,9 @@ class PaperMethod(Method):
         return Ranking(self.models)
 
     def problem(self, study: Study) -> str:
-        """Refuse measured contexts, for which the models of trials have no column."""
+        """Refuse what the models of trials know nothing of."""
+        if study.budget.cut_short:
+            return "needs whole runs, and the study has `budget.cut_short`"
         if not study.measured:
             return ""
         return f"knows nothing of what is measured, and the study measures '{study.measured[0]}'"

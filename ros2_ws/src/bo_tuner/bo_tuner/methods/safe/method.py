@@ -53,7 +53,9 @@ class Safe(Boundary):
         return KeptRanking(self.models)
 
     def problem(self, study: Study) -> str:
-        """Refuse a study without a limit."""
+        """Refuse a study without a limit, or whose runs may be cut short."""
+        if study.budget.cut_short:
+            return "needs whole runs, and the study has `budget.cut_short`"
         return "" if study.constraints else "needs a limit to keep, and the study has none"
 
     def optimizer(self, study: Study) -> Optimizer:

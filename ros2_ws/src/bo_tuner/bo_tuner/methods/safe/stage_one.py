@@ -70,6 +70,10 @@ NO_SAFE_START = (
     "or --start, or narrow the contexts, or widen the limit"
 )
 
+START_REFUSED = (
+    "every parameter set to start from was refused: allow one, or name others with start or --start"
+)
+
 ALL_TRIED = (
     "all parameter sets within reach that are expected to be safe have been tried: a larger "
     "safe_search.travel, a wider limit or a larger safe_search.risk would help"
@@ -104,7 +108,8 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
             return start
         if not self._kept:
             # The sets to start from come first: one of those that are pending may be safe.
-            self.standstill = "" if pending else NO_SAFE_START
+            reason = NO_SAFE_START if self.trials else START_REFUSED
+            self.standstill = "" if pending else reason
             return None
         step = self._first_step()
         if step is not None:

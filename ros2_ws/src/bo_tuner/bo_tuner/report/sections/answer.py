@@ -19,7 +19,6 @@ from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.limits import Standing
-from bo_tuner.study.parameter import Parameter
 from bo_tuner.text import with_unit
 
 FILES = (
@@ -190,7 +189,7 @@ def _details(verdict: Verdict) -> Iterator[str]:
 
 
 def _status(quantity: Quantity) -> Status:
-    """Return the mark of a limit: good only for one that is shown to be kept."""
+    """Return the mark of a limit: good only for one that is proven to be kept."""
     if (limit := quantity.limit_verdict) is None or limit.standing is Standing.OPEN:
         return Status.WARNING if limit is not None and limit.exceeds else Status.OPEN
     return Status.GOOD if limit.standing is Standing.SHOWN else Status.BAD
@@ -232,7 +231,8 @@ def _values(analysis: Analysis) -> Table | None:
         header=["parameter", analysis.answer_name, "default"],
         rows=[
             [
-                with_unit(_named(item), item.unit) + (f" ({marks[name]})" if name in marks else ""),
+                with_unit(item.title_and_name, item.unit)
+                + (f" ({marks[name]})" if name in marks else ""),
                 number(result.parameters[name]),
                 number(analysis.defaults[name]),
             ]
@@ -241,11 +241,6 @@ def _values(analysis: Analysis) -> Table | None:
         numeric=[1, 2],
         marked=[k for k, (_, item) in enumerate(items) if item.is_tuned],
     )
-
-
-def _named(item: Parameter) -> str:
-    """Return the title of a parameter, and the name by which it is set if that is another one."""
-    return f"{item.title} ({item.name})" if item.label else item.name
 
 
 def _comparison(analysis: Analysis) -> Table:

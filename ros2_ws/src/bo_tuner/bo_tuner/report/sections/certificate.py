@@ -70,7 +70,7 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
             *([f"Search for the worst context: {searched}."] if searched else []),
             *seen_in_words(study.metrics, certificate.seen),
             *certificate.warnings,
-            f"Details are in {path}, the evaluations in {path.stem}_evaluations.csv beside it.",
+            f"Details are in {path}, the test runs in {path.stem}_evaluations.csv beside it.",
         ],
     )
 

@@ -164,11 +164,13 @@ def most_sensitive(analysis: Analysis) -> list[str]:
 def _feasible_shares(
     pairs: Sequence[tuple[str, str]], fields: Sequence[Field], analysis: Analysis
 ) -> str:
+    items = analysis.study.parameters
+    titles = [f"{items[a].title} and {items[b].title}" for a, b in pairs]
     if not analysis.models.constraints:
-        return f"Predicted mean over {', '.join(f'{a} and {b}' for a, b in pairs)}."
+        return f"Predicted mean over {', '.join(titles)}."
     shares = [
         100.0 * float(np.mean(feasible[np.isfinite(feasible)] >= BELIEVED_FEASIBLE))
         for _, feasible, _ in fields
     ]
-    texts = [f"{a} and {b}: {s:.0f} %" for (a, b), s in zip(pairs, shares, strict=True)]
+    texts = [f"{title}: {s:.0f} %" for title, s in zip(titles, shares, strict=True)]
     return f"Share of the area likely within limits: {'; '.join(texts)}."

@@ -55,6 +55,7 @@ STYLES = {
     TrialOutcome.UNCERTAIN: (Color.SKY, Marker.CIRCLE, False),
     TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
     TrialOutcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
+    TrialOutcome.CUT_SHORT: (Color.ORANGE, Marker.CROSS, False),
     TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
     TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
     TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
@@ -98,9 +99,9 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     unit = study.metrics[study.objective.metric].unit
     lines = [
         f"trial {trial.number} ({trial.origin or 'unknown origin'}): {analysis.outcome(trial)}",
-        values(analysis.tuned_values(trial.parameters)),
+        analysis.tuned_in_words(trial.parameters),
     ]
-    if trial.state is TrialState.FAILED:
+    if trial.state is not TrialState.COMPLETE:
         return "\n".join([*lines, trial.reason])
     mean = analysis.mean_objective(trial)
     lines.append(f"mean {study.metrics[study.objective.metric].title} {quantity(mean, unit)}")

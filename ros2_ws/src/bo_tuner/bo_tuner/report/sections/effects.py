@@ -12,7 +12,7 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     narrow_in_words,
     parameter_sensitivity,
 )
-from bo_tuner.evidence.effects import amount
+from bo_tuner.evidence.effects import amount, title_of
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.gaussian_process import GaussianProcess
@@ -29,7 +29,7 @@ from bo_tuner.study.search_space import STEP
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Trial, Value, pooled
-from bo_tuner.tuning.effects import ERROR, FAILURES, Effect, ParameterEffects
+from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -125,8 +125,13 @@ def _steps(analysis: Analysis, steps: ParameterSensitivity, name: str) -> list[s
 
 def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> str:
     """Return the step, the change of the objective, and how likely the limits are kept."""
+    parameters = analysis.study.parameters
     step = ", ".join(
-        _change(name, optimum.parameters[name], value, alone=len(neighbour.changed) == 1)
+        _change(
+            "" if len(neighbour.changed) == 1 else f"{parameters[name].title} ",
+            optimum.parameters[name],
+            value,
+        )
         for name, value in neighbour.changed.items()
     )
     text = f"{step}: {change_in_words(analysis.study, optimum, neighbour)}"
@@ -135,8 +140,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
     return text
 
 
-def _change(name: str, old: Value, new: Value, *, alone: bool) -> str:
-    of = "" if alone else f"{name} "
+def _change(of: str, old: Value, new: Value) -> str:
     if isinstance(old, (bool, str)) or isinstance(new, (bool, str)):
         return f"{of}{shown(new)}"
     difference = new - old
@@ -147,21 +151,18 @@ def _moved(study: Study, parameter: ParameterEffects | None) -> str:
     """Return the metrics that a parameter was seen to move, with the largest differences."""
     if parameter is None:
         return "–"
-    seen = [f"{_title(study, e)} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen]
+    seen = [
+        f"{title_of(study, e)} ({amount(abs(e.change), e)})" for e in parameter.effects if e.seen
+    ]
     if seen:
         return ", ".join(seen)
     visible = [_visible(study, e) for e in parameter.effects if not isinf(e.visible)]
     return f"nothing; visible would have been {', '.join(visible)}" if visible else "nothing"
 
 
-def _title(study: Study, effect: Effect) -> str:
-    """Return what moves: a metric, or the share of failures."""
-    return effect.metric if effect.metric == FAILURES else study.metrics[effect.metric].title
-
-
 def _visible(study: Study, effect: Effect) -> str:
     size = f"{amount(effect.visible, effect)} of " if effect.visible else "any of "
-    return f"{size}{_title(study, effect)}"
+    return f"{size}{title_of(study, effect)}"
 
 
 def _shares(analysis: Analysis) -> dict[str, Array]:

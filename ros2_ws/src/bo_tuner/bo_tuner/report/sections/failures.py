@@ -7,7 +7,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.guard_record import read_acts
 from bo_tuner.storage.run_files import BAGS, LOGS, bag_name
 from bo_tuner.text import values, with_unit
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.trials import Evaluation, EvaluationState, Trial
 
 MOST_NOTES = 10
 """Evaluations with gaps in signals that are listed one by one."""
@@ -15,7 +15,11 @@ MOST_NOTES = 10
 
 def failures(analysis: Analysis) -> Section:
     """List failures and outliers."""
-    failed = [r for r in analysis.record.evaluations if not r.outcome.complete]
+    failed = [
+        r
+        for r in analysis.record.evaluations
+        if not r.outcome.complete and r.outcome.state is not EvaluationState.CUT_SHORT
+    ]
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
     if failed:
@@ -58,7 +62,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
                 r.stage,
                 r.outcome.ending,
                 r.outcome.reason,
-                values(analysis.tuned_values(r.parameters)),
+                analysis.tuned_in_words(r.parameters),
                 values(r.context),
                 str(r.seed),
                 _bag(analysis, r),
@@ -71,12 +75,12 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
 def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
-        caption="Far off (outliers): trials left out of the models; their vicinity is avoided",
+        caption="Far off: trials left out of the models; their vicinity is avoided",
         header=["trial", "parameters", with_unit(f"mean {metric.title}", metric.unit)],
         rows=[
             [
                 str(trial.number),
-                values(analysis.tuned_values(trial.parameters)),
+                analysis.tuned_in_words(trial.parameters),
                 number(analysis.mean_objective(trial)),
             ]
             for trial in outliers

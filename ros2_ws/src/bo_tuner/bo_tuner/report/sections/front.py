@@ -1,12 +1,12 @@
 """The Pareto front of a study with several objectives."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
+from bo_tuner.evidence.next_steps import to_use
 from bo_tuner.figures.figure import (
     Color,
     Dash,
@@ -18,11 +18,18 @@ from bo_tuner.figures.figure import (
     Points,
 )
 from bo_tuner.report.analysis import OF_VALUE, Analysis
-from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.content import Choice, Section, Table, number
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
+from bo_tuner.report.sections.trajectories import response_of
+from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import Objective
+from bo_tuner.study.study import Study
 from bo_tuner.text import with_unit
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
+
+MOST_RESPONSES = 12
+"""Points of the front with a response: each is simulated in several contexts."""
 
 
 def front(analysis: Analysis) -> Section | None:
@@ -38,35 +45,83 @@ def front(analysis: Analysis) -> Section | None:
     # A run that found no feasible parameter set has a result that was not chosen from the front.
     chosen = any(point.trial == analysis.verdict.trial for point in points)
     rule = f" The result is {RULE}." if chosen else ""
-    run = shlex.quote(str(analysis.record.path.resolve()))
     return Section(
         name="front",
         title="Which compromises are there?",
-        lead=f"{len(points)} parameter sets that are likely within limits are on the front: "
-        f"no other such trial dominates them.{rule}",
+        lead=f"{len(points)} parameter sets that are likely within limits are on the front: no "
+        f"other such trial is as good in every objective, and better in one.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
-        notes=[
-            f"Only the result was validated on fresh draws; {_of_others(points)}. To use one of "
-            "them: "
-            f"validate {run} --trial N, then apply {run} --trial N."
+        notes=[f"Only the result was validated on fresh draws; {_of_others(points)}."],
+        choices=_choices(analysis, points, result),
+    )
+
+
+def _choices(analysis: Analysis, points: Sequence[Point], result: int | None) -> list[Choice]:
+    """Return what to know of each point to choose it instead of the result."""
+    by_number = {trial.number: trial for trial in analysis.trials}
+    run = str(analysis.record.path.resolve())
+    return [
+        Choice(
+            trial=point.trial,
+            title=_in_a_line(analysis.study, point, is_result=point.trial == result),
+            values=_values(analysis, by_number[point.trial]),
+            # Commands do not reach a function, and those for the result stand with it.
+            steps=()
+            if analysis.record.backend == FUNCTION or point.trial == result
+            else to_use(run, point.trial),
+            # A page of a run in progress does without: simulated, they take longer than a trial.
+            figure=None
+            if analysis.quick or place >= MOST_RESPONSES
+            else response_of(analysis, by_number[point.trial]),
+        )
+        for place, point in enumerate(points)
+    ]
+
+
+def _in_a_line(study: Study, point: Point, *, is_result: bool) -> str:
+    """Return what a point is, in a line."""
+    means = ", ".join(
+        f"{metric.title} {_in_words(point.means[metric.name])} {metric.unit}".rstrip()
+        for metric in (study.metrics[item.metric] for item in study.objectives)
+    )
+    return f"Trial {point.trial}{', the result' if is_result else ''}: {means}"
+
+
+def _values(analysis: Analysis, trial: Trial) -> Table:
+    """Return the tuned parameters of a trial, beside those of the answer and of the default."""
+    study, answer = analysis.study, analysis.answer
+    names = study.search_space().names
+    columns = {f"trial {trial.number}": trial.parameters, "default": analysis.defaults}
+    if answer is not None and answer.number != trial.number:
+        columns = {**columns, analysis.answer_name: answer.parameters}
+    return Table(
+        caption=f"Parameters of trial {trial.number}",
+        header=["parameter", *columns],
+        rows=[
+            [
+                with_unit(study.parameters[name].title_and_name, study.parameters[name].unit),
+                *(number(values[name]) for values in columns.values()),
+            ]
+            for name in names
         ],
+        numeric=[*range(1, 1 + len(columns))],
     )
 
 
 def _of_others(points: Sequence[Point]) -> str:
     if points[0].modelled:
-        return "the means of the others are those that the models of all evaluations predict"
+        return "the means of the others are those that the models of all test runs predict"
     return (
-        "the means of the others are those of their own evaluations, the best of which are biased "
+        "the means of the others are those of their own test runs, the best of which are biased "
         "by selection"
     )
 
 
 def _which_means(points: Sequence[Point]) -> str:
-    own = "over the evaluations of each trial in drawn contexts"
+    own = "over the test runs of each trial in drawn contexts"
     if points[0].modelled:
-        return f"On the front, means by the models of all evaluations; elsewhere, {own}"
+        return f"On the front, means by the models of all test runs; elsewhere, {own}"
     return f"Means {own}"
 
 
@@ -80,7 +135,10 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
         "on the front. The other trials within limits are dominated by these, up to the noise.",
         alternative="; ".join(
             f"trial {point.trial}: "
-            + ", ".join(f"{name} {number(mean.value)}" for name, mean in point.means.items())
+            + ", ".join(
+                f"{study.metrics[name].title} {number(mean.value)}"
+                for name, mean in point.means.items()
+            )
             for point in points
         ),
         panels=[_panel(analysis, points, pair) for pair in combinations(objectives, 2)],
@@ -90,6 +148,7 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
 
 def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, Objective]) -> Panel:
     first, second = (item.metric for item in pair)
+    across, up = (mean_axis(analysis.study, objective) for objective in pair)
     # Off the charts are outliers: they would leave no room for the others.
     trials = [t for t in analysis.trials if analysis.outcome(t) in OF_VALUE]
     x, y = (np.array([_or_nan(t.mean(name)) for t in trials]) for name in (first, second))
@@ -121,14 +180,13 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
             filled=False,
             size=12,
             hover=[
-                f"trial {p.trial}\n{first} {_in_words(p.means[first])}\n"
-                f"{second} {_in_words(p.means[second])}"
+                f"trial {p.trial}\n{across.label} {_in_words(p.means[first])}\n"
+                f"{up.label} {_in_words(p.means[second])}"
                 for p in points
             ],
             trials=[p.trial for p in points],
         ),
     ]
-    across, up = (mean_axis(analysis.study, objective) for objective in pair)
     return Panel(x=across, y=up, elements=elements)
 
 

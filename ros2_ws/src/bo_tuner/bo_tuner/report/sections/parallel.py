@@ -5,7 +5,7 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section
-from bo_tuner.text import shown, values
+from bo_tuner.text import shown
 from bo_tuner.trials import Trial
 
 FEWEST = 4
@@ -74,7 +74,7 @@ def _lines(
     x = np.tile([*range(space.dimension), np.nan], len(trials))
     y = np.concatenate([[*space.to_cube(trial.parameters), np.nan] for trial in trials])
     texts = [
-        f"{name}: trial {trial.number}\n{values(analysis.tuned_values(trial.parameters))}"
+        f"{name}: trial {trial.number}\n{analysis.tuned_in_words(trial.parameters)}"
         for trial in trials
     ]
     points = space.dimension + 1

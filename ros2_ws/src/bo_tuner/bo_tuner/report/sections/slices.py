@@ -102,7 +102,7 @@ def _constraint_slice(
     metric = analysis.study.metrics[constraint.metric]
     return Panel(
         x=grid.axis,
-        y=Axis(label=_label(constraint, model, metric), unit=metric.unit),
+        y=Axis(label=predicted_title(constraint, model, metric), unit=metric.unit),
         elements=[
             *_curve(grid, line, low, high, analysis.blind(points)),
             Limit(value=model.limit, name="limit"),
@@ -116,7 +116,7 @@ def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
     return constraint.rule.on_runs and model.limit == constraint.limit
 
 
-def _label(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
+def predicted_title(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
     """Name what the model predicts, which is held against its limit."""
     return constraint.rule.predicted(metric.title, quantile=_is_of_quantile(constraint, model))
 
@@ -127,10 +127,10 @@ def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
     if not of_single_runs:
         return ""
     if all(_is_of_quantile(*pair) for pair in of_single_runs):
-        return " For a limit with a probability, the quantile of single evaluations is drawn."
+        return " For a limit with a probability, the quantile of single test runs is drawn."
     return (
         " A limit with a probability is drawn stricter, by a margin for the noise of single "
-        "evaluations, unless a quantile of these is drawn."
+        "test runs, unless a quantile of these is drawn."
     )
 
 
@@ -217,7 +217,7 @@ def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -
         if model is not None and allowed.any():
             line = study.from_predicted_cost(model.predict_mean(points[allowed]))
             parts.append(
-                f"over {grid.name} the {axis.label} ranges from "
+                f"over {grid.axis.label} the {axis.label} ranges from "
                 f"{quantity(float(line.min()), axis.unit)} to "
                 f"{quantity(float(line.max()), axis.unit)}"
             )

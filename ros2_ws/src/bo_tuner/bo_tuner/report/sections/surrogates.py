@@ -4,6 +4,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.contours import MOST_PARAMETERS, contours, most_sensitive
 from bo_tuner.report.sections.slices import slices
+from bo_tuner.report.sections.what_if import what_if
 
 
 def surrogates(analysis: Analysis) -> Section | None:
@@ -15,15 +16,16 @@ def surrogates(analysis: Analysis) -> Section | None:
     names = space.numbers
     if not names:
         return None
+    titles = {name: item.title for name, item in analysis.study.parameters.items()}
     figures = [slices(analysis, answer)]
     notes = ["A slice shows the trials whose other parameters are within a tenth of their ranges."]
     if len(names) > 1:
         figures.append(contours(analysis, answer))
     if len(names) > MOST_PARAMETERS:
-        chosen = ", ".join(most_sensitive(analysis))
+        chosen = ", ".join(titles[name] for name in most_sensitive(analysis))
         notes.append(f"Pairs of the parameters with the shortest length scales: {chosen}.")
     if len(names) < space.dimension:
-        others = ", ".join(name for name in space.names if name not in names)
+        others = ", ".join(titles[name] for name in space.names if name not in names)
         notes.append(f"Without an axis of numbers: {others}; as in the {analysis.answer_set}.")
     notes += [f"Fit: {warning}." for warning in analysis.models.warnings]
     return Section(
@@ -32,4 +34,5 @@ def surrogates(analysis: Analysis) -> Section | None:
         lead=f"Models (Gaussian processes) of all trials, around trial {answer.number}.",
         figures=figures,
         notes=notes,
+        what_if=what_if(analysis),
     )

@@ -93,7 +93,7 @@ def _figure(
     return Figure(
         name=name,
         title=f"Mean {objective.title} against worst {limited.title}, all trials",
-        caption="Estimates of the trials themselves, with the noise of a few evaluations "
+        caption="Estimates of the trials themselves, with the noise of a few test runs "
         "each; the best values are biased by selection. The default has the values of the "
         "result section.",
         alternative="; ".join(
@@ -230,6 +230,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
     """Return the default as the verdict has it; nothing before a verdict compares it."""
     study, quantities = analysis.study, analysis.verdict.quantities
     objective = study.objective.metric
+    metric = study.metrics[objective]
     means = [q.default for q in quantities if q.metric == objective and q.difference is not None]
     largest = [q for q in quantities if q.constraint == constraint.name]
     if not means or not largest or not np.isfinite([means[0], largest[0].default]).all():
@@ -244,7 +245,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
             size=10,
             hover=[
                 f"default, in {analysis.verdict.evidence}\n"
-                f"mean {objective} {quantity(means[0], study.metrics[objective].unit)}\n"
+                f"mean {metric.title} {quantity(means[0], metric.unit)}\n"
                 f"{largest[0].label} {quantity(largest[0].default, largest[0].unit)}"
             ],
         )

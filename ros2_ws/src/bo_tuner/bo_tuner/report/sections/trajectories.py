@@ -26,7 +26,6 @@ from bo_tuner.report.time_response import Bound, Responses, bounds_beside, is_ze
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study import named_code
-from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Trial, Value
@@ -119,10 +118,21 @@ def trajectories(analysis: Analysis) -> Section | None:
 
 
 def response(analysis: Analysis) -> Figure | None:
-    """Show the signal that matters most; None if there is none."""
-    if analysis.answer is None:
+    """Show the signal of the answer that matters most; None if there is none."""
+    answer = analysis.answer
+    if answer is None:
         return None
-    signals = responses(analysis)
+    return _response(responses(analysis), analysis.answer_name, "response")
+
+
+def response_of(analysis: Analysis, trial: Trial) -> Figure | None:
+    """Show the signal of another trial that matters most; None if there is none."""
+    name = f"trial {trial.number}"
+    signals = _known(analysis, trial, name, f"parameter set of {name}")
+    return _response(signals, name, f"response-{trial.number}")
+
+
+def _response(signals: Responses, of: str, name: str) -> Figure | None:
     if not signals.panels:
         return None
     label = _main(signals.panels)
@@ -130,8 +140,8 @@ def response(analysis: Analysis) -> Figure | None:
     # A reference and what follows it share a panel, such as "setpoint and angle".
     verb = "do" if " and " in label else "does"
     return Figure(
-        name="response",
-        title=f"How {verb} the {label} follow, default and {analysis.answer_name}?",
+        name=name,
+        title=f"How {verb} the {label} follow, default and {of}?",
         caption=signals.caption,
         alternative=f"{label} over time of both parameter sets. {signals.lead}",
         panels=panels,
@@ -156,60 +166,68 @@ def responses(analysis: Analysis) -> Responses:
     answer = analysis.answer
     if answer is None:
         raise ValueError("there is no answer")
-    key = (analysis.answer_name, answer.number, len(analysis.record.evaluations))
-    return remembered(analysis.known.responses, key, partial(_responses, analysis, answer))
+    return _known(analysis, answer, analysis.answer_name, analysis.answer_set)
 
 
-def _responses(analysis: Analysis, answer: Trial) -> Responses:
+def _known(analysis: Analysis, trial: Trial, name: str, named_set: str) -> Responses:
+    key = (name, trial.number, len(analysis.record.evaluations))
+    make = partial(_responses, analysis, trial, name, named_set)
+    return remembered(analysis.known.responses, key, make)
+
+
+def _responses(analysis: Analysis, answer: Trial, name: str, named_set: str) -> Responses:
+    """Return the signals of default and a trial, which lines call `name`, sentences `named_set`."""
     if analysis.study.signals:
-        return _from_bags(analysis, answer.parameters)
+        return _from_bags(analysis, answer.parameters, name, named_set)
     nominal = analysis.study.context_space()
     contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
-    for name, worst in answer.worst_cases.items():
-        of = f" of {name}" if len(answer.worst_cases) > 1 else ""
+    for limit, worst in answer.worst_cases.items():
+        of = f" of {limit}" if len(answer.worst_cases) > 1 else ""
         contexts[f"worst context{of}"] = dict(worst.context)
     try:
         drawn = remembered(
             analysis.known.trajectories,
-            (analysis.answer_name, answer.number, str(contexts)),
-            partial(_simulated, analysis, answer.parameters, contexts),
+            (name, answer.number, str(contexts)),
+            partial(_simulated, analysis.study, answer.parameters, contexts, name),
         )
     except (NoTraceError, StudyError, BackendError) as error:
         return Responses((), 1, f"No signals: {error}.")
-    where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
+    where = "; ".join(f"{title}: {values(each)}" for title, each in contexts.items() if each)
     lead = (
-        f"One run each of default and {analysis.answer_set}, in the same contexts, with the same "
+        f"One run each of default and {named_set}, in the same contexts, with the same "
         f"noise{f' ({where})' if where else ''}."
     )
     caption = "Simulated in process by the study's objects, not recorded during the run."
     return Responses(drawn, len(contexts), lead, caption)
 
 
-def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Responses:
-    """Return the worst run of default and answer that a bag has."""
-    sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
+def _from_bags(
+    analysis: Analysis, answer: Mapping[str, Value], name: str, named_set: str
+) -> Responses:
+    """Return the worst run of default and a trial that a bag has."""
+    sides = {DEFAULT: analysis.defaults, name: answer}
     try:
-        by_side = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
+        by_side = {side: worst_recorded(analysis, parameters) for side, parameters in sides.items()}
     except RunRecordError as error:
         return Responses((), 1, f"No signals: {error}.")
-    runs = {name: item for name, item in by_side.items() if item is not None}
+    runs = {side: item for side, item in by_side.items() if item is not None}
     if not runs:
         return Responses(
             (),
             1,
-            "No signals: no bag has a run of the default or of the "
-            f"{analysis.answer_set}; tune with --record notable or all.",
+            f"No signals: no bag has a run of the default or of the {named_set}; tune with "
+            "--record notable or all.",
         )
     where = [
-        f"{name}: evaluation {evaluation.index} in {BAGS}/{run.bag}"
+        f"{side}: test run {evaluation.index} in {BAGS}/{run.bag}"
         + (f" at {values(evaluation.context)}" if evaluation.context else "")
-        for name, (evaluation, run) in runs.items()
+        for side, (evaluation, run) in runs.items()
     ]
-    where += [f"{name}: no bag has a run" for name in sides if name not in runs]
+    where += [f"{side}: no bag has a run" for side in sides if side not in runs]
     drawn = signal_panels(
         analysis.study,
-        {name: run for name, (_, run) in runs.items()},
-        side_styles(analysis.answer_name),
+        {side: run for side, (_, run) in runs.items()},
+        side_styles(name),
     )
     return Responses(
         drawn,
@@ -245,7 +263,7 @@ def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
 def panels(
     columns: Mapping[str, Mapping[str, Trace]],
     styles: Mapping[str, Style],
-    constraints: Mapping[str, Constraint],
+    limits_of: Study | None,
 ) -> list[Panel]:
     """Return a panel for each group of signals and each column.
 
@@ -255,8 +273,8 @@ def panels(
         By the title of a column, its traces by the names of their lines.
     styles
         Colour and dash of the lines by these names.
-    constraints
-        The limits, which are drawn where a trace says how.
+    limits_of
+        The study, the limits of which are drawn where a trace says how; None draws none.
     """
     every = [trace for sides in columns.values() for trace in sides.values()]
     groups = dict.fromkeys(_group(name) for trace in every for name in trace if name != TIME)
@@ -264,25 +282,24 @@ def panels(
         panel
         for group in groups
         for title, sides in columns.items()
-        if (panel := _panel(title, sides, group, styles, constraints)) is not None
+        if (panel := _panel(title, sides, group, styles, limits_of)) is not None
     ]
 
 
 def _simulated(
-    analysis: Analysis, answer: Mapping[str, Value], contexts: Mapping[str, Context]
+    study: Study, answer: Mapping[str, Value], contexts: Mapping[str, Context], name: str
 ) -> list[Panel]:
-    """Return panels of default and answer, with a column for each context."""
-    study = analysis.study
+    """Return panels of default and a trial of this name, with a column for each context."""
     seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0)
-    sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
+    sides = {DEFAULT: study.search_space().defaults, name: answer}
     planned = [
         Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
         for context in contexts.values()
         for parameters in sides.values()
     ]
     traces = iter(simulate(study, planned))
-    columns = {title: {name: next(traces) for name in sides} for title in contexts}
-    return panels(columns, side_styles(analysis.answer_name), study.constraints)
+    columns = {title: {side: next(traces) for side in sides} for title in contexts}
+    return panels(columns, side_styles(name), study)
 
 
 def side_styles(name: str) -> dict[str, Style]:
@@ -293,7 +310,7 @@ def side_styles(name: str) -> dict[str, Style]:
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
     outcome = backend.outcome(planned)
     if not outcome.complete:
-        raise NoTraceError(f"the evaluation failed: {outcome.reason}")
+        raise NoTraceError(f"the test run failed: {outcome.reason}")
     return backend.trace()
 
 
@@ -302,7 +319,7 @@ def _panel(
     sides: Mapping[str, Trace],
     group: str,
     styles: Mapping[str, Style],
-    constraints: Mapping[str, Constraint],
+    limits_of: Study | None,
 ) -> Panel | None:
     """Return the panel of a group of signals; None if no side has one of them."""
     names = dict.fromkeys(
@@ -314,9 +331,10 @@ def _panel(
     for name in [name for name in names if is_zero_of(name)]:
         del names[name]
         sample = next(trace for trace in sides.values() if name in trace)
-        bounds += bounds_beside(
-            constraints, is_zero_of(name), sample[TIME].values, sample[name].values
-        )
+        if limits_of is not None:
+            bounds += bounds_beside(
+                limits_of, is_zero_of(name), sample[TIME].values, sample[name].values
+            )
     common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:

@@ -3,7 +3,6 @@
   // Tables that can be sorted by a column, and filtered by words.
   function sortable(table) {
     const body = table.tBodies[0];
-    const rows = [...body.rows];
     const heads = [...table.tHead.rows[0].cells];
     heads.forEach((head, column) => {
       const button = document.createElement("button");
@@ -14,21 +13,34 @@
         const falling = head.getAttribute("aria-sort") === "ascending";
         for (const other of heads) other.removeAttribute("aria-sort");
         head.setAttribute("aria-sort", falling ? "descending" : "ascending");
-        body.append(...sorted(rows, column, falling));
+        sort();
       });
     });
+    function sort() {
+      const column = heads.findIndex((head) => head.hasAttribute("aria-sort"));
+      if (column < 0) return;
+      const falling = heads[column].getAttribute("aria-sort") === "descending";
+      body.append(...sorted([...body.rows], column, falling));
+    }
 
     const line = document.createElement("p");
     line.className = "filter";
     line.innerHTML = '<label>Filter <input type="search" placeholder="words in a row"></label><output></output>';
     const [input, count] = [line.querySelector("input"), line.querySelector("output")];
-    input.addEventListener("input", () => {
+    input.addEventListener("input", filter);
+    function filter() {
+      const rows = [...body.rows];
       const words = input.value.toLowerCase().split(/\s+/);
       for (const row of rows) {
         const text = [...row.cells].map((cell) => cell.textContent.trim()).join(" ").toLowerCase();
         row.hidden = !words.every((word) => text.includes(word));
       }
       count.textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length} rows`;
+    }
+    // The list of runs changes while it is read.
+    table.addEventListener("changed", () => {
+      sort();
+      if (input.value) filter();
     });
     table.parentElement.before(line);
   }

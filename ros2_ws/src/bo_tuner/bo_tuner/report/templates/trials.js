@@ -21,7 +21,14 @@
   link(document);
   document.addEventListener("replaced", (event) => link(event.target));
 
-  document.addEventListener("trial", ({ detail: number }) => {
+  document.addEventListener("trial", ({ detail: number, target }) => {
+    // In the front a point is a choice.
+    const choice = target.closest(".part")?.querySelector(`details.choice[data-trial="${number}"]`);
+    if (choice) {
+      choice.open = true;
+      choice.scrollIntoView({ block: "nearest" });
+      return;
+    }
     if (trials !== undefined) {
       location.assign(trials + number);
       return;

@@ -63,11 +63,6 @@ class Limited:
         """Which value is farthest on the side of the limit: the ``largest`` or ``smallest``."""
         return "largest" if self.sign > 0.0 else "smallest"
 
-    @property
-    def limited(self) -> str:
-        """The metric that is limited, in words: the ``lowest`` one for a lower limit."""
-        return self.metric if self.sign > 0.0 else f"lowest {self.metric}"
-
     def violations(self, values: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each of the values (...) of its metric violates the limit."""
         violated: NDArray[np.bool_] = self.sign * np.asarray(values) > self.sign * self.limit

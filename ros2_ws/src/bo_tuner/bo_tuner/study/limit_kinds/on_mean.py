@@ -159,14 +159,14 @@ class OnMean(LimitKind):
             return (
                 f"mean over noise {f'in a context ({by.place}) ' if by.place else ''}is "
                 f"{text.shown_beside(by.mean.value, self.limited.limit)}, {limit}: "
-                f"{by.evaluations} evaluations show that it is not kept"
+                f"{by.evaluations} test runs show that it is not kept"
             )
         where = place_of(top, worst)
         if not np.isfinite(bound):
-            return f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
+            return f"{top.evaluations} test runs {where}are too few to bound the mean over noise"
         if not passed and not self.limited.violations(bound):
             return (
-                f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts say too "
+                f"{sum(w.evaluations for w in worst)} test runs in the worst contexts say too "
                 "little about the noise to show that the mean over it is within the limit"
             )
         return f"mean over noise {where}{self._bounded(bound, unit, passed=passed)}"

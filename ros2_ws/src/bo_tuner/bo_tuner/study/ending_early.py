@@ -1,0 +1,43 @@
+"""Whether what runs the evaluations of a study can end a run before its time."""
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study.growing import why_not
+from bo_tuner.study.parts import IN_PROCESS, ROS
+from bo_tuner.study.study import Study
+
+
+def check_ends_early(study: Study, backend: str) -> None:
+    """Refuse `cut_short` where nothing can end a run early.
+
+    Parameters
+    ----------
+    study
+        The study.
+    backend
+        Name of what runs the evaluations.
+
+    Raises
+    ------
+    StudyError
+        If that is so.
+    """
+    if not study.budget.cut_short or study.run is not None or backend == IN_PROCESS:
+        return
+    who = "a node that a service starts" if backend == ROS else "a function"
+    raise StudyError(
+        f"nothing ends a run of {who} early; expected a study with `run`, or with objects and "
+        "--backend inprocess",
+        ("budget", "cut_short"),
+    )
+
+
+def decided_by(study: Study) -> str:
+    """Return in a line by which metrics a run may be cut short, and by which not, with why."""
+    decisive = study.decisive_metrics
+    reasons = [
+        f"{name}: {reason}"
+        for name, metric in study.metrics.items()
+        if name not in decisive and (reason := why_not(metric))
+    ]
+    others = f"; not by {'; '.join(reasons)}" if reasons else ""
+    return f"runs of trials may be cut short by {', '.join(decisive)}{others}"
