@@ -21,6 +21,7 @@ STUDY = signal_study(
     signals={
         **signal_study()["signals"],
         "speed": {"topic": "/joint_states", "field": "velocity[motor]"},
+        "temperature": {"topic": "/motor/temperature", "field": "temperature"},
     },
     budget={"trials": 4, "initial_trials": 2},
 )
