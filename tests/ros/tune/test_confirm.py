@@ -18,8 +18,8 @@ SAFE = 0.25
 
 
 @pytest.fixture
-def running(ros_environment, tmp_path):
-    """Controller and motor."""
+def running(empty_domain, tmp_path):
+    """Controller and motor, in a domain where nothing else publishes what they do."""
     started = [
         start_script(UNCHANGED / f"{node}_node.py", tmp_path / f"{node}.txt")
         for node in ("motor", "pid")
