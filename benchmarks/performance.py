@@ -30,6 +30,7 @@ What the tuner finds, beside the paper and beside other optimizers, is in `docs/
 SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
     "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
+    "safe_search": ("Limits broken by a safe search", answers.safety),
     "identify": ("Where a machine is, and whether it drifts", answers.identification),
     "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
     "windows": ("Several trials planned at once", answers.windows),
