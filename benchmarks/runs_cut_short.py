@@ -142,7 +142,7 @@ def truth_of_axis(study: Study) -> Callable[[Mapping[str, Value]], tuple[float, 
                 for row in corners
             ]
         # Within a standard error of the share.
-        return float(error), min(kept) >= (limit.probability or 0.0) - 0.07
+        return float(error), bool(min(kept) >= (limit.probability or 0.0) - 0.07)
 
     return truth
 
@@ -240,10 +240,10 @@ def main() -> None:
         }
         whole = results[name]["whole"]
         rows += [row(f"{name}, {kind}", found, whole) for kind, found in results[name].items()]
-    write_result(arguments.result, {"provenance": known} | results)
     head = ["system, runs", "seeds", "trials cut short", "tuning [s]", "saved"]
     head += ["with answer [s]", "saved", "feasible", "objective, median", "mean"]
     print(table(head, rows))
+    write_result(arguments.result, {"provenance": known} | results)
 
 
 if __name__ == "__main__":
