@@ -118,7 +118,8 @@ class TestEvaluations:
             gain = trial.parameters["gain"]
             refused = f"axis refused its parameters: gain: {gain} is too much"
             assert trial.reason == (refused if gain > 0.5 else "")
-        assert {trial.state for trial in command.trials()} == set(TrialState)
+        states = {trial.state for trial in command.trials()}
+        assert states == {TrialState.COMPLETE, TrialState.FAILED}
 
     def test_values_that_the_node_does_not_take(self, tune):
         """It says that it took them, and clamps."""
@@ -131,7 +132,8 @@ class TestEvaluations:
             parked = "axis: parameter gain is 0.4, expected 0.5 (not taken by the node)"
             unsafe = f"{clamped}; axis is not parked: {parked}"
             assert trial.reason == (unsafe if gain > 0.4 and trial.number > 0 else "")
-        assert {trial.state for trial in command.trials()} == set(TrialState)
+        states = {trial.state for trial in command.trials()}
+        assert states == {TrialState.COMPLETE, TrialState.FAILED}
 
     def test_constants_that_the_node_does_not_take(self, tune, drive_study):
         study = drive_study()
@@ -174,8 +176,8 @@ class TestEvaluations:
         """It is completed by the command that comes next."""
         command = tune()
         assert command.finish() == 0, command.err
-        # The last cut is the last test run of the tuned parameter set.
-        last = (tmp_path / "cuts").read_text()
+        # The last cut is one of the default, which is second in every other draw.
+        last = int((tmp_path / "cuts").read_text()) - 1
         command = tune(folder=tmp_path / "again", DRIVE=f"{last}:die")
         assert command.finish() == 1, command.err
         assert command.out.startswith("Incomplete: 1 of 2 test runs was lost with the nodes")
