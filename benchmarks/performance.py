@@ -36,6 +36,7 @@ SECTIONS = {
     "windows": ("Several trials planned at once", answers.windows),
     "parameter_effects": ("What a parameter moves", answers.effects),
     "suggestion_time": ("Time of a proposal", cost.suggestion),
+    "runs_cut_short": ("Runs cut short", answers.cut_short),
     "library": ("From Python", cost.library),
     "workers": ("Several workers", cost.workers),
     "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),

@@ -243,7 +243,7 @@ def main() -> None:
     head = ["system, runs", "seeds", "trials cut short", "tuning [s]", "saved"]
     head += ["with answer [s]", "saved", "feasible", "objective, median", "mean"]
     print(table(head, rows))
-    write_result(arguments.result, {"provenance": known} | results)
+    write_result(arguments.result, {"provenance": known, "systems": results})
 
 
 if __name__ == "__main__":

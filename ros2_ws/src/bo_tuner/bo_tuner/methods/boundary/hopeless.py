@@ -4,9 +4,7 @@ A parameter set that keeps a limit is expected to have a run beyond it now and t
 where the limit is one over contexts, by the context that was drawn. What is farther beyond it than
 `DEVIATIONS` of these is not explained by them. The objective is taken in the same way: its limit is
 the cost of the best parameter set so far. Values closer to a limit are seen whole, as they tell the
-models where the boundary is. As long as no parameter set is believed to keep all limits, what
-counts is to violate them less: limits are then wider by as much as the least violating one is
-beyond them.
+models where the boundary is.
 
 Limits in every context are held against a run in any; what is over the distribution of the contexts
 only against one in a context that was drawn from it.
@@ -30,8 +28,7 @@ def hopeless_beyond(
     study: Study,
     surrogates: PooledSurrogates,
     point: Array,
-    lowest: float | None,
-    least: float,
+    lowest: float,
 ) -> Hopeless:
     """Return beyond what a run of a parameter set is hopeless.
 
@@ -44,9 +41,7 @@ def hopeless_beyond(
     point : ndarray, shape (d,)
         The parameter set in the unit cube.
     lowest
-        Cost of the best parameter set so far; None if none is believed to keep all limits.
-    least
-        Excess of the least violating one over a limit, relative to its size; 0 if one keeps all.
+        Cost of the best parameter set that is believed to keep all limits.
     """
     x = point[None]
     anywhere: dict[str, float] = {}
@@ -55,15 +50,14 @@ def hopeless_beyond(
         constraint = study.constraints[name]
         if response.sign < 0.0:
             continue
-        widened = response.limit + least * (abs(response.limit) or 1.0)
         explained = DEVIATIONS * float(response.deviation_of_run(x)[0])
         # A scale restores nothing beyond what is known, which may be within the limit.
-        scale = response.scale.including(widened + FAR * (abs(response.limit) or 1.0))
-        most = float(scale.restore(scale.apply(widened) + explained))
+        scale = response.scale.including(response.limit + FAR * (abs(response.limit) or 1.0))
+        most = float(scale.restore(scale.apply(response.limit) + explained))
         bounds = anywhere if constraint.rule.in_every_context else drawn
         bounds[constraint.metric] = min(most, bounds.get(constraint.metric, most))
     objective, model = study.objective, surrogates.objective
-    if lowest is None or model is None or study.further_objectives or objective.sign < 0.0:
+    if model is None or study.further_objectives or objective.sign < 0.0:
         return Hopeless(anywhere, drawn)
     cost = lowest + DEVIATIONS * float(np.sqrt(model.variance_of_run(x)[0]))
     most = float(objective.from_cost(cost))

@@ -42,7 +42,6 @@ from bo_tuner.optimizers.bayesian import (
     PointRule,
     lowest_believed,
 )
-from bo_tuner.optimizers.ranking import relative_excess
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, Value, count_evaluations, count_trials
 
@@ -189,16 +188,17 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         return self._approach.box(surrogates, self.study, known)
 
     def hopeless(self, surrogates: PooledSurrogates, parameters: Mapping[str, Value]) -> Hopeless:
-        """Return beyond what a run of a parameter set is hopeless, if runs may be cut short."""
+        """Return beyond what a run of a parameter set is hopeless, if runs may be cut short.
+
+        As long as no parameter set is believed to keep all limits no run is: by how much each
+        violates them is what leads to where they are kept.
+        """
         if not self.study.budget.cut_short:
             return Hopeless()
-        lowest, least = self._ranking.lowest_cost(surrogates, self.study, self.trials), 0.0
-        known = self._ranking.comparable(surrogates, self.trials)
-        if lowest is None and known:
-            points = self.space.cube_of(trial.parameters for trial in known)
-            least = max(float(relative_excess(surrogates, points).min()), 0.0)
-        point = self.space.to_cube(parameters)
-        return hopeless_beyond(self.study, surrogates, point, lowest, least)
+        lowest = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        if lowest is None:
+            return Hopeless()
+        return hopeless_beyond(self.study, surrogates, self.space.to_cube(parameters), lowest)
 
     def _bounded(self, initial: Proposal) -> Proposal:
         """Return a proposal of the initial design with what is hopeless, if enough is known."""
