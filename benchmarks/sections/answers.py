@@ -148,8 +148,8 @@ def cut_short(result: Result) -> list[str]:
         "The same seeds with whole runs and with runs that are cut short (`budget.cut_short`), in "
         "simulated time: trials that were cut short, time of all runs of the trials and of the "
         "search for the answer, and true objectives of the truly feasible answers. The motor is "
-        "that of `wide_ranges.py`, with 20 trials: a parameter set that is believed to keep its limit, "
-        "from which on runs are cut short, is known late.",
+        "that of `wide_ranges.py`, with 20 trials: a parameter set that is believed to keep its "
+        "limit, from which on runs are cut short, is known late.",
         markdown(
             ["runs", "cut short", "time [s]", "saved", "truly feasible", "median", "mean"], rows
         ),
