@@ -161,7 +161,7 @@ def test_a_limit_relative_to_the_default_takes_a_second_run(servo, tmp_path):
     code, out, err = study(tmp_path, constraints={"calm": calm})
     assert code == 0, err
     assert "error_minus_1.1_default" in out
-    said = "note: limits are relative to the default, which is run beside each evaluation"
+    said = "note: limits are relative to the default, which is run beside each test run"
     assert said in " ".join(out.split())
 
 

@@ -189,9 +189,9 @@ class TestAsking:
         run = tuner.ask()
         metrics = function(run.parameters, run.context, run.seed)
         tuner.tell(run, metrics)
-        with pytest.raises(bt.UnknownRunError, match="trial 0, evaluation 0: told already"):
+        with pytest.raises(bt.UnknownRunError, match="trial 0, test run 0: told already"):
             tuner.tell(run, metrics)
-        with pytest.raises(bt.UnknownRunError, match="trial 0, evaluation 0: told already"):
+        with pytest.raises(bt.UnknownRunError, match="trial 0, test run 0: told already"):
             tuner.fail(run, "late")
 
     def test_telling_of_another_run(self, tuner, make_function_study, tmp_path):

@@ -1,12 +1,14 @@
 """A study whose runs are cut short, from the command line to the report."""
 
 import csv
+import io
 import re
+from contextlib import redirect_stderr
 
 import pytest
 import yaml
 from cut_short_runs import GROWS, short_study
-from in_process import call, complaint
+from in_process import Uninterrupted, call, complaint
 
 from bo_tuner.cli import replay, report, tune
 from bo_tuner.report.analysis import Analysis, TrialOutcome
@@ -40,9 +42,10 @@ SHOWN = r"cut short after \d\.\d+ s: (error|peak) at least \d\.\d+ mm"
 def study_file(tmp_path_factory):
     """The study file, beside its object."""
     folder = tmp_path_factory.mktemp("cut_short")
-    (folder / "axis_objects.py").write_text(OBJECTS)
+    (folder / "ending_axis.py").write_text(OBJECTS)
     metrics = {"error": GROWS | {"unit": "mm"}, "peak": GROWS | {"unit": "mm"}}
     content = study_to_mapping(short_study(metrics=metrics))
+    content["nodes"]["axis"]["object"] = "ending_axis:Axis"
     (folder / "study.yaml").write_text(yaml.safe_dump(content))
     return folder / "study.yaml"
 
@@ -50,13 +53,8 @@ def study_file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(study_file):
     """What the command has shown, and the record."""
-    import io
-    from contextlib import redirect_stderr
-
-    from in_process import Uninterrupted, _own_objects
-
     shown = io.StringIO()
-    with _own_objects(), redirect_stderr(shown):
+    with redirect_stderr(shown):
         folder = study_file.parent / "runs"
         options = ["--study", str(study_file), "--output", str(folder), "--backend", "inprocess"]
         tune.run(options, Uninterrupted())

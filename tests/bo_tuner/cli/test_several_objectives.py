@@ -223,4 +223,4 @@ def test_the_report_says_whose_means_the_front_has(runs, tmp_path, algorithm, re
     (front,) = [s for part in made for s in part.sections if s.name == "front"]
     assert remark in front.notes[0]
     modelled = algorithm == "boundary"
-    assert ("by the models of all evaluations" in front.figures[0].caption) is modelled
+    assert ("by the models of all test runs" in front.figures[0].caption) is modelled

@@ -187,7 +187,7 @@ class Refusing:
     def concerns(self, task):
         return not task.recorded
 
-    def ask(self, task, wait):
+    def ask(self, task, question, wait):
         self.asked.append(dict(task.parameters))
         return Answer(len(self.asked) - 1 not in self.refused, False, "")
 

@@ -123,7 +123,7 @@ def test_another_study_measures_the_same_signals(folder):
 def test_the_command(folder, tmp_path):
     code, out, err = run("recompute", folder, "--csv", "out.csv", folder=tmp_path)
     assert (code, err) == (0, "")
-    assert f"{RUNS} evaluations; 0 differ from the record" in out
+    assert f"{RUNS} test runs; 0 differ from the record" in out
     with (tmp_path / "out.csv").open() as file:
         rows = list(csv.DictReader(file))
     metrics = [e.outcome.metrics for e in read_run(folder).trials[0].evaluations]
@@ -139,7 +139,7 @@ def test_what_is_relative_to_the_default_is_left_out_by_name(folder, tmp_path):
     table, _, rest = out.partition("left out: peak_minus_1.1_default, relative to the default")
     assert "peak" in table
     assert "default" not in table
-    assert f"{RUNS} evaluations; 0 differ from the record" in rest
+    assert f"{RUNS} test runs; 0 differ from the record" in rest
 
 
 def test_a_number_that_is_not_the_recorded_one(folder, tmp_path):

@@ -134,8 +134,10 @@ class ValidationPlan(Plan[Run]):
             context = contexts.to_dict(row)
             # By turns the one and the other is first: wear, or a machine that warms up, is no
             # difference between them, and a node that starts anew for other parameters does so
-            # once a draw.
-            for number in reversed(numbers) if k % 2 else numbers:
+            # once a draw. Where limits are relative to the default, its run is ahead of the other
+            # anyway, and is not made twice.
+            turned = k % 2 and not study.relative_metrics
+            for number in reversed(numbers) if turned else numbers:
                 parameters = self._candidates[number]
                 yield Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
 

@@ -87,11 +87,13 @@ def study_digest(study: Study) -> str:
     """Digest of what decides over the truth of a study's parameter sets.
 
     It leaves out the seed, the budget, what is tried first, the scale of a metric's model,
-    labels, and the probability of the worst-case constraint, which is on record with each search.
+    whether it only grows, labels, and the probability of the worst-case constraint, which is on
+    record with each search.
     """
     content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
-    for section, ignored in (("metrics", ("scale", "label")), ("parameters", ("label",))):
+    ignored_keys = {"metrics": ("scale", "label", "grows"), "parameters": ("label",)}
+    for section, ignored in ignored_keys.items():
         judged[section] = {
             name: {key: value for key, value in item.items() if key not in ignored}
             for name, item in content[section].items()

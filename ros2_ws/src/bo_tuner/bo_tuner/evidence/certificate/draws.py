@@ -57,8 +57,10 @@ class DrawPlan(CertificatePlan):
         k, place = divmod(sum(map(len, self.evaluations)) + len(pending), count)
         if k == len(self._contexts) or (self._clear and place == 0):
             return None
-        # By turns the first and the last is first: a machine that warms up is no difference.
-        number = count - 1 - place if k % 2 else place
+        # By turns the first and the last is first: a machine that warms up is no difference. What
+        # limits are relative to has its run ahead of the others anyway.
+        turned = k % 2 and not self._case.study.relative_metrics
+        number = count - 1 - place if turned else place
         parameters, context = self._subjects[number].parameters, self._contexts[k]
         seed = self._case.draw_seed(k)
         return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))

@@ -55,7 +55,7 @@ STYLES = {
     TrialOutcome.UNCERTAIN: (Color.SKY, Marker.CIRCLE, False),
     TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
     TrialOutcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
-    TrialOutcome.CUT_SHORT: (Color.ORANGE, Marker.CROSS, False),
+    TrialOutcome.CUT_SHORT: (Color.ORANGE, Marker.TRIANGLE, True),
     TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
     TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
     TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
