@@ -12,6 +12,7 @@ from bag_readers import with_rosbags
 from commands import Fork, finish
 from dask_cluster import Cluster, Host
 from example_nodes import UNCHANGED, start_script
+from reaper import MARK
 from ros_processes import claim_domain
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
@@ -74,8 +75,8 @@ def opened(tmp_path):
 
 
 def environments():
-    """Of the nodes of the example that run: their bench and their domain, by process."""
-    found = {}
+    """Of the nodes of the example that this process has run: bench and domain, by process."""
+    found, own = {}, os.environ[MARK].encode()
     for process in Path("/proc").iterdir():
         if not process.name.isdigit():
             continue
@@ -85,7 +86,8 @@ def environments():
         except OSError:
             continue
         values = dict(v.split(b"=", 1) for v in variables if b"=" in v)
-        if str(UNCHANGED).encode() in command and b"BENCH" in values:
+        ours = values.get(MARK.encode()) == own
+        if ours and str(UNCHANGED).encode() in command and b"BENCH" in values:
             found[process.name] = (values[b"BENCH"], values[b"ROS_DOMAIN_ID"])
     return found
 
