@@ -128,18 +128,22 @@ class ValidationPlan(Plan[Run]):
     def _evaluations(self) -> Iterator[Evaluation]:
         study, contexts = self._study, self._study.context_space()
         rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
-        numbers = self._run
         for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
             seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0 if study.is_noiseless else k)
             context = contexts.to_dict(row)
-            # By turns the one and the other is first: wear, or a machine that warms up, is no
-            # difference between them, and a node that starts anew for other parameters does so
-            # once a draw. Where limits are relative to the default, its run is ahead of the other
-            # anyway, and is not made twice.
-            turned = k % 2 and not study.relative_metrics
-            for number in reversed(numbers) if turned else numbers:
+            for number in by_turns(study, k, self._run):
                 parameters = self._candidates[number]
                 yield Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
+
+
+def by_turns(study: Study, draw: int, numbers: Sequence[int]) -> Sequence[int]:
+    """Return in which order parameter sets run in a draw, by their numbers.
+
+    By turns the first and the last is first: wear, or a machine that warms up, is no difference
+    between them, and a node that starts anew for other parameters does so once a draw. Where limits
+    are relative to the default, its run is ahead of the others anyway, and is not made twice.
+    """
+    return numbers[::-1] if draw % 2 and not study.relative_metrics else numbers
 
 
 def validate(

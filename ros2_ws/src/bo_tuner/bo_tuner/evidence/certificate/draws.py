@@ -9,6 +9,7 @@ from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.plan import CHECKED, Case, CertificatePlan, Subject
 from bo_tuner.plans import Run
 from bo_tuner.trials import Evaluation, Stage
+from bo_tuner.tuning.validation import by_turns
 
 DRAWS = "draws"
 """Name of the first phase; the others are searches."""
@@ -57,13 +58,8 @@ class DrawPlan(CertificatePlan):
         k, place = divmod(sum(map(len, self.evaluations)) + len(pending), count)
         if k == len(self._contexts) or (self._clear and place == 0):
             return None
-        # By turns the first and the last is first: a machine that warms up is no difference. What
-        # limits are relative to has its run ahead of the others anyway.
-        turned = k % 2 and not self._case.study.relative_metrics
-        number = count - 1 - place if turned else place
-        parameters, context = self._subjects[number].parameters, self._contexts[k]
-        seed = self._case.draw_seed(k)
-        return Run(Evaluation(number, k, Stage.VALIDATION, parameters, context, seed))
+        number = by_turns(self._case.study, k, range(count))[place]
+        return self._case.drawn(number, self._subjects[number], k, self._contexts[k])
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation; a draw of all subjects is a step."""
@@ -176,9 +172,7 @@ class FurtherDrawPlan(CertificatePlan):
             or self._case.decided(self._subject, drawn, self._others) is not None
         ):
             return None
-        seed = self._case.draw_seed(k)
-        parameters, context = self._subject.parameters, self._contexts[k]
-        return Run(Evaluation(self._number, k, Stage.VALIDATION, parameters, context, seed))
+        return self._case.drawn(self._number, self._subject, k, self._contexts[k])
 
     def tell(self, task: Run) -> bool:
         """Add a draw."""

@@ -9,7 +9,7 @@ from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context, Evaluation, Value
+from bo_tuner.trials import Context, Evaluation, Stage, Value
 
 DRAWN, SEARCHED, REPEATED, CHECKED = 0, 1, 2, 3
 """Purpose of an evaluation, as part of the key of its noise seed."""
@@ -75,9 +75,11 @@ class Case:
         rng = generator(self.study.seed, Stream.CERTIFICATE_CONTEXTS, self.attempt)
         return [space.to_dict(row) for row in space.draw(self.most, rng)]
 
-    def draw_seed(self, number: int) -> int:
-        """Return the seed of a draw; without noise draws differ by their contexts alone."""
-        return self.noise_seed(DRAWN, 0 if self.study.is_noiseless else number)
+    def drawn(self, number: int, subject: Subject, draw: int, context: Context) -> Run:
+        """Return the run of a subject, by its number, in a draw, by its number and context."""
+        # Without noise draws differ by their contexts alone.
+        seed = self.noise_seed(DRAWN, 0 if self.study.is_noiseless else draw)
+        return Run(Evaluation(number, draw, Stage.VALIDATION, subject.parameters, context, seed))
 
     def noise_seed(self, *key: int) -> int:
         """Return a seed; it does not depend on the subject: the same noise for all."""
