@@ -6,7 +6,7 @@ verdict, the report, the time left and the command ``check``. None of them knows
 
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -47,11 +47,14 @@ class Method(Protocol):
     ----------
     title : str
         Short description.
+    cuts_short : bool
+        Whether runs of its trials may be cut short; otherwise it needs whole ones.
     ranking : Ranking
         Of the trials, by its surrogates.
     """
 
     title: str
+    cuts_short: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -61,6 +64,8 @@ class Method(Protocol):
 
     def problem(self, study: Study) -> str:
         """Return in a few words why it cannot run a study; empty if it can."""
+        if study.budget.cut_short and not self.cuts_short:
+            return "needs whole runs, and the study has `budget.cut_short`"
         return ""
 
     @abstractmethod

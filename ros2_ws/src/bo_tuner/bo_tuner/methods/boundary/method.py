@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,6 +88,8 @@ class Boundary(Method):
     own_runs
         Runs of its own that the answer must have.
     """
+
+    cuts_short: ClassVar[bool] = True
 
     title: str
     models: PooledModels = field(default_factory=PooledModels)

@@ -69,11 +69,10 @@ class PaperMethod(Method):
         return Ranking(self.models)
 
     def problem(self, study: Study) -> str:
-        """Refuse what the models of trials know nothing of."""
-        if study.budget.cut_short:
-            return "needs whole runs, and the study has `budget.cut_short`"
-        if not study.measured:
-            return ""
+        """Refuse measured contexts as well, for which the models of trials have no column."""
+        problem = super().problem(study)
+        if problem or not study.measured:
+            return problem
         return f"knows nothing of what is measured, and the study measures '{study.measured[0]}'"
 
     def optimizer(self, study: Study) -> Optimizer:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.method import Boundary
@@ -47,16 +48,20 @@ def _ranked(study: Study, trials: Sequence[Trial]) -> Sequence[Trial]:
 class Safe(Boundary):
     """A search that tries only parameter sets that it expects to be safe; see `stage_one`."""
 
+    # What a run kept until it was cut short says nothing of what the whole one does.
+    cuts_short: ClassVar[bool] = False
+
     @property
     def ranking(self) -> PooledRanking:
         """Of the parameter sets that have kept their limits, by the models of all evaluations."""
         return KeptRanking(self.models)
 
     def problem(self, study: Study) -> str:
-        """Refuse a study without a limit, or whose runs may be cut short."""
-        if study.budget.cut_short:
-            return "needs whole runs, and the study has `budget.cut_short`"
-        return "" if study.constraints else "needs a limit to keep, and the study has none"
+        """Refuse a study without a limit as well."""
+        problem = super().problem(study)
+        if problem or study.constraints:
+            return problem
+        return "needs a limit to keep, and the study has none"
 
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
