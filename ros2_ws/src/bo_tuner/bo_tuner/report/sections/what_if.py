@@ -5,11 +5,13 @@ predictions are part of the page; those of several at once need the models, whic
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from bo_tuner.figures.figure import Axis
+from bo_tuner.models.protocol import Model
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Forecast, Slider, WhatIf, number
@@ -17,6 +19,9 @@ from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitte
 from bo_tuner.report.sections.convergence import mean_axis, predicted_axis
 from bo_tuner.report.sections.slices import TWO_SIGMA, predicted_title
 from bo_tuner.text import percent, shown_beside, with_unit
+
+FromCost = Callable[[Array], Array]
+"""Returns an objective by its cost, in the unit of its metric."""
 
 LIKELY = "likely within limits"
 NOT_PERMITTED = "These values break the order of the parameters or a condition."
@@ -100,11 +105,7 @@ def _at(analysis: Analysis) -> Array:
 
 def _rows(analysis: Analysis) -> list[tuple[str, str]]:
     study = analysis.study
-    if analysis.models.costs.keys() >= {item.metric for item in study.objectives}:
-        axes = [mean_axis(study, item) for item in study.objectives]
-    else:
-        axes = [predicted_axis(study)]
-    rows = [(axis.title, "") for axis in axes]
+    rows = [(axis.title, "") for axis, *_ in _objectives(analysis)]
     for name, model in analysis.models.constraints.items():
         constraint = study.constraints[name]
         metric = study.metrics[constraint.metric]
@@ -116,7 +117,9 @@ def _rows(analysis: Analysis) -> list[tuple[str, str]]:
 def _forecasts(analysis: Analysis, points: Array) -> list[Forecast]:
     """Return what is predicted at points (n, d) of the unit cube."""
     study, models = analysis.study, analysis.models
-    columns = [_in_words(bands) for bands in _objectives(analysis, points)]
+    columns = [
+        _in_words(_band(model, from_cost, points)) for _, model, from_cost in _objectives(analysis)
+    ]
     columns += [
         _in_words(model.band(points, TWO_SIGMA), model.limit)
         for model in models.constraints.values()
@@ -131,22 +134,28 @@ def _forecasts(analysis: Analysis, points: Array) -> list[Forecast]:
     return [Forecast(list(cells), remark) for *cells, remark in zip(*columns, remarks, strict=True)]
 
 
-def _objectives(analysis: Analysis, points: Array) -> list[tuple[Array, Array, Array]]:
-    """Return of each objective its mean and the ends of its band, (n,) each."""
+def _objectives(analysis: Analysis) -> list[tuple[Axis, Model, FromCost]]:
+    """Return of each objective its axis, the model of its cost, and how it follows from that.
+
+    With several of them and no model of each, that is the one that trials are proposed by.
+    """
     study, models = analysis.study, analysis.models
     if models.costs.keys() >= {item.metric for item in study.objectives}:
-        pairs = [(models.costs[item.metric], item.from_cost) for item in study.objectives]
-    elif models.objective is None:
+        return [
+            (mean_axis(study, item), models.costs[item.metric], item.from_cost)
+            for item in study.objectives
+        ]
+    if models.objective is None:
         raise ValueError("no trial is complete")
-    else:
-        pairs = [(models.objective, study.from_predicted_cost)]
-    found = []
-    for model, from_cost in pairs:
-        mean, variance = model.predict(points)
-        half = TWO_SIGMA * np.sqrt(variance)
-        one, other = from_cost(mean - half), from_cost(mean + half)
-        found.append((from_cost(mean), np.minimum(one, other), np.maximum(one, other)))
-    return found
+    return [(predicted_axis(study), models.objective, study.from_predicted_cost)]
+
+
+def _band(model: Model, from_cost: FromCost, points: Array) -> tuple[Array, Array, Array]:
+    """Return the mean of an objective and the ends of its band, (n,) each."""
+    mean, variance = model.predict(points)
+    half = TWO_SIGMA * np.sqrt(variance)
+    one, other = from_cost(mean - half), from_cost(mean + half)
+    return from_cost(mean), np.minimum(one, other), np.maximum(one, other)
 
 
 def _in_words(bands: tuple[Array, Array, Array], limit: float = math.nan) -> list[str]:
