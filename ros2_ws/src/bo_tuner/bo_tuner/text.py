@@ -113,15 +113,20 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def duration(seconds: float) -> str:
-    """Return a time in words."""
+def rounded_time(seconds: float) -> str:
+    """Return a time in the unit that suits it, rounded."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * size:
-            return f"about {seconds / size:.0f} {unit}"
-    return f"about {seconds:.0f} s"
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words."""
+    return f"about {rounded_time(seconds)}"
 
 
 def durations(low: float, high: float) -> str:
     """Return a range of times in words."""
     ends = duration(low), duration(high)
-    return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1].removeprefix('about ')}"
+    return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {rounded_time(high)}"

@@ -6,7 +6,7 @@ import re
 import time
 from dataclasses import dataclass, field
 
-from bo_tuner.text import duration
+from bo_tuner.text import rounded_time
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -39,9 +39,8 @@ class TimeLimit:
     @property
     def outcome(self) -> str:
         """How much of it was taken until now, in words."""
-        return f"took {duration(self.seconds - self.left)} of {duration(self.seconds)}".replace(
-            "about ", ""
-        )
+        taken = rounded_time(self.seconds - self.left)
+        return f"took {taken} of {rounded_time(self.seconds)}"
 
     @property
     def left(self) -> float:
