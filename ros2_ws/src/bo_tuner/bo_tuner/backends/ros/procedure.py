@@ -27,7 +27,7 @@ from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
-from bo_tuner.metrics.latest_messages import LatestMessage
+from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     FailedRunError,
@@ -110,7 +110,10 @@ class Procedure:
         self._restart = restart
         self._guard = guard
         guarded = () if guard is None else guard.topics
-        self._recorder = SignalRecorder(tuner.context, study.signals, guarded)
+        self._latest_messages = LatestMessages()
+        may_be_aborted = bool(run.abort_when) or guard is not None
+        keep = self._latest_messages.add if may_be_aborted else None
+        self._recorder = SignalRecorder(tuner.context, study.signals, guarded, keep)
         self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
         self.before_abort: Sequence[LatestMessage] = ()
@@ -375,13 +378,13 @@ class Procedure:
                 return self._recorder.recording(self._watch.wait_for_end())
         except FailedRunError:
             if self.reason_of_abort:
-                self.before_abort = self._recorder.latest_messages.now()
+                self.before_abort = self._latest_messages.now()
             raise
         except GuardActedError:
             # It may only have been quicker.
             with contextlib.suppress(FailedRunError):
                 self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
-            self.before_abort = self._recorder.latest_messages.now()
+            self.before_abort = self._latest_messages.now()
             raise
         finally:
             self._is_recording = False

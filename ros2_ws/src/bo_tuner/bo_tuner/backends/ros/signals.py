@@ -33,7 +33,7 @@ from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
 from bo_tuner.errors import StudyError
-from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
+from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.recording import (
     FailedRunError,
     RecordedMessages,
@@ -69,17 +69,21 @@ class SignalRecorder:
         The study's signals.
     guarded
         Topics that a guard would publish: its silent publisher does not count.
+    keep
+        Is handed each message as it came; None where nobody needs them.
 
     Attributes
     ----------
     node : Node
         The recorder's node, which is in no executor.
-    latest_messages : LatestMessages
-        What was taken last, of all signals.
     """
 
     def __init__(
-        self, context: Context, signals: Mapping[str, Signal], guarded: Collection[str] = ()
+        self,
+        context: Context,
+        signals: Mapping[str, Signal],
+        guarded: Collection[str] = (),
+        keep: Callable[[LatestMessage], object] | None = None,
     ) -> None:
         self._signals = signals
         self._guarded = guarded
@@ -89,7 +93,7 @@ class SignalRecorder:
         )
         self._topics: dict[str, _Topic] = {}
         self._tracks: dict[str, Track] = {}
-        self.latest_messages = LatestMessages()
+        self._keep = keep
         self._frames: dict[str, FramesReader] = {}
         self._feeds: dict[str, TransformFeed] = {}
         self._began = 0
@@ -286,9 +290,9 @@ class SignalRecorder:
             for heard in topic.heard.take():
                 topic.has_message = True
                 topic.received = heard.received
-                self.latest_messages.add(
-                    LatestMessage(heard.received, topic.heard.name, topic.type, heard.data)
-                )
+                if self._keep is not None:
+                    name, data = topic.heard.name, heard.data
+                    self._keep(LatestMessage(heard.received, name, topic.type, data))
                 for name, reader in topic.readers.items():
                     track = self._tracks[name]
                     try:
