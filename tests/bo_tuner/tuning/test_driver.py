@@ -413,6 +413,12 @@ class Requests(Watcher):
         self.gate.requests.request(False)
 
 
+def halt_and_continue(gate):
+    """Let the run go on before it has come to the gate."""
+    gate.halt("the guard")
+    gate.requests.request(False)
+
+
 class TestEvents:
     @staticmethod
     def trials(study, backend, watcher, window, recorded=(), finished=None):
@@ -448,6 +454,7 @@ class TestEvents:
         [
             (lambda gate: gate.requests.request(True), (EventKind.PAUSE, "")),
             (lambda gate: gate.halt("the guard"), (EventKind.GUARD, "the guard")),
+            (halt_and_continue, (EventKind.GUARD, "the guard")),
         ],
     )
     def test_a_pause_and_why(self, study, function_backend, asking, expected):

@@ -132,9 +132,10 @@ class Gate:
             Is passed the beginning of a wait and its end, with what the guard says.
         """
         self._check()
-        if not self.requests.requested:
-            return
         reason, self._halted_by = self._halted_by, ""
+        # What the guard did is noted also if somebody has let the run go on in the meantime.
+        if not reason and not self.requests.requested:
+            return
         note(EventKind.GUARD if reason else EventKind.PAUSE, reason)
         self._observer.pause(True)
         self.requests.wait(self._look)
