@@ -17,6 +17,7 @@ def certificates(result: Result) -> list[str]:
             "{:.0%} to {:.0%}".format(*found["interval"]),
             f"{found['median_evaluations']:g}",
             found["most_evaluations"],
+            f"{found['median_of_least']:.1f}" if which == "answer" else "",
         ]
         for case in result["cases"].values()
         for which in ("answer", "infeasible")
@@ -25,13 +26,18 @@ def certificates(result: Result) -> list[str]:
     runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
     wrong = [run for run in runs if not run["feasible"]]
     passed = sum(run["answer"]["passed"] for run in runs if run["feasible"])
+    failed = (
+        f"; of the {len(wrong)} truly infeasible, "
+        f"{sum(run['answer']['passed'] for run in wrong)} pass"
+        if wrong
+        else "; none is truly infeasible"
+    )
     return [
         "Answers that `boundary` called feasible in the recorded campaigns, certified "
         "by the study's default certificate, and beside each a parameter set that is truly "
         "infeasible by as little as bisection finds. The interval is that of Clopper and "
         f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
-        f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
-        f"{sum(run['answer']['passed'] for run in wrong)} pass. *Times the least*: the median "
+        f"{passed} of these pass{failed}. *Times the least*: the median "
         "number of evaluations as a multiple of the fewest that show all limits: none beyond, no "
         "search, one worst context. Of a limit on a mean these are five.",
         markdown(

@@ -25,7 +25,16 @@ SKEWED = 0.05
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Lay out a Markdown table."""
+    """Lay out a Markdown table.
+
+    Raises
+    ------
+    ValueError
+        If a row has not as many cells as the header.
+    """
+    rows = list(rows)
+    if any(len(row) != len(header) for row in rows):
+        raise ValueError(f"each row of a table has {len(header)} cells: {', '.join(header)}")
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
