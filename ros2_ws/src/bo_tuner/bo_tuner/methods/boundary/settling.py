@@ -170,12 +170,14 @@ class SettledAnswer(AnswerSearch):
     def _settled(self, models: PooledSurrogates) -> Recommendation:
         candidates = _with_own_runs_first(self._study, models, self._candidates, self._required)
         best = candidates[0]
+        x = self._study.search_space().cube_of([best.trial.parameters])
         return Recommendation(
             replace(best, trial=estimated(self._study, models, best.trial)),
             best.believed_feasible,
             tuple(dict.fromkeys(self._repeated)),
             tuple(candidates),
             passed_over(models, best, candidates),
+            tuple(known.bias(metric, x) for metric, known in models.comparisons.items()),
         )
 
 
