@@ -286,10 +286,11 @@ def _after_simulation(
     if arguments.study is None:
         parser.error("--simulated needs --study: that of the machine")
     plan = _new(arguments, parser, ros_arguments, interruption)
-    known = take_simulation(simulated, plan.study, METHODS[plan.algorithm])
-    study = begun_by_simulation(plan.study, simulated, known, alone=plan.algorithm == SAFE)
+    method = METHODS[plan.algorithm]
+    known = take_simulation(simulated, plan.study, method)
+    study = begun_by_simulation(plan.study, simulated, known)
     try:
-        METHODS[plan.algorithm].knowing(study, known.trials)
+        method.knowing(study, known.trials)
     except StudyError as error:
         parser.error(f"--simulated: {plan.algorithm} {error}")
     return dataclasses.replace(plan, study=study, simulation=known)

@@ -212,7 +212,7 @@ class Method(Protocol):
         StudyError
             If it has no use for them, in a few words.
         """
-        raise StudyError("takes no runs of a simulation; expected boundary or safe")
+        raise StudyError("takes no runs of a simulation; expected boundary")
 
     def takes_parts(self) -> bool:
         """Whether some of a trial's evaluations are data without the others."""

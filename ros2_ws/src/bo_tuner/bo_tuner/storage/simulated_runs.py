@@ -74,7 +74,7 @@ def take_simulation(record: RunRecord, study: Study, method: Method) -> Carried:
     return Carried(taking.run, tuple(taken), taking.summary(taken))
 
 
-def begun_by_simulation(study: Study, record: RunRecord, known: Carried, *, alone: bool) -> Study:
+def begun_by_simulation(study: Study, record: RunRecord, known: Carried) -> Study:
     """Return the study of a machine whose initial design the simulation stands in for.
 
     It begins with its own start, and then with the result of the simulation.
@@ -85,11 +85,9 @@ def begun_by_simulation(study: Study, record: RunRecord, known: Carried, *, alon
         The study of the machine.
     record, known
         The run of the simulation, and what was taken of it.
-    alone
-        Whether it begins with its own start only.
     """
     start: list[Mapping[str, Value]] = []
-    if not alone and record.result is not None:
+    if record.result is not None:
         names = study.search_space().names
         best = {name: record.result.parameters[name] for name in names}
         # One that the machine does not permit is none of those.
