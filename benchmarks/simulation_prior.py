@@ -33,7 +33,7 @@ from bo_tuner.tuning.summary import choose_answer
 
 TRIALS = 12
 """Of the machine."""
-JUDGED = 100
+JUDGED = 400
 """Runs at the hidden plant that judge a result."""
 PLANTS: dict[str, dict[str, float]] = {
     "softer, inside the box": {"stiffness_factor": 0.75, "damping_factor": 1.2},

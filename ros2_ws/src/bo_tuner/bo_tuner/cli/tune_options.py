@@ -54,8 +54,7 @@ examples:
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
-  tune --study machine.yaml --attach --from latest --simulated
-                                       on the machine, knowing its simulation
+  tune --study my_axis.yaml --from latest --simulated   knowing a simulation
   tune --time 30min                    have the result by then
   tune --time 30min --certify          and its certificate
   tune --safe --attach                 from what runs now on, in small steps

@@ -118,6 +118,11 @@ class PooledModels:
     looked: Looked = searched_contexts
     simulation: Simulation = field(default_factory=Simulation)
 
+    @property
+    def alone(self) -> Self:
+        """The models of the machine's own runs."""
+        return replace(self, simulation=Simulation())
+
     def of_metric(self, study: Study, metric: str) -> Self:
         """Return them with the logarithm for a metric for which the study asks for it."""
         return replace(self, scale=Logarithm.of) if study.metrics[metric].scale == LOG else self

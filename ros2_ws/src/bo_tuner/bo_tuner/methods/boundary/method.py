@@ -10,7 +10,7 @@ from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improv
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration
-from bo_tuner.methods.boundary.judging import PooledRanking
+from bo_tuner.methods.boundary.judging import OwnRanking, PooledRanking
 from bo_tuner.methods.boundary.repetition import OwnRuns
 from bo_tuner.methods.boundary.searches import Pooled
 from bo_tuner.methods.boundary.settling import (
@@ -182,7 +182,11 @@ class Boundary(Method):
         if most is None:
             most = self.repetitions.most(study, count_evaluations(trials), count_checks(trials))
         own_runs = replace(self.own_runs, doubtful=1) if study.is_noiseless else self.own_runs
-        return SettledAnswer(study, trials, self.ranking, own_runs, most)
+        if not self.models.simulation.trials:
+            return SettledAnswer(study, trials, self.ranking, own_runs, most)
+        # What the answer is shown to keep is by runs of the machine alone.
+        alone = OwnRanking(self.models.alone)
+        return SettledAnswer(study, trials, alone, own_runs, most, self.models)
 
     def doubt(self, feasibility: float) -> str:
         """Return why an answer is doubtful."""
