@@ -264,7 +264,8 @@ def _evidence(
         return f"the same {fresh}"
     if by_validation is None or not by_validation.observed:
         return f"{fresh}, without the default"
-    validation = f"the {by_validation.observed[0].draws} draws of the validation"
+    draws_of_both = counted(by_validation.observed[0].draws, "draw")
+    validation = f"the {draws_of_both} of the validation"
     if not is_result:
         return f"{fresh}, and the default in {validation}"
     return f"{fresh} (tuned only) and {validation} (both)"
@@ -334,8 +335,8 @@ def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: fl
             f"contexts, allowed {shown(verdict.allowed)},"
         )
     return (
-        f"{verdict.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
-        f"with {100.0 * confidence:g} % confidence"
+        f"{verdict.violations} of {counted(draws, 'draw')} {constraint.beyond} the limit; "
+        f"probability {where} with {100.0 * confidence:g} % confidence"
     )
 
 
