@@ -140,7 +140,7 @@ class Certifier:
             observers.add(unfinished)
             observers.add(left)
             observers.add(shown)
-            gate = Gate(self.interruption.check, observers, finishing=lambda: self.time.over)
+            gate = Gate(self.interruption.check, observers, time_is_up=lambda: self.time.over)
             certification = Certification(
                 study,
                 Driver(backend, observers, window=self.window, gate=gate),

@@ -30,7 +30,7 @@ from bo_tuner.evidence.validated import (
     validated,
 )
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.plans import standstill_in
+from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.measured import seen_in, seen_in_words
@@ -63,9 +63,11 @@ def run_verdict(record: RunRecord) -> Verdict:
     faults = contradicted(record.study, record.evaluations)
     verdict = replace(verdict, remarks=(*verdict.remarks, *faults))
     trial = record.result
-    if trial is not None and record.finished is not None:
+    finish = finish_in(record.events)
+    if trial is not None and finish is not None:
         made = counted(count_trials(record.trials), "trial")
-        remark = f"The trials were ended on request: {made} of {record.study.budget.trials}."
+        how = "as the time was up" if finish == TIME_UP else "on request"
+        remark = f"The trials were ended {how}: {made} of {record.study.budget.trials}."
         verdict = replace(verdict, remarks=(*verdict.remarks, remark))
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
