@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from axis import node
-from command_runs import Runs
+from command_runs import Runs, noisy_runs
 
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.time_plan import TimePlan
@@ -27,11 +27,7 @@ FINISHED = (
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    seed = {"node": "axis", "parameter": "seed"}
-    study = make_study(nodes=node("timed_axis"), seed_parameter=seed)
-    error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
-    folder = tmp_path_factory.mktemp("runs")
-    return Runs(folder, study, error=error, peak="self.load * self.gain")
+    return noisy_runs(tmp_path_factory.mktemp("runs"), make_study, "timed_axis")
 
 
 @pytest.fixture(scope="module")
