@@ -69,7 +69,7 @@ def make_whole_run(folder):
     found = conclude(study, Driver(backend), ALGORITHM, record.trials)
     trial = found.recommendation.candidate.trial
     counts = {"trials": len(record.trials), "evaluations": len(record.evaluations)}
-    summary = summarize(study, found, None, stop_early=False, on_request=False, **counts)
+    summary = summarize(study, found, None, stop_early=False, finish=None, **counts)
     with closing(RunFolder(folder)) as writer:
         writer.write_parameters(study, trial.parameters)
         writer.write_json(SUMMARY, summary)

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from axis import write_study
+from axis import node, write_study
 from commands import Fork, finish
 from waiting import count_in
 
@@ -51,3 +51,10 @@ class Runs:
 
     def results(self, name):
         return [(self.latest(name) / file).read_bytes() for file in RESULTS]
+
+
+def noisy_runs(folder, make_study, module):
+    """Runs in a folder of an object whose error has a noise of its seed, in a module of a name."""
+    study = make_study(nodes=node(module), seed_parameter={"node": "axis", "parameter": "seed"})
+    error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
+    return Runs(folder, study, error=error, peak="self.load * self.gain")

@@ -114,6 +114,11 @@ class TestCertificate:
         assert resumed.evaluations_sha256 == whole.evaluations_sha256
         assert len(calls) == len(set(calls)) + 1
 
+    def test_in_the_folder_of_a_run(self, result, function, make_function_study):
+        """Its certificates are those of its result."""
+        with pytest.raises(bt.RunRecordError, match="is the folder of a run; name another one"):
+            bt.certify(function, make_function_study(), {"gain": 0.2}, folder=result.folder)
+
     def test_of_what_is_no_parameter_set(self, make_function_study, function):
         study = make_function_study()
         for given, said in (

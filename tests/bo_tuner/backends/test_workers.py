@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -9,6 +10,7 @@ import pytest
 from functions import planned
 
 from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.workers import pool as pool_module
 from bo_tuner.backends.workers import process
 from bo_tuner.backends.workers.clusters import DEATHS
 from bo_tuner.backends.workers.pool import WorkerPool
@@ -135,3 +137,18 @@ def test_workers_that_do_not_come_back_are_not_waited_for(monkeypatch):
     pool._client, pool._process = Deserted(), process
     with pytest.raises(RunError, match="there has been no worker for"):
         list(pool.run([doing(FIRST, 0)]))
+
+
+def test_workers_that_are_killed_while_they_get_ready_are_named(monkeypatch):
+    """Dask tells of it as of a connection that was closed."""
+
+    class Killed:
+        status = "closed"
+
+        def register_plugin(self, plugin):
+            raise ConnectionResetError("Stream is closed")
+
+    monkeypatch.setattr(pool_module, "local_cluster", lambda count: nullcontext(Killed()))
+    pool = WorkerPool("odd", 2, Odd)
+    with pytest.raises(BackendError, match=r"^the workers are gone \(Stream is closed\)$"):
+        pool.open()

@@ -9,8 +9,7 @@ import struct
 from dataclasses import replace
 
 import pytest
-from axis import node
-from command_runs import RESULTS, Runs
+from command_runs import RESULTS, noisy_runs
 from commands import finish, run
 from waiting import wait_until
 
@@ -30,11 +29,7 @@ from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    seed = {"node": "axis", "parameter": "seed"}
-    study = make_study(nodes=node("counting_axis"), seed_parameter=seed)
-    error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
-    folder = tmp_path_factory.mktemp("runs")
-    return Runs(folder, study, error=error, peak="self.load * self.gain")
+    return noisy_runs(tmp_path_factory.mktemp("runs"), make_study, "counting_axis")
 
 
 @pytest.fixture(scope="module")

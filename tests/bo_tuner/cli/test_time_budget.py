@@ -6,12 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 from axis import node
-from command_runs import Runs
+from command_runs import Runs, noisy_runs
 
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.time_plan import TimePlan
 from bo_tuner.evidence.certificate.outlook import probable_certificate
-from bo_tuner.plans import Event, EventKind, Phase
+from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.plans import TIME_UP, Event, EventKind, Phase
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import CHECKS, TUNING
@@ -19,18 +20,14 @@ from bo_tuner.tuning.summary import with_summary
 
 OVER_AT_ONCE = ("--time", "0.001s")
 FINISHED = (
-    Event(Phase.TUNING, 1, EventKind.FINISH),
-    Event(Phase.CHECKING, 1, EventKind.FINISH),
+    Event(Phase.TUNING, 1, EventKind.FINISH, TIME_UP),
+    Event(Phase.CHECKING, 1, EventKind.FINISH, TIME_UP),
 )
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    seed = {"node": "axis", "parameter": "seed"}
-    study = make_study(nodes=node("timed_axis"), seed_parameter=seed)
-    error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
-    folder = tmp_path_factory.mktemp("runs")
-    return Runs(folder, study, error=error, peak="self.load * self.gain")
+    return noisy_runs(tmp_path_factory.mktemp("runs"), make_study, "timed_axis")
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +57,13 @@ def test_a_run_whose_time_is_over_still_has_a_result(runs, short, stages):
     _, checks, validation = stages("short")
     assert checks == 1
     assert validation == 2 * record.study.budget.validation_draws
-    assert "asked to finish after 1 trial; the best so far is then settled and validated" in short
-    assert "asked to finish after 1 run that settles the answer; the best" in short
+    assert "the time is up after 1 trial; the best so far is then settled and validated" in short
+    assert "the time is up after 1 run that settles the answer; the best" in short
+    of_trials = (
+        f"The trials were ended as the time was up: 1 trial of {record.study.budget.trials}."
+    )
+    assert of_trials in run_verdict(record).remarks
+    assert (record.summary["ended_on_request"], record.summary["ended_by_time"]) == (False, True)
     assert "warning: it took longer than the --time, by " in short
 
 

@@ -22,6 +22,8 @@ from waiting import DEADLINE, catches, count_in, wait_until
 from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.errors import JournalError
+from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.report.sections import convergence
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
@@ -164,6 +166,12 @@ class TestRun:
         assert err.count("FAILED: axis: stalled [/x] for good (context load ") == 5
         assert {trial.state for trial in recorded(latest(tmp_path))} == {TrialState.FAILED}
         assert not (latest(tmp_path) / "best.yaml").exists()
+        # What to do is said as in the report.
+        run = read_run(latest(tmp_path))
+        folder = latest(tmp_path).resolve().relative_to(tmp_path.resolve())
+        (step,) = next_steps(run_verdict(run), str(folder))
+        assert step.command.endswith(" --trials N")
+        assert f"\nnext:\n  {step.command}  {step.purpose}\n" in err
 
     def test_one_seed_one_run(self, tune, tmp_path):
         for name in ("a", "b"):

@@ -208,7 +208,7 @@ class TestRefusals:
 
     def test_benches_are_of_nodes(self, refused):
         line = refused("--benches", "1,2", backend="inprocess")
-        assert "--attach needs --backend ros" in line
+        assert "--benches needs --backend ros" in line
 
     def test_measured_times_beside_more_workers_than_cores(self, refused):
         line = refused("--workers", 3, study="benchmark")

@@ -398,7 +398,7 @@ def test_worst_cases_stay_where_all_trials_have_failed_when_run_again(study_of):
 @pytest.mark.parametrize("window", [1, 3])
 def test_it_can_be_finished_early_and_that_be_repeated(study, trials, function_backend, window):
     watcher = Watcher()
-    gate = Gate(finishing=lambda: len(watcher.evaluations) >= 2)
+    gate = Gate(time_is_up=lambda: len(watcher.evaluations) >= 2)
     search = ALGORITHM.answer_search(study, trials, 25)
     Driver(function_backend(study, axis), watcher, window=window, gate=gate).complete(search)
     # Those that were planned then are run to their end.

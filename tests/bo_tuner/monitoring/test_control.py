@@ -1,7 +1,7 @@
 """Requests to pause and continue a run, in words."""
 
 from bo_tuner.monitoring.control import RunControl
-from bo_tuner.plans import Phase
+from bo_tuner.plans import ON_REQUEST, Phase
 from bo_tuner.tuning.gate import Gate
 
 
@@ -23,9 +23,9 @@ def test_the_end_of_the_trials_is_asked_for_also_during_a_pause(tmp_path):
     assert control.finish() == (
         "the run begins no further trial; the best so far is then settled and validated"
     )
-    assert gate.finishing(Phase.TUNING)
+    assert gate.finishing(Phase.TUNING) == ON_REQUEST
     # The answer is settled as usual.
-    assert not gate.finishing(Phase.CHECKING)
+    assert gate.finishing(Phase.CHECKING) is None
     control.pause(True)
     assert control.finish().startswith("the run begins no further trial once it continues; the")
     assert control.pause_requested

@@ -132,8 +132,8 @@ class TestTable:
             assert ("validate runs/benchmark-20261122-113926" in lines) is not together
         out = console(60)
         print_next_steps(out, found, Path("runs/a"))
-        # What reads a pipe gets a step in each line.
-        assert len(text(out).splitlines()) == 3
+        # What reads a pipe gets a step in each line, below the heading.
+        assert len(text(out).splitlines()) == 1 + 3
 
     def test_a_difference_has_half_of_its_interval(self):
         study = load_study("benchmark")

@@ -324,6 +324,18 @@ class TestRetention:
         assert times == [[*range(1, 10)], [*range(2001, 2010)]]
         assert recording.summary["dropped_messages"] == 0
 
+    def test_the_last_messages_of_a_trial_come_after_it_has_ended(self, of_few_messages, tmp_path):
+        """They are asked for: a listener hands over less often than the recorder waits."""
+        recording, waiting = of_few_messages
+        with recording:
+            waiting += [joints(START + 1)]
+            recording.evaluation(evaluation_of(0, 0))
+            waiting += [joints(START + 2)]
+            recording.trial(trial_of(0), None)
+            recording.planned(Phase.TUNING)
+        bag = with_rosbags(tmp_path / "bags" / "trial_0000")
+        assert [time - START for _, time, _ in bag] == [1, 2]
+
     def test_the_last_messages_of_an_evaluation_are_kept_where_no_trial_is_proposed(
         self, of_few_messages, tmp_path
     ):

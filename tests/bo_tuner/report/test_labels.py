@@ -21,10 +21,11 @@ from bo_tuner.report.comparison import comparison
 from bo_tuner.report.page import chapters, render
 from bo_tuner.report.time_response import bounds_beside
 from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.study.titles import mean_title
 from bo_tuner.text import JOIN
 from bo_tuner.tuning.effects import Effect, ParameterEffects
 
-TITLES = {"gain": "Reach of the arm", "error": "Miss (mean)", "peak": "Bump"}
+TITLES = {"gain": "Reach of the arm", "error": "Mean miss", "peak": "Bump"}
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +72,14 @@ def test_the_report_and_its_pages_of_trials(analysis):
         assert named(texts, name) == []
     for title in TITLES.values():
         assert any(title in text for text in texts)
+
+
+def test_the_mean_of_what_is_called_a_mean(analysis):
+    """No screen says "mean Mean miss"."""
+    parts = [*sections(analysis), *trial_sections(analysis, analysis.trials[2])]
+    texts = [*texts_of(parts), *texts_of(comparison({"a": analysis, "b": analysis}))]
+    assert [text for text in texts if re.search(r"\bmean mean\b", text, re.IGNORECASE)] == []
+    assert (mean_title("meander"), mean_title("mean")) == ("mean meander", "mean")
 
 
 def test_what_to_set_has_the_name_too(analysis):

@@ -13,6 +13,7 @@ from html import unescape
 from html.parser import HTMLParser
 
 import pytest
+from report_runs import with_ends
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.analysis import Analysis
@@ -23,6 +24,16 @@ from bo_tuner.trials import EvaluationState, Stage
 
 # Elements without an end.
 VOID = {"meta", "link", "img", "br", "input"}
+
+
+ONE_OF_EACH = {
+    "trials": 1,
+    "initial_trials": 1,
+    "drawn_contexts": 1,
+    "search_evaluations": 1,
+    "validation_draws": 1,
+}
+"""The smallest budget of a study."""
 
 
 class Page(HTMLParser):
@@ -344,3 +355,12 @@ def test_the_run_folder_stays_as_it_was(tuned, tmp_path):
     before = content()
     write_report(read_run(tuned.path), tmp_path / "report.html")
     assert content() == before
+
+
+def test_one_of_each_is_no_plural(axis_run):
+    """On the page of the smallest run, and where its only trial failed."""
+    for sections in ({}, with_ends(0.4)):
+        of_one = Analysis(axis_run(budget=ONE_OF_EACH, **sections))
+        text = unescape(render(of_one, chapters(of_one)))
+        shown = re.sub(r"<(script|style|pre)\b.*?</\1>", "", text, flags=re.DOTALL)
+        assert re.findall(r"\b1 (?:trials|(?:test )?runs|draws|parameter sets)\b", shown) == []

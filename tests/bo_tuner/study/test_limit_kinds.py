@@ -108,7 +108,7 @@ def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
         assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST_RUNS)
         said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST_RUNS)
         if count < LEAST_RUNS:
-            assert said == f"{count} draws are too few to bound the mean over contexts and noise"
+            assert said == f"too few draws ({count}) to bound the mean over contexts and noise"
         else:
             assert said.startswith("mean over contexts and noise at most 0.6")
             assert said.endswith(", limit 1 N")

@@ -137,7 +137,7 @@ def broken_limits(found):
     """
     open_yet = (
         "may be",
-        "are too few to bound the mean",
+        "too few",
         "say too little about the noise",
         "had no run",
     )

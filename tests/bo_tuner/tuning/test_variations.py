@@ -218,6 +218,7 @@ def test_in_small_steps_that_is_no_error(function_backend, capsys):
     out, err = capsys.readouterr()
     assert "warning: kp was not seen to move any metric" in err
     assert "These were small steps; check --sensitivity tries the whole range." in out
+    assert "at_start" not in out
     assert "note: not tried: fast" in out
 
 

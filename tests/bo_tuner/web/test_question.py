@@ -1,6 +1,7 @@
 """`tune --confirm` with a live page: the question stands there, and may be answered there."""
 
 import json
+import select
 
 import pytest
 from axis import write_study
@@ -10,7 +11,9 @@ from waiting import wait_until
 
 from bo_tuner.plans import EventKind
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.web.live_page import LONGEST_QUESTION, _fitting
+from bo_tuner.web.live_page import ahead_of, in_parts
+from bo_tuner.web.sections import LiveSections
+from bo_tuner.web.state import LiveState
 
 OPTIONS = ("--backend", "inprocess", "--safe", "--confirm", "--study", "axis.yaml")
 
@@ -72,10 +75,22 @@ def test_a_page_that_is_read_only_has_no_buttons(tmp_path, make_study):
     assert "--confirm: no terminal to ask on" in err
 
 
-def test_a_long_question_says_what_is_left_out():
-    lines = [f"  gain_{k}: 1 (trial before 2, default 3)" for k in range(200)]
-    fitting = _fitting(lines)
-    left = len(lines) - len(fitting) + 1
-    assert fitting == [*lines[: len(lines) - left], f"and {left} lines more on the terminal"]
-    assert sum(map(len, fitting)) <= LONGEST_QUESTION
-    assert _fitting(lines[:3]) == lines[:3]
+def test_a_long_question_stands_there_whole(tmp_path):
+    """In several messages, each of a length that the pipe takes as a whole."""
+    lines = ["", *(f"  gain_{k}: 1 (trial before 2, default 3)" for k in range(200))]
+    lines.append("\U0001f600" * 900)
+    parts = in_parts(lines)
+    ahead = ahead_of(parts)
+    assert len(ahead) > 3
+    assert all(len(json.dumps(message)) < select.PIPE_BUF for message in ahead)
+    shown = LiveState(LiveSections(tmp_path))
+    # Of an attempt that the pipe could not take to its end.
+    for message in [*ahead[:2], *ahead]:
+        shown.take(message)
+    shown.take({"question": {"number": 7, "lines": parts[-1]}})
+    stands = shown.now["question"]
+    assert (stands["number"], "".join(stands["lines"])) == (7, "".join(lines))
+    assert stands["lines"][:201] == lines[:201]
+    # The next one begins anew.
+    shown.take({"question": {"number": 8, "lines": ["next"]}})
+    assert shown.now["question"] == {"number": 8, "lines": ["next"]}

@@ -77,7 +77,7 @@ class TestRequests:
         assert whole.events == (Event("tuning", 2, EventKind.FINISH),)
         summary = json.loads((run.folder / "summary.json").read_text())
         assert summary["trial"] in (0, 1)
-        assert summary["ended_on_request"] is True
+        assert (summary["ended_on_request"], summary["ended_by_time"]) == (True, False)
         # Verdict, and with it terminal and report, say so, too.
         remark = "The trials were ended on request: 2 trials of 5."
         assert remark in run_verdict(with_summary(read_run(run.folder), str)).sentences

@@ -11,7 +11,7 @@ from dataclasses import asdict
 
 import pytest
 from pages import ServedRuns
-from report_runs import run_axis
+from report_runs import run_axis, with_ends
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.what_if import forecast
@@ -167,6 +167,17 @@ class TestServed:
         (gain,) = [name for name in rows["first"] if name.startswith("gain [")]
         result = read_run(finished).result
         assert float(rows["first"][gain]) == result.parameters["gain"]
+
+    def test_what_has_no_number_is_an_empty_cell(self, tmp_path):
+        """All draws of the default failed, so that it has no mean."""
+        run = run_axis(tmp_path, **with_ends(0.4))
+        (row,) = csv.DictReader(io.StringIO(Runs(run.parent).table()))
+        cells = {name: cell for name, cell in row.items() if "mean error" in name}
+        (tuned,) = [cell for name, cell in cells.items() if not name.startswith("default")]
+        (default,) = [cell for name, cell in cells.items() if name.startswith("default")]
+        # The least error that there is.
+        assert float(tuned) >= 1.0
+        assert default == ""
 
 
 class TestNotes:

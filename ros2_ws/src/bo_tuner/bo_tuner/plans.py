@@ -34,6 +34,12 @@ class EventKind(StrEnum):
     REFUSE = "refuse"
 
 
+ON_REQUEST = ""
+"""Detail of the event that a phase finishes early, where somebody has asked for it."""
+TIME_UP = "the time is up"
+"""The same, where it is to finish for the time that the run was given."""
+
+
 @dataclass(frozen=True)
 class Event:
     """Something from outside, on record so that a resumed run repeats what came of it.
@@ -45,12 +51,12 @@ class Event:
     tasks
         Number of tasks that were planned in this phase until then, in all sessions.
     kind
-        A request to finish the phase early, or to go on with it all the same in a later session; a
+        That the phase is to finish early, or to go on all the same in a later session; a
         pause, on request or because the guard had taken over, or its end; that the phase has ended
         early because its plan cannot go on; that somebody has allowed a task, or has not.
     detail
-        More in a line: what the guard says, why the plan cannot go on, or as JSON who has allowed
-        or refused which parameters, when and where.
+        More in a line: `ON_REQUEST` or `TIME_UP`, what the guard says, why the plan cannot go on,
+        or as JSON who has allowed or refused which parameters, when and where.
     """
 
     phase: str
@@ -87,6 +93,12 @@ def _latest_end(events: Iterable[Event], phase: Phase) -> Event | None:
         if ends or event.kind is EventKind.EXTEND:
             latest = event
     return None if latest is None or latest.kind is EventKind.EXTEND else latest
+
+
+def finish_in(events: Iterable[Event]) -> str | None:
+    """Return why the trials of a run were to finish early: `ON_REQUEST`, `TIME_UP`; else None."""
+    latest = _latest_end(events, Phase.TUNING)
+    return latest.detail if latest is not None and latest.kind is EventKind.FINISH else None
 
 
 class Task(Protocol):

@@ -47,11 +47,14 @@ def brief(text: str) -> str:
 def csv_cell(value: object) -> object:
     """Keep a spreadsheet from reading text as a formula, by an apostrophe ahead of it.
 
-    A number stays as it is, also if it is given as text; a truth value is ``true`` or ``false``.
+    A number stays as it is, also if it is given as text; a truth value is ``true`` or ``false``,
+    and of NaN, which stands for no number, the cell is empty.
     The danger is described at https://owasp.org/www-community/attacks/CSV_Injection.
     """
     if isinstance(value, bool):
         return shown(value)
+    if isinstance(value, float) and math.isnan(value):
+        return ""
     if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r", "\n")):
         return value
     try:
@@ -106,6 +109,11 @@ def percent(probability: float) -> str:
     if 0.999 < probability < 1.0:
         return "more than 99.9 %"
     return f"{100.0 * probability:.3g} %"
+
+
+def capitalized(text: str) -> str:
+    """Return text with a capital letter at its beginning, all others as they are."""
+    return text[:1].upper() + text[1:]
 
 
 def counted(number: int, noun: str) -> str:

@@ -168,9 +168,14 @@ class Outcome:
         return self.state is EvaluationState.COMPLETE
 
     @property
+    def was_cut_short(self) -> bool:
+        """Whether it was ended on purpose: it has no metrics, and has not failed."""
+        return self.state is EvaluationState.CUT_SHORT
+
+    @property
     def at_least(self) -> dict[str, float]:
         """Lower bounds of metrics by name, of a run that was cut short; empty of any other."""
-        if self.state is not EvaluationState.CUT_SHORT:
+        if not self.was_cut_short:
             return {}
         return {
             key.removeprefix(AT_LEAST): float(value)
@@ -414,8 +419,7 @@ class Trial:
 
 def ended_as(outcome: Outcome) -> TrialState:
     """Return how a trial has ended that ended with an evaluation which is not complete."""
-    cut_short = outcome.state is EvaluationState.CUT_SHORT
-    return TrialState.CUT_SHORT if cut_short else TrialState.FAILED
+    return TrialState.CUT_SHORT if outcome.was_cut_short else TrialState.FAILED
 
 
 def count_trials(trials: Iterable[Trial]) -> int:

@@ -170,7 +170,7 @@ def test_a_folder_of_something_else(here, refusal, place, make_study):
     given = ("--parameters", "good.yaml", "--study", "axis.yaml", "--output")
     (place / "run").mkdir()
     (place / "run" / "journal.sqlite").touch()
-    assert "run: is the folder of a run; name another --output" in refusal(*given, "run")
+    assert "run: is the folder of a run; name another one" in refusal(*given, "run")
     other = make_study(name="axis", nodes=node("given_axis"), constraints=CHANCE, seed=9)
     write_study(place, other, peak=PEAK)
     line = refusal(*given, "certified")

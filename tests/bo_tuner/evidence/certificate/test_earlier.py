@@ -218,6 +218,23 @@ class TestOfARun:
         assert not found.certified
         assert found.refutations[0].reasons == ("peak: 10 runs in 1 context",)
 
+    def test_a_run_that_was_cut_short_is_no_evidence(self, run):
+        """It neither violates a limit nor keeps it; one that failed counts."""
+        trial = run.trials[run.summary["trial"]]
+        known = earlier_evidence(run, trial.parameters, "inprocess")
+        (one,) = runs([0.5], Stage.DRAWN)
+        outcomes = [
+            Outcome.cut_short(1.0, {"error": 2.0}, "error at least 2"),
+            Outcome(EvaluationState.FAILED, reason="stalled"),
+        ]
+        more = [
+            dataclasses.replace(one, parameters=trial.parameters, outcome=outcome)
+            for outcome in outcomes
+        ]
+        changed = dataclasses.replace(run, evaluations=(*run.evaluations, *more))
+        found = earlier_evidence(changed, trial.parameters, "inprocess")
+        assert found.evaluations == (*known.evaluations, more[1])
+
     @pytest.mark.parametrize("suffix", [".json", "_evaluations.csv"])
     def test_one_that_cannot_be_read_is_named(self, run, suffix):
         certify(run, [(1.0, 0.5)] * 40, [(1.0, 1.5)] * 40)

@@ -177,7 +177,7 @@ class TestWorstCase:
         """A run in ten is 20, the others 0: a mean of 2 that five runs show as 0 in most cases."""
         draws = [0.0] * 29 + [20.0]
         found = judge(make_study(), evidence(draws, [[0.0] * 5]), 0.95)
-        assert "5 test runs in the worst context (load 1.5) are too few" in found.reasons[0]
+        assert "too few test runs (5) in the worst context (load 1.5) to bound" in found.reasons[0]
         # With the 20 that was drawn, a mean of 1 needs one in 20 runs: 0.05 takes 74 without.
         assert draws_needed(0.05, 0.95) == 74
         for count, passed in ((73, False), (74, True)):

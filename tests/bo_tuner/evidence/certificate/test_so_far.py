@@ -33,7 +33,7 @@ def timed(study, backend, runs):
     def over():
         return len(backend.calls) >= runs
 
-    driver = Driver(backend, gate=Gate(finishing=over))
+    driver = Driver(backend, gate=Gate(time_is_up=over))
     certification = Certification(study, driver, confidence=0.95, finishing=over)
     return certification, certification.collect([Subject("tuned", {"gain": 0.5})], 300)[0]
 

@@ -15,7 +15,7 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification
-from bo_tuner.evidence.certificate.given import given_values
+from bo_tuner.evidence.certificate.given import check_folder, given_values
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.certificate.store import draws_of
 from bo_tuner.evidence.certificate.subjects import subjects_of
@@ -54,8 +54,8 @@ def certify(
     parameters
         Values by name; what is left out is the default.
     folder
-        Where the certificate is kept, and goes on after an interruption. All certificates in a
-        folder share the confidence. Without it, only the returned object remains.
+        Where the certificate is kept, and goes on after an interruption; not that of a run. All
+        certificates in a folder share the confidence. Without it, only the returned object remains.
     draws
         Largest number of draws; unless given as many as the study requires.
     confidence
@@ -81,6 +81,8 @@ def certify(
         As in `Study.optimize`.
     OutputError
         If the folder cannot be written to, or another process works in it.
+    RunRecordError
+        If the folder is that of a run: `Result.certify` certifies its result.
     """
     if not isinstance(study, Study):
         raise StudyError(f"expected a Study, found {checks.show(study)}", ("study",))
@@ -92,11 +94,13 @@ def certify(
             path = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bo_tuner-")))
         else:
             path = Path(folder).absolute()
+        record, trial = given_values(inner, values, path, FUNCTION)
+        check_folder(record)
+        if folder is not None:
             try:
                 path.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise OutputError(f"{folder}: cannot write there: {error.strerror}") from error
-        record, trial = given_values(inner, values, path, FUNCTION)
         return certify_trial(
             record,
             trial,

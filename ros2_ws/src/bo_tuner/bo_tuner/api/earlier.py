@@ -12,6 +12,7 @@ from bo_tuner.storage.record import record_of_study
 from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import (
     Context,
     Evaluation,
@@ -80,8 +81,8 @@ def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Ca
     count, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
     if study.budget.is_spent(count, evaluations):
         raise StudyError(
-            f"expected more than the {count} trials and {evaluations} test runs of the earlier "
-            "runs, which count",
+            f"expected more than the {counted(count, 'trial')} and "
+            f"{counted(evaluations, 'test run')} of the earlier runs, which count",
             ("budget",),
         )
     return carried

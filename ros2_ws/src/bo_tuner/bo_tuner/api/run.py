@@ -168,7 +168,7 @@ class OpenRun:
                 conclusion,
                 self._advisor.advice,
                 stop_early=False,
-                on_request=False,
+                finish=None,
                 trials=len(record.trials),
                 evaluations=self._journal.count_evaluations(),
             )

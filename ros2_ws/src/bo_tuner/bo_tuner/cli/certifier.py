@@ -140,7 +140,7 @@ class Certifier:
             observers.add(unfinished)
             observers.add(left)
             observers.add(shown)
-            gate = Gate(self.interruption.check, observers, finishing=lambda: self.time.over)
+            gate = Gate(self.interruption.check, observers, time_is_up=lambda: self.time.over)
             certification = Certification(
                 study,
                 Driver(backend, observers, window=self.window, gate=gate),
@@ -190,7 +190,7 @@ class Certifier:
     def _show_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""
         most = most_evaluations(self.record.study, subjects, draws)
-        parts = [f"{most.drawn} draws"]
+        parts = [counted(most.drawn, "draw")]
         if most.searched:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:

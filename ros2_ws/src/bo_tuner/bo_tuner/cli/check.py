@@ -372,7 +372,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
         return evaluations * seconds + starts * starting + warming
 
-    say(f"study: at most {tuning} test runs, {duration(seconds_of_study)}")
+    say(f"study: at most {counted(tuning, 'test run')}, {duration(seconds_of_study)}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
         fewest = least_evaluations(study, spent(study.certificate.confidence, 1))

@@ -303,6 +303,12 @@ def recorded_backend(record: RunRecord) -> str:
     return record.backend
 
 
+def asks_for_running_nodes(arguments: argparse.Namespace) -> str:
+    """Return the option that asks for running nodes; empty if none is given."""
+    given = (name for name in ("benches", "attach") if getattr(arguments, name, None))
+    return f"--{name}" if (name := next(given, "")) else ""
+
+
 def attached(
     arguments: argparse.Namespace, parser: Parser, backend: str, record: RunRecord | None
 ) -> bool:
@@ -311,7 +317,8 @@ def attached(
     Parameters
     ----------
     arguments
-        With ``attach``, which is None unless it is given; the parser refuses it off ROS.
+        With ``attach``, which is None unless it is given, or ``benches``, which sets it; the parser
+        refuses both off ROS.
     parser
         Of the command.
     backend
@@ -320,7 +327,7 @@ def attached(
         The run that the command is about, if there is one.
     """
     if arguments.attach and backend != ROS:
-        parser.error("--attach needs --backend ros")
+        parser.error(f"{asks_for_running_nodes(arguments)} needs --backend ros")
     if arguments.attach is not None or record is None:
         return bool(arguments.attach)
     return record.attached and backend == ROS

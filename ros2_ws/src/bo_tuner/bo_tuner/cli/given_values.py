@@ -8,16 +8,13 @@ from pathlib import Path
 from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.study_options import read_study, trust_given
-from bo_tuner.errors import RunRecordError
-from bo_tuner.evidence.certificate.given import given_values
+from bo_tuner.evidence.certificate.given import check_folder, given_values
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_folder import JOURNAL, STUDY, RunFolder
-from bo_tuner.study.changes import changes, summarized
+from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.parts import BACKENDS
-from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Trial
 
 OF_A_RUN = ("trial", "until_pass")
@@ -112,20 +109,6 @@ def given(
     values = read_parameter_set(arguments.parameters, study, named_namespace(ros_arguments))
     path = (arguments.output or RUNS / f"{study.name}-given").absolute()
     record, trial = given_values(study, values, path, arguments.backend or BACKENDS[0])
-    _check_folder(record)
+    check_folder(record)
     trust_given(study)
     return Given(record, trial)
-
-
-def _check_folder(record: RunRecord) -> None:
-    """Refuse a folder of anything but certificates of this study."""
-    folder = record.path
-    if (folder / JOURNAL).exists():
-        raise RunRecordError(f"{folder}: is the folder of a run; name another --output")
-    if not (folder / STUDY).exists():
-        return
-    if lines := changes(load_study(str(folder / STUDY)), record.study):
-        raise RunRecordError(
-            f"{folder}: has certificates of another study: {summarized(lines)}; name another "
-            "--output"
-        )

@@ -120,13 +120,12 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
             f"{'error' if none else 'warning'}: {not_seen(study, item)}; tried: {tried}, beside "
             f"the default {shown(default)}"
         )
-    steps = (
-        []
-        if whole_range
-        else ["These were small steps; check --sensitivity tries the whole range."]
-    )
-    for text in [*proposals(study, [item.parameter for item in unseen]), *steps]:
-        say(text)
+    if whole_range:
+        for proposal in proposals(study, [item.parameter for item in unseen]):
+            say(proposal)
+    else:
+        # A parameter that acts may act too little in a small step: nothing else follows from it.
+        say("These were small steps; check --sensitivity tries the whole range.")
     return not none
 
 

@@ -44,7 +44,7 @@ from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.terminal import print_table
 from bo_tuner.text import values
-from bo_tuner.trials import DEFAULT, TUNED, Evaluation, EvaluationState
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
@@ -246,7 +246,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     if record.study.seed_parameter is None:
         say("the study has no parameter for the seed: noise, if there is any, was not the same")
     before, after = result.recorded.outcome, result.replayed.outcome
-    if before.state is EvaluationState.CUT_SHORT:
+    if before.was_cut_short:
         say(f"recorded: {before.reason}; the replay is whole, and its metrics may be larger")
     elif result.same_end:
         how = f"{after.state}, as recorded"

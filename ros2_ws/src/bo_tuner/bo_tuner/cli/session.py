@@ -33,7 +33,7 @@ from bo_tuner.monitoring.monitor import Advisor, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.plans import Event, EventKind, Phase, finished_after
+from bo_tuner.plans import Event, EventKind, Phase, finish_in, finished_after
 from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
@@ -174,7 +174,7 @@ class Session:
         self._ended_by = ""
         self._advisor = Advisor(study, self._method, self._observers)
         self._gate = Gate(
-            interruption.check, self._observers, finishing=lambda: self._time.has_to_finish
+            interruption.check, self._observers, time_is_up=lambda: self._time.has_to_finish
         )
         self._control = RunControl(self._gate, interruption, folder.path)
         going_on = self._control.going_on(self._ways_to_continue)
@@ -426,7 +426,7 @@ class Session:
         if recording.summary["policy"] != Policy.NONE:
             self._folder.write_json(RECORDING, recording.summary)
         if conclusion is None or summary is None:
-            self._display.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+            self._display.no_result(verdict, self._folder.path)
             return exit_code(verdict)
         self._report(conclusion, verdict, summary)
         return exit_code(verdict)
@@ -502,7 +502,7 @@ class Session:
             conclusion,
             self._advisor.advice,
             stop_early=self._options.stop_early,
-            on_request=self._status.now.finish is not None,
+            finish=finish_in(read_journal(self._folder.journal).events),
             trials=trials,
             evaluations=journal.count_evaluations(),
         )

@@ -459,5 +459,4 @@ def _report(verdict: Verdict, study: Study, path: Path) -> None:
     for line in certificate_lines(study, certificate):
         print_line(out, line, "  ")
     out.print(f"certificate: {path}", soft_wrap=True)
-    out.print("next:")
     print_next_steps(out, verdict, path.parent.parent)

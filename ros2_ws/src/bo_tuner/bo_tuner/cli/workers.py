@@ -9,7 +9,7 @@ from bo_tuner.backends.ros.isolation import LARGEST_DOMAIN, domain_of_environmen
 from bo_tuner.backends.ros.tuner_node import NAMESPACE
 from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.backends.workers.workers import Bench, Workers
-from bo_tuner.cli.common import Parser, whole_number
+from bo_tuner.cli.common import Parser, asks_for_running_nodes, whole_number
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.provenance import BENCHES, SCHEDULER, recorded_window, recorded_workers
 from bo_tuner.study import maxima
@@ -159,10 +159,10 @@ def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -
         found = address or "nothing"
         parser.error(f"--scheduler: expected tcp://HOST:PORT or tls://HOST:PORT, found {found}")
     if attach:
-        given = next((name for name in ("benches", "attach") if getattr(arguments, name)), "")
+        given = asks_for_running_nodes(arguments)
         parser.error(
             "--scheduler: expected nodes that the workers start, found "
-            f"{f'--{given}' if given else 'a run on running nodes'}; leave --scheduler out, or let "
+            f"{given or 'a run on running nodes'}; leave --scheduler out, or let "
             "the workers start them (--no-attach)"
         )
     return address

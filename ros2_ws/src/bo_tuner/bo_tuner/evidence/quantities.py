@@ -15,7 +15,8 @@ from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown_beside
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import counted, shown_beside
 
 
 def quantities(
@@ -72,7 +73,7 @@ def quantities(
             means = [side.mean(name) for side in (default, tuned)]
         all_quantities.append(
             Quantity(
-                label=f"mean {metric.title}",
+                label=mean_title(metric.title),
                 metric=name,
                 title=metric.title,
                 unit=metric.unit,
@@ -127,7 +128,8 @@ def _of_constraint(
     parts = [remark] if remark else []
     if on_record:
         farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
-        parts.append(f"{constraint.extreme} of {len(on_record)} test runs on record {farthest}")
+        runs = counted(len(on_record), "test run")
+        parts.append(f"{constraint.extreme} of {runs} on record {farthest}")
     return Quantity(
         label=study.titled(constraint, label),
         metric=metric,
@@ -151,8 +153,8 @@ def _draws(default: Observed, tuned: Observed, metric: str, difference: Differen
     if difference is not None and difference.count:
         if difference.count == m == n:
             return ""
-        return f"in the {difference.count} draws that both completed"
-    return "" if m == n else f"default in {m} draws, tuned in {n}"
+        return f"in the {counted(difference.count, 'draw')} that both completed"
+    return "" if m == n else f"default in {counted(m, 'draw')}, tuned in {n}"
 
 
 def _pairs(

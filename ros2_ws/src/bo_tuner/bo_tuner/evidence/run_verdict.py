@@ -31,7 +31,7 @@ from bo_tuner.evidence.validated import (
     validated,
 )
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.plans import standstill_in
+from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.measured import seen_in, seen_in_words
@@ -64,9 +64,11 @@ def run_verdict(record: RunRecord) -> Verdict:
     faults = contradicted(record.study, record.evaluations)
     verdict = replace(verdict, remarks=(*verdict.remarks, *faults))
     trial = record.result
-    if trial is not None and record.finished is not None:
+    finish = finish_in(record.events)
+    if trial is not None and finish is not None:
         made = counted(count_trials(record.trials), "trial")
-        remark = f"The trials were ended on request: {made} of {record.study.budget.trials}."
+        how = "as the time was up" if finish == TIME_UP else "on request"
+        remark = f"The trials were ended {how}: {made} of {record.study.budget.trials}."
         verdict = replace(verdict, remarks=(*verdict.remarks, remark))
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
@@ -266,7 +268,8 @@ def _evidence(
         return f"the same {fresh}"
     if by_validation is None or not by_validation.observed:
         return f"{fresh}, without the default"
-    validation = f"the {by_validation.observed[0].draws} draws of the validation"
+    draws_of_both = counted(by_validation.observed[0].draws, "draw")
+    validation = f"the {draws_of_both} of the validation"
     if not is_result:
         return f"{fresh}, and the default in {validation}"
     return f"{fresh} (tuned only) and {validation} (both)"
@@ -336,8 +339,8 @@ def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: fl
             f"contexts, allowed {shown(verdict.allowed)},"
         )
     return (
-        f"{verdict.violations} of {draws} draws {constraint.beyond} the limit; probability {where} "
-        f"with {100.0 * confidence:g} % confidence"
+        f"{verdict.violations} of {counted(draws, 'draw')} {constraint.beyond} the limit; "
+        f"probability {where} with {100.0 * confidence:g} % confidence"
     )
 
 

@@ -40,8 +40,13 @@ def print_verdict(
 
 
 def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
-    """Print the commands that come next, aligned; on a narrow terminal each above its purpose."""
+    """Print the commands that come next, if there are any, as a list below a heading.
+
+    Their purposes are aligned; on a narrow terminal each is below its command.
+    """
     steps = next_steps(verdict, str(run))
+    if steps:
+        console.print("next:")
     width = max((len(step.command) for step in steps), default=0)
     lines = [f"  {step.command:<{width}}  {step.purpose}" for step in steps]
     if console.is_terminal and max(map(len, lines), default=0) > console.width:

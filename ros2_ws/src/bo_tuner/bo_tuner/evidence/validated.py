@@ -10,7 +10,7 @@ from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.study.limits import Standing, kept_by, worst_case_holds
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown
+from bo_tuner.text import capitalized, counted, shown
 from bo_tuner.trials import (
     DEFAULT,
     SEEKING_WORST,
@@ -42,7 +42,7 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
         Why its search could not go on; empty if it can.
     """
     if standstill and not kept_by(study, trials):
-        reasons = (f"{standstill[0].upper()}{standstill[1:]}",)
+        reasons = (capitalized(standstill),)
         return Verdict(
             state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons, standstill=True
         )
@@ -51,11 +51,13 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
     if spent and all(trial.state is not TrialState.COMPLETE for trial in trials):
         why = {trial.reason for trial in trials}
         common = f": {why.pop()}" if len(why) == 1 else ""
-        reasons = (f"All {len(trials)} trials failed{common}",)
+        failed = "The only trial" if len(trials) == 1 else f"All {len(trials)} trials"
+        reasons = (f"{failed} failed{common}",)
         return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
-    evidence = f"{done} of {planned} trials"
+    evidence = f"{done} of {counted(planned, 'trial')}"
     if spent:
-        evidence = f"all {done} trials are done but not validated"
+        of_all = "the only trial is" if done == 1 else f"all {done} trials are"
+        evidence = f"{of_all} done but not validated"
     return Verdict(state=State.OPEN, trial=None, evidence=evidence)
 
 
@@ -142,7 +144,7 @@ def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
 
 def fresh_draws(study: Study, count: int) -> str:
     """Return what a number of draws is of, in a few words."""
-    return f"{count} fresh draws of {'context and noise' if study.contexts else 'noise'}"
+    return f"{counted(count, 'fresh draw')} of {'context and noise' if study.contexts else 'noise'}"
 
 
 def observed(

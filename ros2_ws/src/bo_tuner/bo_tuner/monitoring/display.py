@@ -12,7 +12,7 @@ from rich.text import Text
 from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
-from bo_tuner.plans import Event, EventKind, Phase
+from bo_tuner.plans import ON_REQUEST, Event, EventKind, Phase
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.text import counted, printable
@@ -77,7 +77,7 @@ class Display(RunObserver):
         print_line(self._console, text, INDENT)
 
     def event(self, event: Event) -> None:
-        """Show that the run was asked to finish, whoever has asked, or cannot go on."""
+        """Show that the run is to finish, whoever has asked, or cannot go on."""
         if event.kind is EventKind.STANDSTILL:
             self.warn(f"the search ends after {counted(event.tasks, 'trial')}: {event.detail}")
         if event.kind is not EventKind.FINISH:
@@ -87,7 +87,8 @@ class Display(RunObserver):
         else:
             what = "run that settles" if event.tasks == 1 else "runs that settle"
             after, then = f"{event.tasks} {what} the answer", "validated"
-        self.inform(f"asked to finish after {after}; the best so far is then {then}")
+        why = "asked to finish" if event.detail == ON_REQUEST else event.detail
+        self.inform(f"{why} after {after}; the best so far is then {then}")
 
     def result(self, result: Result) -> None:
         """Show the result on standard output."""
@@ -99,8 +100,12 @@ class Display(RunObserver):
                 out, result.study, front, result.verdict.trial, result.parameters_file.parent
             )
         out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
-        out.print("next:")
         print_next_steps(out, result.verdict, result.parameters_file.parent)
+
+    def no_result(self, verdict: Verdict, folder: Path) -> None:
+        """Warn that the run in a folder has no result, with why and what to do next."""
+        self.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+        print_next_steps(self._console, verdict, folder)
 
     def finish(self, code: int) -> None:
         """Show that the run has ended with an exit code."""

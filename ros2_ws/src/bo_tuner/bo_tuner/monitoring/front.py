@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import mean_title
 from bo_tuner.terminal import print_line, print_table
 from bo_tuner.text import percent, with_unit
 from bo_tuner.tuning.front import CONFIDENCE
@@ -49,7 +50,7 @@ def print_front(
     table.add_column("trial", justify="right")
     for objective in study.objectives:
         metric = study.metrics[objective.metric]
-        table.add_column(with_unit(f"mean {metric.title}", metric.unit), justify="right")
+        table.add_column(with_unit(mean_title(metric.title), metric.unit), justify="right")
     table.add_column("likely within limits", justify="right")
     table.add_column("")
     for point in front:

@@ -101,13 +101,14 @@ class Inbox:
         """Let go of what came since the last call of `empty`."""
         self.let_go(self.empty())
 
-    def wait_for_quiet(self, hand_over: Callable[[], object] = lambda: None) -> None:
+    def wait_for_quiet(self, hand_over: Callable[[], object]) -> None:
         """Let the last messages of an evaluation come: topics have no order between them.
 
         Parameters
         ----------
         hand_over
-            Makes a listener deliver the messages that it has received.
+            Makes a listener deliver the messages that it has received: by itself it may do so less
+            often than every `quiet` seconds.
         """
         end = time.monotonic() + self._latest
         count = -1

@@ -145,12 +145,10 @@ class Recorder:
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Note that a trial is complete, and whether no other is better so far."""
-        self.wait_for_quiet()
         self._submit(self._finish, self._inbox.empty(), trial, best)
 
     def phase_ended(self) -> None:
         """Note that no evaluation of a check, or of the validation, is to come for now."""
-        self.wait_for_quiet()
         self._submit(self._finish_evidence, self._inbox.empty())
 
     def warn(self, text: str) -> None:
@@ -177,9 +175,9 @@ class Recorder:
             "warnings": list(self._inbox.warnings),
         }
 
-    def wait_for_quiet(self) -> None:
-        """Let the last messages come."""
-        self._inbox.wait_for_quiet()
+    def wait_for_quiet(self, hand_over: Callable[[], object]) -> None:
+        """Let the last messages come, which the listener hands over when it is told to."""
+        self._inbox.wait_for_quiet(hand_over)
 
     def _submit(self, work: Callable[..., None], *arguments: object) -> None:
         self._writer.submit(self._attempt, work, *arguments)

@@ -116,6 +116,7 @@ class RunRecording(RunObserver):
         """Finish the bag of a trial."""
         best = incumbent is not None and incumbent.trial.number == trial.number
         if self._recorder is not None and self._listener is not None:
+            self._recorder.wait_for_quiet(self._listener.take)
             self._recorder.trial(trial, best)
             self._listener.refresh()
             self._pass_news_on()
@@ -142,9 +143,8 @@ class RunRecording(RunObserver):
     def skip(self) -> None:
         """Let go of a run that is no evaluation, such as one of the default beside it."""
         if self._recorder is not None and self._listener is not None:
-            self._listener.take()
             # Its last messages are still on their way.
-            self._recorder.wait_for_quiet()
+            self._recorder.wait_for_quiet(self._listener.take)
             self._forget()
 
     def end(self, phase: str) -> None:
@@ -152,7 +152,7 @@ class RunRecording(RunObserver):
         if phase == Phase.TUNING:
             return
         if self._recorder is not None and self._listener is not None:
-            self._listener.take()
+            self._recorder.wait_for_quiet(self._listener.take)
             self._recorder.phase_ended()
             self._pass_news_on()
 

@@ -15,7 +15,6 @@ from bo_tuner.trials import (
     CHECKS,
     TUNING,
     Evaluation,
-    EvaluationState,
     TrialState,
     latest_by_place,
 )
@@ -84,7 +83,7 @@ class Replay:
         The replay of a run that was cut short is whole.
         """
         one, other = self.recorded.outcome, self.replayed.outcome
-        if one.state is EvaluationState.CUT_SHORT:
+        if one.was_cut_short:
             return other.complete
         return (one.state, one.reason) == (other.state, other.reason)
 

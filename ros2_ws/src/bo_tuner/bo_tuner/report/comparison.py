@@ -13,6 +13,7 @@ from bo_tuner.report.content import Section, Table, change, method_in_words, num
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.limits import tightest
+from bo_tuner.study.titles import mean_title
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage, Value, count_trials
 
@@ -231,7 +232,7 @@ def _incumbents(
         panels=[
             Panel(
                 x=Axis(label="trial"),
-                y=Axis(label=f"mean {titles[metric]}", unit=unit, scale=scales[metric, unit]),
+                y=Axis(label=mean_title(titles[metric]), unit=unit, scale=scales[metric, unit]),
                 elements=lines,
             )
             for (metric, unit), lines in panels.items()

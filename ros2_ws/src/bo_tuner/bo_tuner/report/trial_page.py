@@ -19,7 +19,8 @@ from bo_tuner.report.sections.trajectories import (
 )
 from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.study.limits import outcome_on_screen
-from bo_tuner.text import counted, values, with_unit
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import capitalized, counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 
 
@@ -52,7 +53,9 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
     for objective in study.objectives:
         if (mean := trial.mean(objective.metric)) is not None:
             metric = study.metrics[objective.metric]
-            sentences.append(f"Mean {metric.title} {quantity(mean, metric.unit)}.")
+            sentences.append(
+                capitalized(f"{mean_title(metric.title)} {quantity(mean, metric.unit)}.")
+            )
     for constraint in study.worst_case_constraints:
         if (worst := trial.worst_cases.get(constraint.name)) is not None:
             metric = study.metrics[constraint.metric]

@@ -50,7 +50,6 @@ from bo_tuner.trials import (
     AT_LEAST,
     DEFAULT_HAS,
     Evaluation,
-    EvaluationState,
     Outcome,
     Stage,
     Trial,
@@ -305,7 +304,7 @@ class Taking:
 
     def _outcome(self, evaluation: Evaluation) -> Outcome:
         outcome = evaluation.outcome
-        if outcome.state is EvaluationState.CUT_SHORT:
+        if outcome.was_cut_short:
             return self._bounds(outcome)
         if not outcome.complete:
             if self._measured_otherwise and OF_MEASURING.search(outcome.reason):

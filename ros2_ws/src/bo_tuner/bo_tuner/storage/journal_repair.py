@@ -16,6 +16,7 @@ from bo_tuner.errors import JournalError
 from bo_tuner.storage.atomic import synchronize, write_atomically
 from bo_tuner.storage.journal import create_journal
 from bo_tuner.storage.journal_reader import JournalContent, read_journal
+from bo_tuner.text import counted
 
 _WAL_HEADER = struct.Struct(">IIIIIIII")
 _FRAME_HEADER = struct.Struct(">IIIIII")
@@ -42,8 +43,8 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     _finish_replacement(path)
     content = read_journal(path)
     used = (
-        f"everything before it is used ({len(content.trials)} trials, "
-        f"{len(content.evaluations)} test runs)"
+        f"everything before it is used ({counted(len(content.trials), 'trial')}, "
+        f"{counted(len(content.evaluations), 'test run')})"
     )
     if not content.damage:
         lost = _lost_commits(path)

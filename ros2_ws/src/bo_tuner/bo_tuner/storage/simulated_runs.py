@@ -18,7 +18,6 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     ESTIMATING,
     Evaluation,
-    EvaluationState,
     Outcome,
     Trial,
     TrialState,
@@ -126,7 +125,7 @@ class _Taking(Taking):
 
     def _outcome(self, evaluation: Evaluation) -> Outcome:
         outcome = evaluation.outcome
-        if outcome.state is EvaluationState.CUT_SHORT:
+        if outcome.was_cut_short:
             raise LeftOutError("cut short")
         if not outcome.complete:
             return outcome

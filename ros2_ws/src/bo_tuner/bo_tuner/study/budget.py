@@ -99,7 +99,8 @@ class Budget:
         """Return in a line that no trial is left after the initial design; empty if some are."""
         if self.initial_trials < self.trials:
             return ""
-        return f"the initial design takes all of the {self.trials} trials; none is proposed"
+        all_of_them = "the only trial" if self.trials == 1 else f"all of the {self.trials} trials"
+        return f"the initial design takes {all_of_them}; none is proposed"
 
     def part_spent(self, trials: int, evaluations: int) -> float:
         """Return the part of the budget that so many trials and evaluations have used."""

@@ -59,6 +59,7 @@ from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_contexts import check_contexts
 from bo_tuner.study.titles import check_titles
+from bo_tuner.text import counted
 from bo_tuner.trials import Context, Value
 
 DEFAULT_SET = "default"
@@ -468,7 +469,8 @@ class Study:
             sets.setdefault(space.key(complete), complete)
         if len(sets) > self.budget.trials:
             raise StudyError(
-                f"{len(sets)} parameter sets are more than the {self.budget.trials} trials",
+                f"{len(sets)} parameter sets are more than the "
+                f"{counted(self.budget.trials, 'trial')}",
                 ("start",),
             )
         return list(sets.values())

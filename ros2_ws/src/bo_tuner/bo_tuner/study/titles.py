@@ -33,6 +33,11 @@ def titled_values(items: Mapping[str, Titled], values: Mapping[str, Value]) -> s
     return ", ".join(f"{items[name].title} {shown(value)}" for name, value in values.items())
 
 
+def mean_title(title: str) -> str:
+    """Return what screens call the mean of what has a title, which may begin with the word."""
+    return title if title.partition(" ")[0].lower() == "mean" else f"mean {title}"
+
+
 def check_label(label: str) -> None:
     """Check the label of an object.
 

@@ -173,8 +173,9 @@ class Steps(Generic[TaskT]):
     def _pass_gate(self) -> None:
         """Take requests from outside, and pass them to observers as events."""
         self._gate.wait(self._note)
-        if self._gate.finishing(self._plan.phase) and self._plan.finish():
-            self._note(EventKind.FINISH)
+        why = self._gate.finishing(self._plan.phase)
+        if why is not None and self._plan.finish():
+            self._note(EventKind.FINISH, why)
 
     def _note(self, kind: EventKind, detail: str = "") -> None:
         self._observer.event(Event(self._plan.phase, self._window.planned, kind, detail))

@@ -19,7 +19,7 @@ from bo_tuner.numerics.linear_effects import NO_EFFECT, NOTHING_KNOWN, LinearEff
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Trial
+from bo_tuner.trials import TUNING, Evaluation, Trial
 
 ERROR = 0.05
 """Probability that any parameter is said to move a metric that it does not."""
@@ -162,7 +162,7 @@ def _responses(
     """Yield each response by its name, with its evaluations and values (n,) in them."""
     complete = [evaluation for evaluation in known if evaluation.outcome.complete]
     # A run that was cut short says nothing of a metric's mean, nor of failures.
-    ended = [e for e in known if e.outcome.state is not EvaluationState.CUT_SHORT]
+    ended = [e for e in known if not e.outcome.was_cut_short]
     failed = np.array([float(not evaluation.outcome.complete) for evaluation in ended])
     for name in study.responses:
         values = np.array([evaluation.outcome.metrics[name] for evaluation in complete])

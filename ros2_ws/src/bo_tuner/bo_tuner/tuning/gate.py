@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from bo_tuner.interruption import Pause
-from bo_tuner.plans import EventKind, Phase
+from bo_tuner.plans import ON_REQUEST, TIME_UP, EventKind, Phase
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.question import Question
 
@@ -63,8 +63,8 @@ class Gate:
         Raises if the run is to end; also called all the while in a pause.
     observer
         Is notified of the start and the end of a pause.
-    finishing
-        Returns whether a phase is to end early, even if nobody asks for it.
+    time_is_up
+        Returns whether a phase is to end early for the time that it was given.
 
     Attributes
     ----------
@@ -82,13 +82,13 @@ class Gate:
         check: Callable[[], None] = lambda: None,
         observer: RunObserver = NOBODY,
         *,
-        finishing: Callable[[], bool] = lambda: False,
+        time_is_up: Callable[[], bool] = lambda: False,
     ) -> None:
         self._check = check
         self._observer = observer
         self._halted_by = ""
         self.requests = Pause()
-        self._finishing = finishing
+        self._time_is_up = time_is_up
         self._asked_to_finish = False
         self.admission: Admission | None = None
         self.question = Question()
@@ -118,10 +118,11 @@ class Gate:
         """Ask for the end of the trials; a pause goes on all the same."""
         self._asked_to_finish = True
 
-    def finishing(self, phase: str) -> bool:
-        """Return whether a phase is to end early; on request, the trials are."""
-        asked = self._asked_to_finish and phase == Phase.TUNING
-        return asked or self._finishing()
+    def finishing(self, phase: str) -> str | None:
+        """Return why a phase is to end early: `ON_REQUEST` of the trials, `TIME_UP`; else None."""
+        if self._asked_to_finish and phase == Phase.TUNING:
+            return ON_REQUEST
+        return TIME_UP if self._time_is_up() else None
 
     def wait(self, note: Callable[[EventKind, str], None] = lambda kind, detail: None) -> None:
         """Wait while a pause is requested; raise if the run is to end.

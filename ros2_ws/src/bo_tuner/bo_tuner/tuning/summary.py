@@ -13,7 +13,7 @@ from bo_tuner.errors import RunError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
-from bo_tuner.plans import Phase, Phases, finished_after
+from bo_tuner.plans import ON_REQUEST, TIME_UP, Phase, Phases, finish_in, finished_after
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import recorded_window, study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -184,7 +184,7 @@ def summarize(
     advice: StopAdvice | None,
     *,
     stop_early: bool,
-    on_request: bool,
+    finish: str | None,
     trials: int,
     evaluations: int,
 ) -> dict[str, object]:
@@ -198,8 +198,8 @@ def summarize(
         The advice to stop, if it was given.
     stop_early
         Whether it was to be followed.
-    on_request
-        Whether somebody has asked for the end of the trials.
+    finish
+        Why the trials were to finish early, as `plans.finish_in`.
     trials, evaluations
         How many are on record: of another record this is not the summary.
     """
@@ -221,7 +221,8 @@ def summarize(
         "effects": [asdict(item) for item in conclusion.effects],
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
-        "ended_on_request": on_request,
+        "ended_on_request": finish == ON_REQUEST,
+        "ended_by_time": finish == TIME_UP,
     }
     if len(study.objectives) > 1:
         content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
@@ -291,7 +292,7 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         conclusion,
         advisor.advice,
         stop_early=record.stop_early,
-        on_request=record.finished is not None,
+        finish=finish_in(record.events),
         trials=len(record.trials),
         evaluations=len(record.evaluations),
     )

@@ -30,7 +30,7 @@ from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.question import Given, Question, Reply
 from bo_tuner.web.address import Address
-from bo_tuner.web.request import ANSWERS, Request
+from bo_tuner.web.request import Request
 
 PERIOD = 0.2
 """Shortest time [s] between two messages on evaluations."""
@@ -39,8 +39,10 @@ COLUMNS = re.compile(f"[ {JOIN}]{{2,}}")
 LONGEST_TEXT = 600
 """Characters of a text in a message."""
 LIVE_PAGE = "live page"
-LONGEST_QUESTION = 3000
-"""Bytes of a question in a message."""
+MOST_OF_QUESTION = 3000
+"""Bytes of a question's lines in a message."""
+LONGEST_LINE = 200
+"""Characters of a line of a question, each at most 12 bytes as JSON; longer ones are broken."""
 PATIENCE = 25.0
 """Longest time [s] that the page has at the end to show the result, if somebody reads it."""
 
@@ -88,7 +90,7 @@ class LivePage(RunObserver):
         self._asked = ""
         self._ending = False
         # The thread that takes requests sends, too.
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._pipe = -1
         self._process: subprocess.Popen[bytes] | None = None
         self._sent = 0.0
@@ -210,24 +212,22 @@ class LivePage(RunObserver):
         with os.fdopen(requests, encoding="ascii") as lines:
             for line in lines:
                 word, *of_answer = line.split()
-                request = Request(word)
-                if request in ANSWERS:
+                if word in list(Reply):
                     number, who = of_answer
-                    given = Given(Reply(request), LIVE_PAGE, who)
+                    given = Given(Reply(word), LIVE_PAGE, who)
                     _, self._asked = control.answer(given, int(number))
-                elif request is Request.ABORT:
+                elif word == Request.ABORT:
                     self._ending = True
                     self._asked = control.abort(f"the {LIVE_PAGE}")
-                elif request is Request.FINISH:
+                elif word == Request.FINISH:
                     self._asked = control.finish()
                 else:
-                    self._asked = control.pause(request is Request.PAUSE)
+                    self._asked = control.pause(word == Request.PAUSE)
                 self._send_state()
 
     def _send_state(self) -> None:
         now, ended = self._status.now, self._ended
-        question = self._question
-        self._questions_sent = question.number
+        number, parts = self._question.number, in_parts(self._question.lines)
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
             "running": "" if ended else self._present(),
@@ -235,7 +235,8 @@ class LivePage(RunObserver):
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
         }
         self._sent = time.monotonic()
-        self._send(
+        messages = [
+            *ahead_of(parts),
             {
                 "phase": now.phase,
                 "done": now.done,
@@ -245,7 +246,7 @@ class LivePage(RunObserver):
                 "paused": now.paused,
                 "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
-                "question": {"number": question.number, "lines": _fitting(question.lines)},
+                "question": {"number": number, "lines": parts[-1]},
                 "verdict": "" if now.verdict is None else printable(now.verdict.headline),
                 "texts": {
                     # What the terminal aligns in columns is a sentence here.
@@ -253,8 +254,12 @@ class LivePage(RunObserver):
                     for name, text in texts.items()
                     if text
                 },
-            }
-        )
+            },
+        ]
+        with self._lock:
+            are_sent = [self._send(message) for message in messages]
+        if all(are_sent):
+            self._questions_sent = number
 
     def _present(self) -> str:
         """Return what runs at the moment."""
@@ -264,7 +269,8 @@ class LivePage(RunObserver):
             return f"{what}, no test run finished yet"
         return f"{what}, {counted(self._running, 'test run')} finished"
 
-    def _send(self, message: dict[str, object]) -> None:
+    def _send(self, message: dict[str, object]) -> bool:
+        """Send a message; returns whether the pipe could take it."""
         # The path of the run need not be UTF-8.
         text = json.dumps(message, ensure_ascii=False)
         line = text.encode("utf-8", "surrogatepass") + b"\n"
@@ -273,12 +279,14 @@ class LivePage(RunObserver):
             line = json.dumps(message | {"texts": {}}).encode() + b"\n"
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._pipe < 0:
-                return
+                return True
             try:
                 os.write(self._pipe, line)
             except BrokenPipeError:
                 self._hang_up()
                 self._warn(f"the live page has ended, see {self._log}; the run continues")
+            return True
+        return False
 
     def _hang_up(self) -> None:
         if self._pipe >= 0:
@@ -286,14 +294,26 @@ class LivePage(RunObserver):
             self._pipe = -1
 
 
-def _fitting(lines: Sequence[str]) -> list[str]:
-    """Return as many lines of a question as a message has room for, and how many are left out."""
-    shown: list[str] = []
+def in_parts(lines: Sequence[str]) -> list[list[str]]:
+    """Return the lines of a question in parts that each fit into a message; at least one part."""
+    parts: list[list[str]] = [[]]
     size = 0
-    for k, line in enumerate(lines):
-        text = printable(line)[:LONGEST_TEXT]
-        size += len(json.dumps(text))
-        if size > LONGEST_QUESTION:
-            return [*shown, f"and {counted(len(lines) - k, 'line')} more on the terminal"]
-        shown.append(text)
-    return shown
+    for line in map(printable, lines):
+        for begin in range(0, max(len(line), 1), LONGEST_LINE):
+            piece = line[begin : begin + LONGEST_LINE]
+            size += len(json.dumps(piece))
+            if size > MOST_OF_QUESTION:
+                parts.append([])
+                size = len(json.dumps(piece))
+            parts[-1].append(piece)
+    return parts
+
+
+def ahead_of(parts: Sequence[Sequence[str]]) -> list[dict[str, object]]:
+    """Return the messages with the parts of a question ahead of its last one, and their places."""
+    messages: list[dict[str, object]] = []
+    place = 0
+    for part in parts[:-1]:
+        messages.append({"ahead": part, "place": place})
+        place += len(part)
+    return messages

@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from bo_tuner.tuning.question import Reply
+
 
 class Request(StrEnum):
     """A request, as it stands in its address and in the pipe to the run."""
@@ -10,10 +12,7 @@ class Request(StrEnum):
     CONTINUE = "continue"
     FINISH = "finish"
     ABORT = "abort"
-    ACCEPT = "accept"
-    REFUSE = "refuse"
-    END = "end"
 
 
-ANSWERS = (Request.ACCEPT, Request.REFUSE, Request.END)
-"""Answers to the question whether the next parameter set may be tried."""
+WORDS = (*Request, *Reply)
+"""All requests, and the answers to the question whether the next parameter set may be tried."""

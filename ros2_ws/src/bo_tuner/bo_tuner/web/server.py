@@ -20,8 +20,9 @@ from tornado.web import HTTPError
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.text import printable
+from bo_tuner.tuning.question import Reply
 from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
-from bo_tuner.web.request import ANSWERS, Request
+from bo_tuner.web.request import WORDS
 from bo_tuner.web.run_pages import run_routes
 from bo_tuner.web.runs import Runs
 from bo_tuner.web.sections import LiveSections
@@ -124,8 +125,8 @@ class RequestToRun(LiveHandler):
         An answer has the number of its question: the one that the reader has seen.
         """
         self.check_control()
-        words: list[str] = [Request(name)]
-        if name in ANSWERS:
+        words = [name]
+        if name in list(Reply):
             number = self.get_query_argument("question", "")
             if re.fullmatch(r"[0-9]{1,9}", number) is None:
                 raise HTTPError(400, "question: expected a whole number")
@@ -163,7 +164,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], steps: Bi
     of_run: list[Route] = [
         (r"/", Home, shared),
         (r"/state", State, shared),
-        (rf"/requests/({'|'.join(Request)})", RequestToRun, shared | {"requests": control}),
+        (rf"/requests/({'|'.join(WORDS)})", RequestToRun, shared | {"requests": control}),
     ]
     # A thread of their own, so that a comparison does not hold up the page of the run.
     runs = Runs(folder.parent, folder.name, access.control)

@@ -48,6 +48,7 @@ class LiveState:
         self.sections = sections
         self.version = 0
         self.now: Mapping[str, Any] = {}
+        self._ahead: list[str] = []
         self.parts: dict[str, tuple[int, Part]] = {}
         self.stamp = ""
         self.problem = ""
@@ -67,8 +68,16 @@ class LiveState:
         """Call a function in one of the threads."""
         return await asyncio.get_running_loop().run_in_executor(thread, function, *arguments)
 
-    def take(self, now: Mapping[str, Any]) -> None:
-        """Take a state of the run."""
+    def take(self, message: Mapping[str, Any]) -> None:
+        """Take a state of the run, or lines of a question that go ahead of it."""
+        if "ahead" in message:
+            self._ahead[message["place"] :] = message["ahead"]
+            return
+        now = dict(message)
+        if self._ahead:
+            question = now["question"]
+            now["question"] = {**question, "lines": [*self._ahead, *question["lines"]]}
+            self._ahead = []
         self.now = now
         if now.get("ended"):
             self._over.set()

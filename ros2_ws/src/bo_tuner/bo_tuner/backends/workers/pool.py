@@ -118,9 +118,13 @@ class WorkerPool:
         needs, expected = (None, {}) if cluster is None else (cluster.needs, cluster.expected)
         order = process.Order(self._run, self._make, needs, expected, self._patience)
         self._client, self._process = client, process
-        if cluster is not None:
-            client.register_plugin(process.EndWithRun(self._run, client.id))
-        client.register_plugin(process.OwnBackend(order))
+        try:
+            if cluster is not None:
+                client.register_plugin(process.EndWithRun(self._run, client.id))
+            client.register_plugin(process.OwnBackend(order))
+        # Such as of workers that were killed just now.
+        except OSError as error:
+            raise BackendError(self._gone(error)) from error
         self._interrupted()
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:

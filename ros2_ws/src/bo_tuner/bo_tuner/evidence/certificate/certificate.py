@@ -11,6 +11,7 @@ from bo_tuner.evidence.certificate.winners_curse import Gap
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import DEFAULT, TUNED, Trial, Value
 
 
@@ -128,7 +129,7 @@ class Certificate:
     def scope(self) -> str:
         """Number of draws and confidence, in a few words."""
         confidence = f"{100.0 * self.bound_confidence:.4g} % confidence of each bound"
-        return f"{self.drawn} fresh draws, {confidence}"
+        return f"{counted(self.drawn, 'fresh draw')}, {confidence}"
 
     def is_of(self, trial: Trial) -> bool:
         """Return whether the parameter set is that of a trial."""

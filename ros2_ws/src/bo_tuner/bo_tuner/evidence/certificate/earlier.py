@@ -50,7 +50,12 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
         On which it is to be certified.
     """
     study = record.study
-    own = [e for e in evaluations_of(record.evaluations, parameters) if not e.outcome.unusable]
+    # A run that was cut short shows neither that a limit is kept nor that it is not.
+    own = [
+        e
+        for e in evaluations_of(record.evaluations, parameters)
+        if not e.outcome.unusable and not e.outcome.was_cut_short
+    ]
     refutations = [*_of_run(study, own)]
     evaluations = own if record.backend == backend else []
     certified, unread = False, []

@@ -358,7 +358,8 @@ class Findings:
     def reasons(self) -> tuple[str, ...]:
         """Why the parameter set does not pass; empty if it does."""
         failed = (
-            f"{self.failures} of {self.evaluations} test runs failed, first: {self.first_failure}",
+            f"{self.failures} of {text.counted(self.evaluations, 'test run')} failed, first: "
+            f"{self.first_failure}",
         )
         of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
         contradiction = (self.contradiction,) if self.contradiction else ()

@@ -25,7 +25,7 @@ from bo_tuner.storage.typed_json import from_json, to_json
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
-from bo_tuner.text import one_line
+from bo_tuner.text import counted, one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
@@ -217,7 +217,7 @@ def shortfall(study: Study, draws: int, confidence: float) -> str:
     required = study.certificate.confidence
     needed = required_draws(study, required)
     if draws < needed:
-        return f"made with {draws} draws, the study requires {needed}"
+        return f"made with {counted(draws, 'draw')}, the study requires {needed}"
     if not confidence >= required:
         return f"has a confidence of {checks.show(confidence)}, the study requires {required:g}"
     return ""

@@ -17,6 +17,7 @@ from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.certificate.search_width import widths_in_words
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import mean_title
 from bo_tuner.text import shown, shown_beside
 
 Worst = Sequence[WorstContext]
@@ -48,7 +49,7 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
     objective = certificate.objective
     rows = [
         Row(
-            f"mean {study.metrics[objective.metric].title}",
+            mean_title(study.metrics[objective.metric].title),
             objective.unit,
             tuple(_mean(side.objective) for side in sides),
         ),

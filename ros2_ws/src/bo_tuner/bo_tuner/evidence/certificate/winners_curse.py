@@ -14,6 +14,7 @@ import numpy as np
 from bo_tuner.evidence.certificate.findings import Findings
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import mean_title
 from bo_tuner.trials import Trial
 
 
@@ -82,7 +83,7 @@ def training_gaps(
     seen = np.array(trial.observations(metric.name))
     gaps = [
         Gap(
-            name=f"mean {metric.title}",
+            name=mean_title(metric.title),
             unit=metric.unit,
             observed=float(seen.mean()) if len(seen) else nan,
             observed_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
@@ -96,7 +97,7 @@ def training_gaps(
         if constraint.worst and estimate is not None:
             gaps.append(
                 Gap(
-                    name=f"worst mean {study.limited(study.constraints[constraint.name])}",
+                    name=f"worst {mean_title(study.limited(study.constraints[constraint.name]))}",
                     unit=constraint.unit,
                     observed=nan,
                     observed_error=nan,

@@ -19,7 +19,7 @@ from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.limits import Standing
-from bo_tuner.text import with_unit
+from bo_tuner.text import capitalized, with_unit
 
 FILES = (
     (BEST, "the values as a parameter file"),
@@ -107,7 +107,7 @@ def answer(analysis: Analysis) -> Answer:
     else:
         tiles = []
         words = incumbent_in_words(analysis.leader, study)
-        sentences.append(f"{words[0].upper()}{words[1:]}.")
+        sentences.append(f"{capitalized(words)}.")
     usable = verdict.feasible and result is not None
     return Answer(
         headline=what_to_set(study, verdict, parameters),

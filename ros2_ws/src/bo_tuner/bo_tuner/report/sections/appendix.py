@@ -5,7 +5,8 @@ import numpy as np
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, method_in_words, number
 from bo_tuner.study.study_file import study_to_yaml
-from bo_tuner.text import with_unit
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import counted, with_unit
 
 RESULT, NEIGHBOUR = "result", "neighbour"
 NEIGHBOURS = 3
@@ -23,7 +24,7 @@ def all_trials(analysis: Analysis) -> Section:
         "origin",
         *(with_unit(study.parameters[n].title, study.parameters[n].unit) for n in names),
     ]
-    header += [with_unit(f"mean {metric.title}", metric.unit) for metric in metrics]
+    header += [with_unit(mean_title(metric.title), metric.unit) for metric in metrics]
     header += [with_unit(f"worst {study.limited(c)}", study.metrics[c.metric].unit) for c in worst]
     header += ["test runs", "outcome", "mark"]
     marks = _marks(analysis)
@@ -45,7 +46,7 @@ def all_trials(analysis: Analysis) -> Section:
         "evaluations.csv in the run folder.",
         tables=[
             Table(
-                caption=f"{len(rows)} trials",
+                caption=counted(len(rows), "trial"),
                 header=header,
                 rows=rows,
                 numeric=[0, *range(2, len(header) - 2)],

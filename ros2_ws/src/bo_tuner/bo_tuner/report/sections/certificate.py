@@ -16,6 +16,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import Trial
 
 
@@ -53,8 +54,8 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
     searched = widths_in_words(certificate.search_widths)
     lead = (
         f"{certificate.verdict} for the parameter set of trial {certificate.trial}, on "
-        f"{certificate.drawn} fresh draws. It is attempt {certificate.attempt} to certify a "
-        "parameter set of this run; each bound has a confidence of "
+        f"{counted(certificate.drawn, 'fresh draw')}. It is attempt {certificate.attempt} to "
+        "certify a parameter set of this run; each bound has a confidence of "
         f"{100.0 * certificate.bound_confidence:.4g} %."
     )
     return Section(

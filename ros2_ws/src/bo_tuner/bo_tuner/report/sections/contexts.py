@@ -25,7 +25,7 @@ from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown, values
+from bo_tuner.text import counted, shown, values
 from bo_tuner.trials import Evaluation
 
 FEWEST_FOR_A_FIELD = 8
@@ -237,7 +237,7 @@ def _summary(side: Side, metric: Metric) -> str:
     name, evaluations = side
     seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
     low, high = quantity(min(seen), metric.unit), quantity(max(seen), metric.unit)
-    return f"{name}: {len(evaluations)} test runs from {low} to {high}"
+    return f"{name}: {counted(len(evaluations), 'test run')} from {low} to {high}"
 
 
 def _describe(evaluation: Evaluation, metric: Metric) -> str:

@@ -36,7 +36,8 @@ from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import decisive, worst_case_holds
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, values
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import capitalized, counted, values
 from bo_tuner.trials import (
     TUNING,
     EvaluationState,
@@ -81,7 +82,8 @@ def convergence(analysis: Analysis) -> Section:
         ]
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in STYLES]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, STYLES, strict=True) if n)
-    lead = f"{count_trials(trials)} of {study.budget.trials} trials, in {_test_runs(analysis)}"
+    planned = counted(study.budget.trials, "trial")
+    lead = f"{count_trials(trials)} of {planned}, in {_test_runs(analysis)}"
     return Section(
         name="convergence",
         title="How far has it come?",
@@ -109,7 +111,8 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     if trial.state is not TrialState.COMPLETE:
         return "\n".join([*lines, trial.reason])
     mean = analysis.mean_objective(trial)
-    lines.append(f"mean {study.metrics[study.objective.metric].title} {quantity(mean, unit)}")
+    title = mean_title(study.metrics[study.objective.metric].title)
+    lines.append(f"{title} {quantity(mean, unit)}")
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases[constraint.name]
         metric = study.metrics[constraint.metric]
@@ -132,8 +135,8 @@ def _objective(analysis: Analysis) -> Figure:
     far = _off_scale(analysis, places, means, edge, sign)
     return Figure(
         name="convergence",
-        title="Would more trials help? "
-        f"Mean {study.metrics[study.objective.metric].title} of each trial, and of the best so far",
+        title=f"Would more trials help? {capitalized(y.label)} of each trial, and of the best "
+        "so far",
         caption="The best so far is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. {_edge_in_words(sign)}",
         alternative=_summary(analysis, best_by_trial),
@@ -172,8 +175,8 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
         title=f"Which trials stay within the limit of {metric.title} in their worst context?",
         caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. "
         f"{_edge_in_words(sign)}",
-        alternative=f"{within} of {len(decisive_values)} trials stay within the limit of "
-        f"{quantity(constraint.limit, metric.unit)}.",
+        alternative=f"Within the limit of {quantity(constraint.limit, metric.unit)}: {within} of "
+        f"{counted(len(decisive_values), 'trial')}.",
         panels=[
             Panel(
                 x=Axis(label="trial"),
@@ -202,7 +205,7 @@ def _edge_in_words(sign: float) -> str:
 def mean_axis(study: Study, objective: Objective) -> Axis:
     """Return the axis of the mean of an objective, on its scale."""
     return Axis(
-        label=f"mean {study.metrics[objective.metric].title}",
+        label=mean_title(study.metrics[objective.metric].title),
         unit=study.metrics[objective.metric].unit,
         scale=Scale(objective.scale),
     )

@@ -27,6 +27,7 @@ from bo_tuner.report.sections.convergence import predicted_axis
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.search_space import STEP
 from bo_tuner.study.study import Study
+from bo_tuner.study.titles import mean_title
 from bo_tuner.text import shown
 from bo_tuner.trials import Trial, Value, pooled
 from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
@@ -188,7 +189,7 @@ def _shares(analysis: Analysis) -> dict[str, Array]:
 
 
 def _mean(metric: Metric) -> str:
-    return f"mean {metric.title}"
+    return mean_title(metric.title)
 
 
 def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:

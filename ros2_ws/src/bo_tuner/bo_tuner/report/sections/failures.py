@@ -6,8 +6,9 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.guard_record import read_acts
 from bo_tuner.storage.run_files import BAGS, LOGS, bag_name
+from bo_tuner.study.titles import mean_title
 from bo_tuner.text import values, with_unit
-from bo_tuner.trials import Evaluation, EvaluationState, Trial
+from bo_tuner.trials import Evaluation, Trial
 
 MOST_NOTES = 10
 """Evaluations with gaps in signals that are listed one by one."""
@@ -18,7 +19,7 @@ def failures(analysis: Analysis) -> Section:
     failed = [
         r
         for r in analysis.record.evaluations
-        if not r.outcome.complete and r.outcome.state is not EvaluationState.CUT_SHORT
+        if not r.outcome.complete and not r.outcome.was_cut_short
     ]
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
@@ -76,7 +77,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
         caption="Far off: trials left out of the models; their vicinity is avoided",
-        header=["trial", "parameters", with_unit(f"mean {metric.title}", metric.unit)],
+        header=["trial", "parameters", with_unit(mean_title(metric.title), metric.unit)],
         rows=[
             [
                 str(trial.number),

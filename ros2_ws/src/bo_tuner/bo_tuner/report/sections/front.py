@@ -24,7 +24,8 @@ from bo_tuner.report.sections.trajectories import response_of
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
-from bo_tuner.text import with_unit
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import counted, with_unit
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
 
@@ -48,7 +49,7 @@ def front(analysis: Analysis) -> Section | None:
     return Section(
         name="front",
         title="Which compromises are there?",
-        lead=f"{len(points)} parameter sets that are likely within limits are on the front: no "
+        lead=f"The front has {counted(len(points), 'parameter set')} likely within limits: no "
         f"other such trial is as good in every objective, and better in one.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
@@ -205,7 +206,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     by_number = {trial.number: trial for trial in analysis.trials}
     header = ["trial"]
     for metric in (study.metrics[item.metric] for item in study.objectives):
-        header += [with_unit(f"mean {metric.title}", metric.unit), f"± of {metric.title}"]
+        header += [with_unit(mean_title(metric.title), metric.unit), f"± of {metric.title}"]
     header += ["test runs", "likely within limits [%]"]
     header += [study.parameters[name].title for name in names]
     return Table(

@@ -8,7 +8,8 @@ from bo_tuner.evidence.certificate.context_tolerance import (
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.study.study import Study
-from bo_tuner.text import values
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import counted, values
 
 
 def tolerance(analysis: Analysis) -> Section | None:
@@ -72,8 +73,9 @@ def _table(item: ContextTolerance) -> Table:
 def _note(study: Study, item: ContextTolerance, subject: str) -> str:
     title = study.metrics[item.metric].title
     return (
-        f"From {item.evaluations} test runs of the {subject}. The mean {title} over noise is "
-        f"{quantity(item.nominal.median, item.unit)} in the nominal context and "
+        f"From {counted(item.evaluations, 'test run')} of the {subject}. The "
+        f"{mean_title(title)} over noise is {quantity(item.nominal.median, item.unit)} in the "
+        "nominal context and "
         f"{quantity(item.worst.median, item.unit)} ({number(item.worst.low)} to "
         f"{number(item.worst.high)}) in the worst one "
         f"({values(item.worst_context)}); the limit is {quantity(item.limit, item.unit)}."

@@ -25,7 +25,8 @@ from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.limits import WITHIN, outcome_in_words
-from bo_tuner.text import with_unit
+from bo_tuner.study.titles import mean_title
+from bo_tuner.text import capitalized, counted, with_unit
 from bo_tuner.trials import Trial
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
@@ -58,8 +59,8 @@ def trade_off(analysis: Analysis) -> Section | None:
         worst = np.array([trial.worst_cases[constraint.name].value for trial in trials])
         front = pareto_front(study.objective.sign * means, constraint.sign * worst)
         leads.append(
-            f"{len(front)} of {len(trials)} trials, without failed and far-off ones, are on the "
-            "observed Pareto front: no other trial has both a better objective and a "
+            f"The observed Pareto front has {len(front)} of {counted(len(trials), 'trial')}, "
+            "without failed and far-off ones: no other trial has both a better objective and a "
             f"better worst {study.metrics[constraint.metric].title}, within limits or not."
         )
         name = numbered("trade-off", place)
@@ -92,7 +93,8 @@ def _figure(
     objective = study.metrics[study.objective.metric]
     return Figure(
         name=name,
-        title=f"Mean {objective.title} against worst {limited.title}, all trials",
+        title=f"{capitalized(mean_title(objective.title))} against worst {limited.title}, "
+        "all trials",
         caption="Estimates of the trials themselves, with the noise of a few test runs "
         "each; the best values are biased by selection. The default has the values of the "
         "result section.",
@@ -136,11 +138,12 @@ def _table(
     own = next((k for k, limits in moved.items() if constraint.limit in limits), None)
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
-        caption=f"Best mean {objective.title} observed if {limited.title} had another limit{among}",
+        caption=f"Best {mean_title(objective.title)} observed if {limited.title} had another limit"
+        f"{among}",
         header=[
             with_unit("limit", limited.unit),
             "trial",
-            f"mean {objective.title}",
+            mean_title(objective.title),
             "relative to the present limit",
         ],
         rows=[
@@ -173,7 +176,7 @@ def _nothing_gained(
     if len(limits) == 1:
         return ""
     title = analysis.study.metrics[analysis.study.objective.metric].title
-    return f"With {limit} the best mean {title} is the same, up to noise."
+    return f"With {limit} the best {mean_title(title)} is the same, up to noise."
 
 
 def pareto_front(cost: Array, worst: Array) -> list[int]:
@@ -245,7 +248,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
             size=10,
             hover=[
                 f"default, in {analysis.verdict.evidence}\n"
-                f"mean {metric.title} {quantity(means[0], metric.unit)}\n"
+                f"{mean_title(metric.title)} {quantity(means[0], metric.unit)}\n"
                 f"{largest[0].label} {quantity(largest[0].default, largest[0].unit)}"
             ],
         )

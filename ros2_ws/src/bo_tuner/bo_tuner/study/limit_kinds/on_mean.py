@@ -136,7 +136,7 @@ class OnMean(LimitKind):
     ) -> str:
         values, least = runs.values, self.runs_behind_bound(runs)
         if len(values) < max(least, 2):
-            return f"{len(values)} draws are too few to bound the mean over contexts and noise"
+            return f"too few draws ({len(values)}) to bound the mean over contexts and noise"
         bound = self.bound(runs, confidence)
         return f"mean over contexts and noise {self._bounded(bound, unit, passed=passed)}"
 
@@ -163,7 +163,7 @@ class OnMean(LimitKind):
             )
         where = place_of(top, worst)
         if not np.isfinite(bound):
-            return f"{top.evaluations} test runs {where}are too few to bound the mean over noise"
+            return f"too few test runs ({top.evaluations}) {where}to bound the mean over noise"
         if not passed and not self.limited.violations(bound):
             return (
                 f"{sum(w.evaluations for w in worst)} test runs in the worst contexts say too "

@@ -124,8 +124,9 @@ class OnRuns(LimitKind):
         passed: bool,
     ) -> str:
         top = max(worst, key=lambda w: w.violation_bound)
+        runs = text.counted(top.evaluations, "run")
         return (
-            f"{place_of(top, worst)}{top.beyond} of {top.evaluations} runs violate the limit: "
+            f"{place_of(top, worst)}{top.beyond} of {runs} violate the limit: "
             f"{self._probability(top.violation_bound, passed=passed)}"
         )
 
