@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from pytest import approx
 from signal_runs import signal_study
 
 from bo_tuner.errors import StudyError
@@ -44,13 +43,13 @@ def test_a_double_goes_in_equal_steps():
 
 def test_on_a_logarithmic_scale_by_equal_factors():
     steps = way(make({"kp": LOG_DOUBLE}), {"kp": 0.1}, {"kp": 10.0})
-    assert values("kp", steps) == approx([10**-0.5, 1.0, 10**0.5])
+    assert values("kp", steps) == pytest.approx([10**-0.5, 1.0, 10**0.5])
 
 
 def test_on_a_symlog_scale():
     (value,) = between(SYMLOG, 10.0, 0.0, 10.0, np.array([0.5]))
     # log(1 + 1000 v / 10) is half of log(1001).
-    assert value == approx((math.sqrt(1001.0) - 1.0) / 100.0)
+    assert value == pytest.approx((math.sqrt(1001.0) - 1.0) / 100.0)
 
 
 @pytest.mark.parametrize("scale", [LOG, SYMLOG])
@@ -75,7 +74,7 @@ def test_the_largest_doubles_do_not_overflow():
 def test_a_step_takes_a_tenth_of_a_second_at_most(seconds, steps):
     study = make({"kp": DOUBLE}, ramp=seconds)
     assert len(way(study, {"kp": 1.0}, {"kp": 2.0})) == steps - 1
-    assert Ramp(study).period * steps == approx(seconds)
+    assert Ramp(study).period * steps == pytest.approx(seconds)
 
 
 def test_without_a_ramp_there_are_no_steps():
