@@ -27,6 +27,7 @@ from bo_tuner.cli.write_back import PREVIOUS, write_back
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
+    Way,
     read_values,
     set_values,
 )
@@ -259,7 +260,7 @@ def _set(
     interruption.check()
     write_atomically(unfinished, f"nodes may have values of an apply that did not finish: {new}\n")
     try:
-        set_values(nodes, now, new)
+        set_values(nodes, now, new, Way.of(record.study, now, new))
     except ApplyError as error:
         if error.restored and not was_unfinished:
             unfinished.unlink()
