@@ -58,6 +58,9 @@ class FakeNodes:
     def wait(self, period):
         """Time is nothing to these."""
 
+    def undisturbed(self):
+        return contextlib.nullcontext()
+
     def watch(self, values):
         """Nothing changes by itself."""
 
@@ -208,6 +211,45 @@ class TestRamp:
             set_values(nodes, self.BEFORE, self.AFTER, way)
         assert nodes.told[-1] == last
         assert nodes.values == self.BEFORE
+
+    @pytest.mark.parametrize("stays", [False, True])
+    def test_a_request_to_end_on_the_way_gives_back_what_was_there(self, way, stays):
+        class Interrupting(self.Servo):
+            is_disturbed = True
+
+            @contextlib.contextmanager
+            def undisturbed(self):
+                self.is_disturbed = False
+                yield
+                self.is_disturbed = True
+
+            def wait(self, period):
+                super().wait(period)
+                if self.is_disturbed and self.values["servo"]["gain"] == 1.5:
+                    raise Interrupted(signal.SIGINT)
+
+            def set(self, node, values):
+                assert self.is_disturbed or values == {"gain": 1.0}
+                super().set(node, values)
+
+        nodes = Interrupting(refuses=(1.0,) if stays else ())
+        expected = (
+            pytest.raises(ApplyError, match="interrupted by SIGINT; servo could not be restored: ")
+            if stays
+            else pytest.raises(Interrupted)
+        )
+        with expected:
+            set_values(nodes, self.BEFORE, self.AFTER, way, lambda: pytest.fail("it goes on"))
+        assert nodes.told == [0.1, 1.25, 0.1, 1.5, 0.1, 1.0]
+
+    def test_a_request_to_end_at_the_last_moment(self, way):
+        def commit():
+            raise Interrupted(signal.SIGTERM)
+
+        nodes = self.Servo()
+        with pytest.raises(Interrupted):
+            set_values(nodes, self.BEFORE, self.AFTER, way, commit)
+        assert nodes.told[-2:] == [0.1, 1.0]
 
     def test_a_study_without_one_sets_all_at_once(self):
         way = Way.of(study_from_mapping(signal_study()), self.BEFORE, self.AFTER)

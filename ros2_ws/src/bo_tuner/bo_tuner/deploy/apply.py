@@ -1,10 +1,12 @@
 """Setting values on live nodes: on all of them or none, and read back."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from bo_tuner.errors import BoTunerError
+from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.study import checks
 from bo_tuner.study.ramping import Ramp
@@ -58,7 +60,10 @@ class Nodes(Protocol):
         """
 
     def wait(self, period: float) -> None:
-        """Wait for so many seconds."""
+        """Wait for so many seconds; raises `Interrupted` if somebody asks for the end."""
+
+    def undisturbed(self) -> contextlib.AbstractContextManager[None]:
+        """Let nobody end anything within."""
 
     def watch(self, values: NodeValues) -> None:
         """Watch for a while whether nodes keep the values that were set.
@@ -113,12 +118,19 @@ class Way:
 AT_ONCE = Way()
 
 
-def set_values(nodes: Nodes, before: NodeValues, new: NodeValues, way: Way = AT_ONCE) -> None:
+def set_values(
+    nodes: Nodes,
+    before: NodeValues,
+    new: NodeValues,
+    way: Way = AT_ONCE,
+    commit: Callable[[], object] = lambda: None,
+) -> None:
     """Set on live nodes what they have otherwise, and read all values back, twice.
 
     A node may take values and go back on them when it next computes with them, so they are watched
     for a while between the two readings. If a node refuses, does not answer or has another value,
-    the previous values of all are restored at once, in reverse order, and read back.
+    or somebody asks for the end on the way, the previous values of all are restored at once, in
+    reverse order, and read back.
 
     Parameters
     ----------
@@ -130,11 +142,16 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues, way: Way = AT_
         The values to set, of the same nodes and parameters.
     way
         The steps to them.
+    commit
+        Called after these; from then on nothing ends it. May raise `Interrupted` instead.
 
     Raises
     ------
     ApplyError
-        If the nodes do not have the new values. One line.
+        If the nodes do not have the new values, or not the previous ones after an interruption.
+        One line.
+    Interrupted
+        If somebody asked for the end, and the nodes have their previous values.
     """
     touched: list[str] = []
     try:
@@ -144,6 +161,7 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues, way: Way = AT_
                 _set(nodes, node, values, touched)
         if way.steps:
             nodes.wait(way.period)
+        commit()
         for node, values in new.items():
             if changes := _changes(before[node], values):
                 _set(nodes, node, changes, touched)
@@ -153,12 +171,18 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues, way: Way = AT_
             nodes.watch(new)
             for node, values in new.items():
                 _read_back(nodes, node, values)
-    except NodeError as error:
+    except (NodeError, Interrupted) as error:
         # What was set last goes first, as the nodes had it together before.
-        failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)
+        with nodes.undisturbed():
+            failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)
+        why = str(error)
+        if isinstance(error, Interrupted):
+            if not failed:
+                raise
+            why = f"interrupted by {error}"
         done = f"previous values of {', '.join(touched)} restored"
         outcome = "; ".join(failed) or (done if touched else "nothing was changed")
-        raise ApplyError(f"{error}; {outcome}", restored=not failed) from error
+        raise ApplyError(f"{why}; {outcome}", restored=not failed) from error
 
 
 def _set(nodes: Nodes, node: str, values: Mapping[str, object], touched: list[str]) -> None:

@@ -116,6 +116,10 @@ class LiveParameters:
         """Wait for so many seconds."""
         self._tuner.spin_for(period)
 
+    def undisturbed(self) -> contextlib.AbstractContextManager[None]:
+        """Let nothing end a wait within."""
+        return self._tuner.watched_by(lambda: None)
+
     def watch(self, values: NodeValues) -> None:
         """Watch for `SETTLED` seconds whether nodes keep values; raises `NodeError` if not."""
         self._events.expect(values)
