@@ -350,11 +350,8 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     if resting:
         seconds += resting
         say(f"the machine rested {resting:.3g} s ahead of one, which counts")
-    ramps_of_run = _ramps_of_run(study)
-    if ramp := 0.0 if study.run is None else study.run.ramp or 0.0:
-        seconds += ramps_of_run * ramp
-        often = ("once for each parameter set", "once for each test run", "twice for each test run")
-        say(f"a ramp takes {ramp:g} s, {often[ramps_of_run]}, which counts")
+    ramping_of_run, ramping_of_set = _ramping(study)
+    seconds += ramping_of_run
     runs, warming = complete[0].outcome.warm_up
     if runs:
         say(f"{counted(runs, 'run')} to warm up took {warming:.3g} s: once for each command")
@@ -374,8 +371,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
             f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
-    if not ramps_of_run:
-        seconds_of_study += min(tuning, study.budget.trials) * ramp
+    seconds_of_study += min(tuning, study.budget.trials) * ramping_of_set
 
     def of_certificate(evaluations: int) -> float:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
@@ -395,11 +391,16 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         say(f"certificate: {at_most}; fewer once the verdict is clear")
 
 
-def _ramps_of_run(study: Study) -> int:
-    """Return how often the parameters change because of a run, and not of another trial."""
-    if parks_after_runs(study):
-        return 2
-    return 1 if study.relative_metrics else 0
+def _ramping(study: Study) -> tuple[float, float]:
+    """Show how long ramps take; returns it [s] for each test run, and for each parameter set."""
+    ramp = None if study.run is None else study.run.ramp
+    if ramp is None:
+        return 0.0, 0.0
+    # The default beside a run, or the safe parameters after it, change them even within a trial.
+    count = 2 if parks_after_runs(study) else 1 if study.relative_metrics else 0
+    often = ("once for each parameter set", "once for each test run", "twice for each test run")
+    say(f"a ramp takes {ramp:g} s, {often[count]}, which counts")
+    return count * ramp, 0.0 if count else ramp
 
 
 def _starts_each_time(study: Study) -> bool:
