@@ -31,6 +31,10 @@ SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
     "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
     "safe_search": ("Limits broken by a safe search", answers.safety),
+    "simulation_prior": (
+        "What a simulation is worth on the machine",
+        answers.simulation_prior,
+    ),
     "identify": ("Where a machine is, and whether it drifts", answers.identification),
     "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
     "windows": ("Several trials planned at once", answers.windows),

@@ -264,6 +264,33 @@ def effects(result: Result) -> list[str]:
     ]
 
 
+def simulation_prior(result: Result) -> list[str]:
+    """Say what results on hidden machines are worth, with and without their simulation."""
+    rows = []
+    for plant in dict.fromkeys(row["plant"] for row in result["rows"]):
+        for knowing, title in ((False, "alone"), (True, "with the simulation")):
+            own = [r for r in result["rows"] if (r["plant"], r["knowing"]) == (plant, knowing)]
+            objectives = [row["objective"] for row in own]
+            trials = len(own) * result["trials"]
+            rows.append(
+                [
+                    plant,
+                    title,
+                    f"{sum(row['feasible'] for row in own)} of {len(own)}",
+                    f"{statistics.median(objectives):.3f}",
+                    f"{min(objectives):.3f} to {max(objectives):.3f}",
+                    f"{sum(row['broken'] for row in own)} of {trials}",
+                ]
+            )
+    return [
+        f"A hidden axis is tuned with {result['trials']} trials, without and with the 30 trials of "
+        "a simulation over the whole box of contexts as prior knowledge; by further runs of the "
+        "result: whether it keeps all limits, its objective (median and range over the seeds), and "
+        "the trials of which a run broke a limit or failed.",
+        markdown(["axis", "tuned", "feasible", "objective", "range", "trials broken"], rows),
+    ]
+
+
 def identification(result: Result) -> list[str]:
     """Say where hidden plants were taken to be, which misfits were said, and which drift found."""
     rows = []

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from earlier_runs import BOUNDARY, GAIN, LOAD, PEAK, machine, record
 from functions import NODE
 from signal_runs import outcome_of, record_run, signal_study
 
@@ -12,7 +13,7 @@ from bo_tuner.methods.registry import METHODS, SAFE
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import carry_over, check_comparable, is_carried, remeasured
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import read_run
 from bo_tuner.storage.rows import check_study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import (
@@ -26,45 +27,8 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
-BOUNDARY = "boundary"
-GAIN = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
-LOAD = NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}
-PEAK = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
-
 # A safe search goes in steps from where it is, and not on where no start keeps the limits.
 ANYWHERE = [name for name in METHODS if name != SAFE]
-
-
-def machine(gain, load, **_):
-    """Without noise: the error falls towards a gain of 1.5, the peak grows with gain and load."""
-    return {
-        "error": (gain - 1.5) ** 2 + 0.1 * load,
-        "peak": 0.5 * gain * load,
-        "effort": 3.0 * gain,
-    }
-
-
-def record(tmp_path, study, backend, algorithm=BOUNDARY, trials=None):
-    """A run of a study, as it is read."""
-    if trials is None:
-        trials = list(Tuning(study, Driver(backend(study, machine)), METHODS[algorithm]))
-    evaluations = tuple(e for trial in trials for e in trial.evaluations)
-    return RunRecord(
-        path=tmp_path / "earlier",
-        study=study,
-        algorithm=algorithm,
-        backend="inprocess",
-        stop_early=False,
-        attached=False,
-        namespace="",
-        record_policy="",
-        record_limit=None,
-        provenance={},
-        trials=tuple(trials),
-        evaluations=evaluations,
-        summary=None,
-        damage="",
-    )
 
 
 def carry(earlier, study):

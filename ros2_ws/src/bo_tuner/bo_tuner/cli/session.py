@@ -56,6 +56,8 @@ from bo_tuner.storage.provenance import (
     RECORD,
     RECORD_LIMIT,
     SCHEDULER,
+    SIMULATION_FROM,
+    SIMULATION_TAKEN,
     STOP_EARLY,
     WINDOW,
     WORKERS,
@@ -64,6 +66,7 @@ from bo_tuner.storage.provenance import (
 )
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
+from bo_tuner.storage.simulated_runs import write_simulation
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
@@ -109,6 +112,8 @@ class RunOptions:
         Whether a run that is resumed goes on with trials although it was asked to finish.
     carried
         What a new run takes of an earlier one; None for nothing.
+    simulation
+        What it knows of a simulation of the machine; None for nothing.
     web
         Where to serve the live page; None for no page.
     web_control
@@ -130,6 +135,7 @@ class RunOptions:
     more: bool = False
     time: TimeLimit = dataclasses.field(default_factory=TimeLimit)
     carried: Carried | None = None
+    simulation: Carried | None = None
     web: Address | None = None
     web_control: bool = False
     confirm: bool = False
@@ -158,6 +164,8 @@ class Session:
         self._folder = folder
         self._options = options
         self._method = METHODS[options.algorithm]
+        if options.simulation is not None:
+            self._method = self._method.knowing(study, options.simulation.trials)
         self._interruption = interruption
         self._status = RunStatus(study, self._method, workers=options.workers.count)
         self._observers = Observers()
@@ -250,6 +258,8 @@ class Session:
             begun = folder.journal.exists()
             try:
                 try:
+                    if not begun and self._options.simulation is not None:
+                        write_simulation(folder.path, self._options.simulation)
                     with (
                         opened(backend, self._interruption) as left,
                         Journal(folder.journal, provenance, earlier.trials) as journal,
@@ -316,6 +326,9 @@ class Session:
         if options.carried is not None:
             provenance[CARRIED_FROM] = options.carried.run
             provenance[CARRIED] = options.carried.text
+        if options.simulation is not None:
+            provenance[SIMULATION_FROM] = options.simulation.run
+            provenance[SIMULATION_TAKEN] = options.simulation.text
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage
@@ -348,6 +361,10 @@ class Session:
             self._display.inform(
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
                 f"{counted(len(earlier.evaluations), 'test run')} on record"
+            )
+        if options.simulation is not None:
+            self._display.inform(
+                f"knows {options.simulation.text}, of the simulation {options.simulation.run}"
             )
         if acts := read_acts(self._folder.log):
             self._display.warn(f"on record, {acts[-1]}")

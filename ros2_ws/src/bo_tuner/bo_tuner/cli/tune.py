@@ -1,6 +1,7 @@
 """``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
+import dataclasses
 import importlib.util
 import sys
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import SAFE, method_of, problem_of
+from bo_tuner.methods.registry import METHODS, SAFE, method_of, problem_of
 from bo_tuner.monitoring.display import Output, plain_console
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
@@ -42,9 +43,10 @@ from bo_tuner.storage.carrying import (
     is_carried,
     remeasured,
 )
-from bo_tuner.storage.provenance import recorded_workers
+from bo_tuner.storage.provenance import SIMULATION_FROM, SIMULATION_TAKEN, recorded_workers
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.storage.trust import is_trusted
 from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.parts import BACKENDS, ROS
@@ -70,6 +72,8 @@ class Plan:
         The run that it continues.
     carried
         What it takes of an earlier run.
+    simulation
+        What it knows of a simulation.
     """
 
     study: Study
@@ -79,6 +83,7 @@ class Plan:
     stop_early: bool
     resumed: RunRecord | None = None
     carried: Carried | None = None
+    simulation: Carried | None = None
 
 
 @guarded
@@ -101,11 +106,16 @@ def _run(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
+    if arguments.simulated and arguments.earlier is None:
+        parser.error("--simulated needs --from: the run of the simulation")
     if arguments.resume is not None:
         _refuse_beside_resume(arguments, parser)
         record = read_run(run_folder(arguments.resume))
         plan = _resumed(record, arguments, parser)
         ros_arguments = _resumed_in(record, plan.attach, ros_arguments, parser)
+    elif arguments.simulated:
+        simulated = read_run(run_folder(arguments.earlier))
+        plan = _after_simulation(simulated, arguments, parser, ros_arguments, interruption)
     elif arguments.earlier is not None:
         record = read_run(run_folder(arguments.earlier))
         ros_arguments = in_namespace_of(record, ros_arguments)
@@ -135,6 +145,7 @@ def _run(
         and not (arguments.trials is None and arguments.evaluations is None),
         time=arguments.time,
         carried=plan.carried,
+        simulation=plan.simulation,
         web=None if arguments.web is None else listen(arguments.web, arguments.web_host),
         web_control=arguments.web_control,
         confirm=arguments.confirm,
@@ -222,7 +233,13 @@ def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
         study, stop_early = changed_study(study, arguments, record.namespace), arguments.stop_early
-    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
+    known = None
+    if record.simulation:
+        origin = record.provenance
+        known = Carried(origin[SIMULATION_FROM], record.simulation, origin[SIMULATION_TAKEN])
+    return Plan(
+        study, record.algorithm, backend, attach, stop_early, resumed=record, simulation=known
+    )
 
 
 def _after_earlier(
@@ -256,6 +273,27 @@ def _after_earlier(
         study = _as_much_again(record, study, carried)
     _check_budget(study, carried, parser)
     return Plan(study, record.algorithm, backend, attach, arguments.stop_early, carried=carried)
+
+
+def _after_simulation(
+    simulated: RunRecord,
+    arguments: argparse.Namespace,
+    parser: Parser,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> Plan:
+    """Plan a run on a machine that knows the trials of its simulation."""
+    if arguments.study is None:
+        parser.error("--simulated needs --study: that of the machine")
+    plan = _new(arguments, parser, ros_arguments, interruption)
+    method = METHODS[plan.algorithm]
+    known = take_simulation(simulated, plan.study, method)
+    study = begun_by_simulation(plan.study, simulated, known)
+    try:
+        method.knowing(study, known.trials)
+    except StudyError as error:
+        parser.error(f"--simulated: {plan.algorithm} {error}")
+    return dataclasses.replace(plan, study=study, simulation=known)
 
 
 def _as_much_again(record: RunRecord, study: Study, carried: Carried) -> Study:

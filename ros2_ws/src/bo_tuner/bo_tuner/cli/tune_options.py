@@ -54,6 +54,7 @@ examples:
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --from latest --bounds kp=0.1:20   the same, with wider bounds
+  tune --study my_axis.yaml --from latest --simulated   knowing a simulation
   tune --time 30min                    have the result by then
   tune --time 30min --certify          and its certificate
   tune --safe --attach                 from what runs now on, in small steps
@@ -153,6 +154,13 @@ def _add_known(group: Group) -> None:
         "data of the study: by default that of the run, with --study or --bounds one with other "
         "bounds, limits, metrics or objective; with --trials N, N trials in all (default: as many "
         "more as the run had, or with --study as that says)",
+    )
+    group.add_argument(
+        "--simulated",
+        action="store_true",
+        help="the run of --from is one of a simulation: its trials are prior knowledge of the "
+        "machine of --study, with a bias that is modelled and shown; they are no trials of the "
+        "new run, which begins with its own start and the result of the simulation",
     )
     group.add_argument(
         "--start",

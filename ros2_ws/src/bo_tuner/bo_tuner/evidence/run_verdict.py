@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.biases import biases_in_words
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
@@ -125,6 +126,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             remarks=(
                 *verdict.remarks,
                 *better,
+                *biases_in_words(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
                 *seen_in_words(record.study.metrics, seen),
                 *drifts(record.study, alike),
             ),

@@ -10,6 +10,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from bo_tuner.errors import StudyError
 from bo_tuner.methods.outlook import Outlook
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.models.surrogates import Surrogates
@@ -202,6 +203,16 @@ class Method(Protocol):
         if unsearched:
             return f"the worst case of constraints.{unsearched[0]} was not searched for in this run"
         return ""
+
+    def knowing(self, study: Study, simulated: Sequence[Trial]) -> "Method":
+        """Return the method with trials of a simulation as prior knowledge of the machine.
+
+        Raises
+        ------
+        StudyError
+            If it has no use for them, in a few words.
+        """
+        raise StudyError("takes no runs of a simulation; expected boundary")
 
     def takes_parts(self) -> bool:
         """Whether some of a trial's evaluations are data without the others."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from bo_tuner.models.bias import Bias
 from bo_tuner.optimizers.ranking import Candidate
 
 
@@ -45,6 +46,8 @@ class Recommendation:
         All candidates, with the evaluations of the checks.
     passed_over
         Better ones that were not chosen, by models that pool all evaluations; the best one first.
+    biases
+        At the recommended parameter set, how far the machine is from its simulation.
     """
 
     candidate: Candidate
@@ -52,3 +55,4 @@ class Recommendation:
     checked: tuple[int, ...]
     ranked: tuple[Candidate, ...] = field(repr=False)
     passed_over: tuple[PassedOver, ...] = ()
+    biases: tuple[Bias, ...] = ()

@@ -58,8 +58,13 @@ class ContextProcess(Fitted, Protocol):
     def variance_of_mean(self, x: Array, contexts: Array) -> Array:
         """Return the variance (m,) of the mean over contexts (k, e), at x (m, d)."""
 
-    def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
-        """Return the variance (m,) of sums over contexts (k, e) with weights (m, k)."""
+    def variance_of_weighted(
+        self, x: Array, contexts: Array, weights: Array, total: float = 1.0
+    ) -> Array:
+        """Return the variance (m,) of sums over contexts (k, e) with weights (m, k).
+
+        The weights of each parameter set add up to `total`: 1 of a mean, 0 of a difference.
+        """
 
     def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return noise variance and degrees of freedom (m,), each of x in the context `which`."""

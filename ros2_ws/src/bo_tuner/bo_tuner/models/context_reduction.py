@@ -90,13 +90,16 @@ class ContextReduction:
         """Return the reductions (m,) for the mean over all contexts."""
         return self.of_each(kernel, np.full(len(kernel), self._mean))
 
-    def of_sums(self, kernel: Array, weights: Array) -> Array:
-        """Return the reductions (m,) for sums over the contexts with weights (m, k)."""
-        return self._reduced(kernel, weights @ self._across.T)
+    def of_sums(self, kernel: Array, weights: Array, total: float = 1.0) -> Array:
+        """Return the reductions (m,) for sums over the contexts with weights (m, k).
 
-    def _reduced(self, kernel: Array, across: Array) -> Array:
+        The weights of each row add up to `total`.
+        """
+        return self._reduced(kernel, weights @ self._across.T, total)
+
+    def _reduced(self, kernel: Array, across: Array, total: float = 1.0) -> Array:
         """Return ‖W k‖² (m,), for sums over contexts of their k(c_i, c), across (m, b)."""
-        cross = self._sets.spread(kernel) * across + MEAN_SD**2
+        cross = self._sets.spread(kernel) * across + total * MEAN_SD**2
         return squared_norms(self._whitening, cross)
 
     def _factor(self, column: int) -> Array:

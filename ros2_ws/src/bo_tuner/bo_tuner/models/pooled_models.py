@@ -5,19 +5,22 @@ trial that failed are data as far as they are complete, and not to fail is one m
 that was cut short, lower bounds are data (`bo_tuner.models.censoring`). Measured contexts are
 further columns beside the contexts. An expectation or a probability is one over them, too; a
 worst case is one over the contexts alone, of the mean over what was measured. Whether runs fail is
-learnt without them, since a run that fails has not measured any.
+learnt without them, since a run that fails has not measured any. Runs of a simulation are data,
+too, if there is one (`bo_tuner.models.simulation`).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from bo_tuner.models.bias import Comparison
 from bo_tuner.models.compression import Compression
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE, log_feasibility
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
-from bo_tuner.models.covariates import ROWS, Covariates, measured_in
+from bo_tuner.models.covariates import Covariates, simulated_in
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
 from bo_tuner.models.logarithm import Logarithm
@@ -33,6 +36,7 @@ from bo_tuner.models.pooled_responses import (
 )
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.scalarized_objective import ScalarizedObjective
+from bo_tuner.models.simulation import Simulation, is_simulated, moved
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import FAILURES, OBJECTIVE
@@ -63,11 +67,14 @@ class PooledSurrogates(Surrogates):
         Constraints by their names in the study; empty while no trial is complete.
     crashes
         Probability of a failure, as a limit.
+    comparisons
+        By metric the model of the machine beside its simulation; empty without one.
     """
 
     objective: PooledObjective | None
     constraints: Mapping[str, PooledResponse]
     crashes: CrashModel = field(kw_only=True)
+    comparisons: Mapping[str, Comparison] = field(default_factory=dict, kw_only=True)
 
     @property
     def limits(self) -> tuple[PooledResponse, ...]:
@@ -102,11 +109,19 @@ class PooledModels:
         logarithm.
     looked
         Returns contexts that are candidates for the worst one, besides corners and a hypercube.
+    simulation
+        Trials that are data besides those of the machine.
     """
 
     processes: ContextProcesses = field(default_factory=PooledProcesses)
     scale: ScaleRule = Compression.of
     looked: Looked = searched_contexts
+    simulation: Simulation = field(default_factory=Simulation)
+
+    @property
+    def alone(self) -> Self:
+        """The models of the machine's own runs."""
+        return replace(self, simulation=Simulation())
 
     def of_metric(self, study: Study, metric: str) -> Self:
         """Return them with the logarithm for a metric for which the study asks for it."""
@@ -126,23 +141,28 @@ class PooledModels:
         fitting = Fitting(study, trials, rng, start)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers = fitting.outliers(complete) if complete else frozenset()
-        covariates = Covariates.of(study, trials)
+        simulated = self.simulation
+        covariates = Covariates.of(study, [*simulated.trials, *trials])
         objective: PooledObjective | None = None
         costs: dict[str, ExpectedObjective] = {}
         constraints: dict[str, PooledResponse] = {}
+        comparisons: dict[str, Comparison] = {}
         if complete:
             # The complete evaluations of a failed trial are data for their contexts.
-            kept = [t for t in trials if t.number not in outliers]
-            costs = self._costs(fitting, kept, covariates, several=weights is not None)
-            constraints = self._constraints(fitting, kept, covariates)
+            kept = [*simulated.usual, *(t for t in trials if t.number not in outliers)]
+            data = _Data(fitting, kept, covariates)
+            costs = self._costs(data, several=weights is not None)
+            constraints, comparisons = self._constraints(data), data.comparisons
             objective = costs[study.objective.metric]
             if weights is not None:
                 points = fitting.points([t for t in complete if t.number not in outliers])
                 objective = _scalarized(costs.values(), constraints.values(), points, weights)
-        crashes = self._crashes(fitting, trials)
+        crashes = self._crashes(fitting, [*simulated.trials, *trials])
         outlying = None
         if complete:
-            outlying = fitting.classifier(complete, lambda t: t.number in outliers)
+            of_simulation = [t for t in simulated.trials if t.state is TrialState.COMPLETE]
+            known = outliers | simulated.outliers
+            outlying = fitting.classifier([*of_simulation, *complete], lambda t: t.number in known)
         return PooledSurrogates(
             objective,
             constraints,
@@ -152,33 +172,30 @@ class PooledModels:
             fitting.models,
             costs,
             crashes=crashes,
+            comparisons=comparisons,
         )
 
-    def _costs(
-        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates, *, several: bool
-    ) -> dict[str, ExpectedObjective]:
+    def _costs(self, data: "_Data", *, several: bool) -> dict[str, ExpectedObjective]:
         """Return the models of the costs by metric: of all objectives, or of the first alone."""
-        study, contexts = fitting.study, fitting.study.context_space()
-        drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
-        over = covariates.beside(contexts.to_cube(drawn))
+        study, fitting = data.fitting.study, data.fitting
         costs: dict[str, ExpectedObjective] = {}
         for objective in study.objectives if several else (study.objective,):
-            x, c, y = _observations(fitting, trials, covariates, objective.metric)
+            x, c, y = data.observations(objective.metric)
             censored = None
             if objective.sign > 0.0:
                 # Of what is maximized a lower bound is one that the cost stays below.
-                known = fitting.censored_observations(trials, objective.metric)
+                known = fitting.censored_observations(data.trials, objective.metric)
                 censored = known.on_scale(objective.to_cost)
             name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
-            process = fitting.process(self.processes, name, x, c, objective.to_cost(y), censored)
-            costs[objective.metric] = ExpectedObjective(process, over, objective)
+            y, offset = data.aligned(x, objective.to_cost(y))
+            process = fitting.process(self.processes, name, x, c, y, censored)
+            data.compare(objective.metric, process, offset, objective.from_cost)
+            costs[objective.metric] = ExpectedObjective(process, data.over, objective, data.tried)
         return costs
 
-    def _constraints(
-        self, fitting: Fitting, trials: Sequence[Trial], covariates: Covariates
-    ) -> dict[str, PooledResponse]:
+    def _constraints(self, data: "_Data") -> dict[str, PooledResponse]:
         """Return the limits, with the models of their responses, by name."""
-        study, responses = fitting.study, _Responses(self, fitting, trials, covariates)
+        study, responses = data.fitting.study, _Responses(self, data)
         ordered = (*study.drawn_constraints, *study.worst_case_constraints)
         return {constraint.name: constraint.rule.response(responses) for constraint in ordered}
 
@@ -209,40 +226,107 @@ class PooledModels:
 
 
 @dataclass(frozen=True)
+class _Data:
+    """What is fitted to: the runs of the trials, and of a simulation if there is one.
+
+    Attributes
+    ----------
+    fitting
+        Of the study.
+    trials
+        The trials, those of the simulation first.
+    covariates
+        Of all of them.
+    comparisons
+        By metric the models of machine and simulation; empty without a simulation.
+    """
+
+    fitting: Fitting
+    trials: Sequence[Trial]
+    covariates: Covariates
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+
+    @cached_property
+    def over(self) -> Array:
+        """Drawn contexts (k, e + w') of the machine that an expectation is taken over."""
+        contexts = self.fitting.study.context_space()
+        drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
+        return self.covariates.beside(contexts.to_cube(drawn))
+
+    @cached_property
+    def tried(self) -> tuple[Array, Array] | None:
+        """See `ExpectedObjective`: parameter sets (p, d) that the machine has run."""
+        if self.covariates.simulated is None:
+            return None
+        counts = [
+            0 if is_simulated(trial) else sum(e.outcome.complete for e in trial.evaluations)
+            for trial in self.trials
+        ]
+        runs = np.array(counts)
+        return self.fitting.points(self.trials)[runs > 0], runs[runs > 0]
+
+    def observations(self, metric: str) -> tuple[Array, Array, Array]:
+        """Return as `joint_observations`, the contexts (N, e + w') with the further columns."""
+        x, c, y = self.fitting.joint_observations(self.trials, metric)
+        if self.covariates.width:
+            c = np.hstack([c, self.covariates.columns(self.fitting.study, self.trials)])
+        return x, c, y
+
+    def aligned(self, x: Array, y: Array) -> tuple[Array, float]:
+        """Return responses (N,), those of a simulation moved by their offset, and the offset."""
+        if self.covariates.simulated is None:
+            return y, 0.0
+        return moved(x, y, simulated_in(self.trials))
+
+    def compare(
+        self,
+        metric: str,
+        process: ContextProcess,
+        offset: float,
+        restore: Callable[[Array], Array],
+    ) -> None:
+        """Note the process of a metric, and what its simulation was moved by."""
+        if self.covariates.simulated is not None:
+            known = Comparison(process, self.over, offset, restore)
+            self.comparisons.setdefault(metric, known)
+
+
+@dataclass(frozen=True)
 class _Responses:
     """What pooled models can predict: `bo_tuner.study.limit_kinds.base.Responses`."""
 
     models: PooledModels
-    fitting: Fitting
-    trials: Sequence[Trial]
-    covariates: Covariates
+    data: _Data
 
     def in_every_context(self, limited: Limited, deviations: float) -> PooledResponse:
         """Return the limit in every context."""
         process, scale = self._process(limited)
-        study = self.fitting.study
-        if study.measured:
-            process = process.averaged(self.covariates.rows(ROWS))
+        study, covariates = self.data.fitting.study, self.data.covariates
+        if covariates.width:
+            process = process.averaged(covariates.to_average)
         # The searches have looked where no corner is, and may have found the worst context there.
-        candidates = study.context_space().candidates(self.models.looked(self.trials))
+        candidates = study.context_space().candidates(self.models.looked(self.data.trials))
         return EveryContext(process, limited.limit, candidates, deviations, limited.sign, scale)
 
     def over_contexts(self, limited: Limited, level: float) -> PooledResponse:
         """Return the limit over contexts and noise."""
         process, scale = self._process(limited)
-        contexts = self.fitting.study.context_space()
+        contexts = self.data.fitting.study.context_space()
         drawn = contexts.to_cube(contexts.draw_stratified(DRAWN_OVER, np.random.default_rng(0)))
-        over = self.covariates.beside(drawn)
+        over = self.data.covariates.beside(drawn)
         return OverContexts(process, limited.limit, over, level, limited.sign, scale)
 
     def _process(self, limited: Limited) -> tuple[ContextProcess, ModelScale]:
         """Return the process of the limited metric, and the scale that it is on."""
-        x, c, y = _observations(self.fitting, self.trials, self.covariates, limited.metric)
-        rule = self.models.of_metric(self.fitting.study, limited.metric).scale
+        data, fitting = self.data, self.data.fitting
+        x, c, y = data.observations(limited.metric)
+        rule = self.models.of_metric(fitting.study, limited.metric).scale
         scale, processes = rule(y, limited.limit, limited.sign), self.models.processes
-        censored = self.fitting.censored_observations(self.trials, limited.metric)
+        censored = fitting.censored_observations(data.trials, limited.metric)
         censored = censored.on_scale(scale.apply)
-        process = self.fitting.process(processes, limited.name, x, c, scale.apply(y), censored)
+        y, offset = data.aligned(x, scale.apply(y))
+        process = fitting.process(processes, limited.name, x, c, y, censored)
+        data.compare(limited.metric, process, offset, scale.restore)
         return process, scale
 
 
@@ -257,13 +341,3 @@ def _scalarized(
     means = np.column_stack([cost.predict_mean(points) for cost in each])
     feasible = log_feasibility(constraints, points) >= np.log(BELIEVED_FEASIBLE)
     return ScalarizedObjective(each, Chebyshev.between(means, feasible, weights))
-
-
-def _observations(
-    fitting: Fitting, trials: Sequence[Trial], covariates: Covariates, metric: str
-) -> tuple[Array, Array, Array]:
-    """Return as `joint_observations`, the contexts (N, e + w) with those that are measured."""
-    x, c, y = fitting.joint_observations(trials, metric)
-    if fitting.study.measured:
-        c = np.hstack([c, covariates.unit(measured_in(fitting.study, trials))])
-    return x, c, y

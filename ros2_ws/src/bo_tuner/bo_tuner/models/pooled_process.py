@@ -366,12 +366,17 @@ class PooledProcess:
         prior = self.hyperparameters.signal**2 * self._between(contexts).mean()
         return self._variance(float(prior) + MEAN_SD**2, reduction)
 
-    def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
-        """Return the posterior variance (m,) of sums over contexts (k, e) with weights (m, k)."""
-        reduction = self._reduction(contexts).of_sums(self._parameter_kernel(x), weights)
+    def variance_of_weighted(
+        self, x: Array, contexts: Array, weights: Array, total: float = 1.0
+    ) -> Array:
+        """Return the posterior variance (m,) of sums over contexts (k, e) with weights (m, k).
+
+        The weights of each parameter set add up to `total`: 1 of a mean, 0 of a difference.
+        """
+        reduction = self._reduction(contexts).of_sums(self._parameter_kernel(x), weights, total)
         within = weights @ self._between(contexts)
         prior = self.hyperparameters.signal**2 * np.einsum("ij,ij->i", within, weights)
-        return self._variance(prior + MEAN_SD**2, reduction)
+        return self._variance(prior + (total * MEAN_SD) ** 2, reduction)
 
     def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the local noise variance (m,), in the squared unit, and its degrees of freedom.

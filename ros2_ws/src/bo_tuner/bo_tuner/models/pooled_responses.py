@@ -51,19 +51,22 @@ class ExpectedObjective:
         Drawn from their distribution, in the unit cube.
     objective
         The study's; says the scale.
+    tried : tuple of ndarray, shapes (p, d) and (p,), or None
+        The parameter sets that have runs, and how many, where the process knows others, too.
     """
 
     process: ContextProcess
     contexts: Array
     objective: Objective
+    tried: tuple[Array, Array] | None = None
 
     @property
     def points(self) -> Array:  # noqa: D102
-        return self.process.points
+        return self.process.points if self.tried is None else self.tried[0]
 
     @property
     def counts(self) -> Array:  # noqa: D102
-        return self.process.counts
+        return self.process.counts if self.tried is None else self.tried[1]
 
     @property
     def length_scales(self) -> Array:  # noqa: D102

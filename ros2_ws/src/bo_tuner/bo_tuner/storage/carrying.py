@@ -96,7 +96,7 @@ class Carried:
         return JournalContent((), self.trials, evaluations, "")
 
 
-class _LeftOutError(Exception):
+class LeftOutError(Exception):
     """A trial or an evaluation cannot be data of the new study, for this reason."""
 
 
@@ -162,7 +162,7 @@ def carry_over(
         If no trial is left.
     """
     run = run or str(record.path.resolve())
-    taking = _Taking(record, study, method, measure, run)
+    taking = Taking(record, study, method, measure, run)
     taken = list(taking.trials())
     if not taken:
         raise RunRecordError(
@@ -173,8 +173,14 @@ def carry_over(
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
 
-class _Taking:
-    """Goes through the trials of a run, and counts what it leaves out."""
+class Taking:
+    """Goes through the trials of a run, and counts what it leaves out.
+
+    Parameters
+    ----------
+    record, study, method, measure, run
+        As in `carry_over`.
+    """
 
     def __init__(
         self,
@@ -185,7 +191,7 @@ class _Taking:
         run: str,
     ) -> None:
         self._record = record
-        self._run = run
+        self.run = run
         self._then, self._study, self._method = record.study, study, method
         self._space = study.search_space()
         self._measure = measure
@@ -202,7 +208,7 @@ class _Taking:
         for trial in self._record.trials:
             try:
                 taken = self._trial(trial, number)
-            except _LeftOutError as reason:
+            except LeftOutError as reason:
                 self._trials[str(reason)] += 1
                 continue
             number += 1
@@ -230,17 +236,17 @@ class _Taking:
 
     def _trial(self, trial: Trial, number: int) -> Trial:
         if trial.unusable:
-            raise _LeftOutError(trial.ending)
+            raise LeftOutError(trial.ending)
         self._check_parameters(trial)
         kept, reasons = [], []
         for evaluation in trial.evaluations:
             try:
                 kept.append(self._evaluation(evaluation))
-            except _LeftOutError as reason:
+            except LeftOutError as reason:
                 reasons.append(str(reason))
         if reasons and (not kept or not self._method.takes_parts()):
             # Other methods model a trial by mean and worst case, which need all its evaluations.
-            raise _LeftOutError(reasons[0])
+            raise LeftOutError(reasons[0])
         self._evaluations.update(reasons)
         evaluations = tuple(
             dataclasses.replace(evaluation, trial=number, index=index)
@@ -260,7 +266,7 @@ class _Taking:
         )
 
     def _origin(self, trial: Trial) -> str:
-        return f"{trial.origin} ({ORIGIN} {self._run}, trial {trial.number})"
+        return f"{trial.origin} ({ORIGIN} {self.run}, trial {trial.number})"
 
     def _check_parameters(self, trial: Trial) -> None:
         """Refuse a parameter set that the study does not permit, and say why in a few words."""
@@ -272,25 +278,25 @@ class _Taking:
                 item.check_grid(value, name)
             except ParameterError:
                 what = "bounds" if item.is_number else "choices"
-                raise _LeftOutError(f"outside the {what} of {name}") from None
+                raise LeftOutError(f"outside the {what} of {name}") from None
             except StudyError:
-                raise _LeftOutError(f"off the step of {name}") from None
+                raise LeftOutError(f"off the step of {name}") from None
         try:
             complete = self._space.permitted(tuned)
         except ConditionError as error:
-            raise _LeftOutError(f"against the condition {error.condition}") from None
+            raise LeftOutError(f"against the condition {error.condition}") from None
         except ParameterError:
-            raise _LeftOutError("against the order of the parameters") from None
+            raise LeftOutError("against the order of the parameters") from None
         for name, value in complete.items():
             # For a node, 3 and 3.0 differ.
             if repr(value) != repr(trial.parameters[name]):
-                raise _LeftOutError(f"with another value of {name}")
+                raise LeftOutError(f"with another value of {name}")
 
     def _evaluation(self, evaluation: Evaluation) -> Evaluation:
         """Return an evaluation as the study judges it."""
         for name, variable in self._study.contexts.items():
             if not _is_possible(variable.distribution, evaluation.context[name]):
-                raise _LeftOutError(f"outside the distribution of {name}")
+                raise LeftOutError(f"outside the distribution of {name}")
         drawn = evaluation.stage is Stage.DRAWN
         stage = Stage.SEARCH if drawn and self._moved else evaluation.stage
         return dataclasses.replace(
@@ -303,7 +309,7 @@ class _Taking:
             return self._bounds(outcome)
         if not outcome.complete:
             if self._measured_otherwise and OF_MEASURING.search(outcome.reason):
-                raise _LeftOutError("failed by what is measured otherwise now")
+                raise LeftOutError("failed by what is measured otherwise now")
             return outcome
         known = {n: outcome.metrics[n] for n in self._study.metrics if n not in self._anew}
         known |= self._relative(known, outcome.details)
@@ -313,7 +319,7 @@ class _Taking:
             return dataclasses.replace(outcome, metrics=metrics)
         measured = None if self._measure is None else self._measure(evaluation)
         if measured is None or (measured.complete and not anew <= measured.metrics.keys()):
-            raise _LeftOutError(f"without a record of {', '.join(sorted(anew))}")
+            raise LeftOutError(f"without a record of {', '.join(sorted(anew))}")
         if not measured.complete:
             return dataclasses.replace(measured, details=outcome.details)
         metrics = {name: known.get(name, measured.metrics[name]) for name in self._study.metrics}
@@ -326,7 +332,7 @@ class _Taking:
         details = {key: text for key, text in outcome.details.items() if key not in keys}
         bounded = dataclasses.replace(outcome, details=details)
         if not bounded.at_least or not self._method.takes_parts():
-            raise _LeftOutError("cut short")
+            raise LeftOutError("cut short")
         return bounded
 
     def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:

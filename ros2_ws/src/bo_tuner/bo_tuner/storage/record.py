@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
@@ -16,13 +17,14 @@ from bo_tuner.storage.provenance import (
     NAMESPACE,
     RECORD,
     RECORD_LIMIT,
+    SIMULATION_FROM,
     STOP_EARLY,
     STUDY_YAML,
     session_provenance,
 )
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
-from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.storage.run_folder import JOURNAL, SIMULATION, STUDY, SUMMARY
 from bo_tuner.study import checks, study_file
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.study import Study
@@ -64,6 +66,8 @@ class RunRecord:
         What of the record could not be read, in a line; empty if nothing is wrong.
     events
         What came from outside, in its order.
+    simulation
+        Trials of a simulation that are prior knowledge of the machine.
     """
 
     path: Path
@@ -81,16 +85,18 @@ class RunRecord:
     summary: Mapping[str, object] | None
     damage: str
     events: tuple[Event, ...] = ()
+    simulation: tuple[Trial, ...] = ()
 
     @property
     def finished(self) -> int | None:
         """Number of trials after which it was to finish; None if it goes on to its budget."""
         return finished_after(self.events)
 
-    @property
+    @cached_property
     def method(self) -> Method:
-        """The method, by its key `algorithm`."""
-        return METHODS[self.algorithm]
+        """The method, by its key `algorithm`, with the simulation that it knows."""
+        method = METHODS[self.algorithm]
+        return method.knowing(self.study, self.simulation) if self.simulation else method
 
     @property
     def result(self) -> Trial | None:
@@ -123,6 +129,7 @@ def read_run(path: Path) -> RunRecord:
     try:
         # First, as its error is the clearer one: of another version, the study may be unreadable.
         content = read_journal(path / JOURNAL)
+        simulation = _simulation(path, content.sessions)
         # The study keeps its folder: programs and code lie beside the file that the run began with.
         in_file = parse_study(study_file.read_text(file, str(file)), str(file))
     except (StudyError, JournalError) as error:
@@ -154,6 +161,7 @@ def read_run(path: Path) -> RunRecord:
         summary=_summary(path / SUMMARY),
         damage=content.damage,
         events=content.events,
+        simulation=simulation,
     )
 
 
@@ -198,6 +206,22 @@ def _study(path: Path, in_file: Study, sessions: Sequence[Mapping[str, str]]) ->
             f"{summarized(changes(studies[-1], in_file))}; restore it, or start a new run with it"
         )
     return studies[-1]
+
+
+def _simulation(path: Path, sessions: Sequence[Mapping[str, str]]) -> tuple[Trial, ...]:
+    """Read the trials of a simulation that the run knows.
+
+    Raises
+    ------
+    JournalError
+        If they cannot be read, or some are missing.
+    """
+    if not any(SIMULATION_FROM in session for session in sessions):
+        return ()
+    known = read_journal(path / SIMULATION)
+    if known.damage:
+        raise JournalError(f"{path / SIMULATION}: {known.damage}")
+    return known.trials
 
 
 def _summary(path: Path) -> Mapping[str, object] | None:

@@ -35,6 +35,8 @@ LATEST = "latest"
 LOCK = ".lock"
 STUDY = "study.yaml"
 JOURNAL = "journal.sqlite"
+SIMULATION = "simulation.sqlite"
+"""Trials of a simulation that the run knows, as a journal."""
 BEST = "best.yaml"
 SUMMARY = "summary.json"
 RECORDING = "recording.json"
@@ -150,7 +152,7 @@ class RunFolder:
         with contextlib.suppress(OSError):
             if not printed:
                 shutil.rmtree(self.log)
-            for name in (STUDY, LOCK):
+            for name in (STUDY, SIMULATION, LOCK):
                 (self.path / name).unlink(missing_ok=True)
             self.path.rmdir()
 

@@ -213,6 +213,7 @@ def summarize(
         "checked_trials": best.checked,
         "ranked_trials": sorted(candidate.trial.number for candidate in best.ranked),
         "passed_over": [asdict(item) for item in best.passed_over],
+        "biases": [asdict(item) for item in best.biases],
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
         "default": asdict(default),

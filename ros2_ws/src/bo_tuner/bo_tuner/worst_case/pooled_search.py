@@ -4,13 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.censoring import Censored
 from bo_tuner.models.context_process import ContextProcess
-from bo_tuner.models.covariates import ROWS, Covariates
+from bo_tuner.models.covariates import Covariates
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.models.pooled_responses import EveryContext
+from bo_tuner.models.simulation import moved
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context, WorstCase
@@ -33,6 +35,8 @@ class KnownRuns:
         By name of a measured context its values (n,).
     censored
         Further ones, of which lower bounds are known.
+    simulated
+        Which (n,) are of a simulation; None without one.
     """
 
     x: Array
@@ -41,6 +45,7 @@ class KnownRuns:
     coding: Coding
     measured: Mapping[str, Array] = field(default_factory=dict)
     censored: Censored | None = None
+    simulated: NDArray[np.bool_] | None = None
 
 
 class PooledSearch:
@@ -99,6 +104,7 @@ class PooledSearch:
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
         self._measured = dict(known.measured)
+        self._simulated = known.simulated
         self._process: ContextProcess | None = None
         self._observed: list[float] = []
         self._asked = 0
@@ -109,6 +115,8 @@ class PooledSearch:
         self._c = np.vstack([self._c, self._space.cube_of([context])])
         for name, values in self._measured.items():
             self._measured[name] = np.append(values, float(context[name]))
+        if self._simulated is not None:
+            self._simulated = np.append(self._simulated, False)
         self._scale = self._scale.including(value)
         self._y = np.append(self._y, self._scale.apply(value))
         self._observed.append(value)
@@ -145,14 +153,18 @@ class PooledSearch:
         return self._process
 
     def _fitted(self, rng: np.random.Generator) -> ContextProcess:
-        if not self._measured:
+        seen = np.column_stack([np.empty((len(self._c), 0)), *self._measured.values()])
+        covariates = Covariates(seen, self._simulated)
+        if not covariates.width:
             return self._fitted_to(self._c, rng)
-        covariates = Covariates(np.column_stack(list(self._measured.values())))
-        c = np.hstack([self._c, covariates.unit(covariates.seen)])
-        return self._fitted_to(c, rng).averaged(covariates.rows(ROWS))
+        c = np.hstack([self._c, covariates.own])
+        return self._fitted_to(c, rng).averaged(covariates.to_average)
 
     def _fitted_to(self, c: Array, rng: np.random.Generator) -> ContextProcess:
-        data, coding, censored = (self._x, c, self._y), self._coding, None
+        y = self._y
+        if self._simulated is not None:
+            y, _ = moved(self._x, y, self._simulated)
+        data, coding, censored = (self._x, c, y), self._coding, None
         if self._censored is not None:
             censored = self._censored.on_scale(self._scale.apply)
         if self._hyperparameters is None:

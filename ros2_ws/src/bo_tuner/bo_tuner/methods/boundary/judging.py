@@ -27,6 +27,15 @@ class PooledRanking(Ranking[PooledSurrogates]):
         return latest_hyperparameters(trials)
 
 
+@dataclass(frozen=True)
+class OwnRanking(PooledRanking):
+    """Ranks by the machine's own runs, where trials were proposed by models with a simulation."""
+
+    def start(self, trials: Sequence[Trial]) -> Mapping[str, Sequence[float]]:
+        """Return nothing: the hyperparameters on record are those of other models."""
+        return {}
+
+
 def judgements(trial: Trial) -> int:
     """Return how often a parameter set was judged anew after it had been run again.
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.errors import StudyError
 from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.boundary.exploration import Exploration
-from bo_tuner.methods.boundary.judging import PooledRanking
+from bo_tuner.methods.boundary.judging import OwnRanking, PooledRanking
 from bo_tuner.methods.boundary.repetition import OwnRuns
 from bo_tuner.methods.boundary.searches import Pooled
 from bo_tuner.methods.boundary.settling import (
@@ -32,6 +33,7 @@ from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.searches import SearchRule, search_evaluations, searches_of
 from bo_tuner.models.estimates import estimated
 from bo_tuner.models.pooled_models import PooledModels, PooledSurrogates
+from bo_tuner.models.simulation import Simulation
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
@@ -180,7 +182,11 @@ class Boundary(Method):
         if most is None:
             most = self.repetitions.most(study, count_evaluations(trials), count_checks(trials))
         own_runs = replace(self.own_runs, doubtful=1) if study.is_noiseless else self.own_runs
-        return SettledAnswer(study, trials, self.ranking, own_runs, most)
+        if not self.models.simulation.trials:
+            return SettledAnswer(study, trials, self.ranking, own_runs, most)
+        # What the answer is shown to keep is by runs of the machine alone.
+        alone = OwnRanking(self.models.alone)
+        return SettledAnswer(study, trials, alone, own_runs, most, self.models)
 
     def doubt(self, feasibility: float) -> str:
         """Return why an answer is doubtful."""
@@ -207,6 +213,14 @@ class Boundary(Method):
     ) -> str:
         """Refuse nothing: an evaluation is data in whatever context."""
         return ""
+
+    def knowing(self, study: Study, simulated: Sequence[Trial]) -> Self:
+        """Return the method with a `Simulation` in its models."""
+        if study.budget.cut_short:
+            raise StudyError("needs whole runs beside a simulation; leave `budget.cut_short` out")
+        return replace(
+            self, models=replace(self.models, simulation=Simulation.of(study, simulated))
+        )
 
     def takes_parts(self) -> bool:
         """Return True: each evaluation is data by itself."""

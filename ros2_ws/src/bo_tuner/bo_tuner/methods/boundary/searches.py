@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from bo_tuner.methods.searches import ModelSearch
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.covariates import measured_in
+from bo_tuner.models.covariates import measured_in, simulated_in
 from bo_tuner.models.observations import censored_observations, joint_observations
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.optimizers.base import Proposal
@@ -37,7 +37,8 @@ class Pooled(ModelSearch):
     ) -> PooledSearch:
         """Make the search for one constraint."""
         contexts, space = study.context_space(), study.search_space()
-        kept = [t for t in trials if t.number not in proposal.outliers]
+        simulated = self.models.simulation.usual
+        kept = [*simulated, *(t for t in trials if t.number not in proposal.outliers)]
         points = space.cube_of(t.parameters for t in kept)
         x, c, y = joint_observations(points, contexts, kept, constraint.metric)
         censored = None
@@ -56,6 +57,7 @@ class Pooled(ModelSearch):
                 Coding(space.levels),
                 dict(zip(study.measured, measured_in(study, kept).T, strict=True)),
                 censored,
+                simulated_in(kept) if simulated else None,
             ),
             limit=constraint.sign * constraint.limit,
             deviations=constraint.deviations,

@@ -19,10 +19,12 @@ from bo_tuner.methods.boundary.repetition import OwnRuns, Repetition, lacking, n
 from bo_tuner.methods.protocol import AnswerSearch
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.repetitions import most_check_evaluations, repetitions_of
+from bo_tuner.models.bias import Bias
 from bo_tuner.models.estimates import estimated
-from bo_tuner.models.pooled_models import PooledSurrogates
+from bo_tuner.models.pooled_models import PooledModels, PooledSurrogates
 from bo_tuner.models.scalarization import leaning_weights
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.optimizers.bayesian import latest_hyperparameters
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Run
 from bo_tuner.study.study import Study
@@ -67,6 +69,8 @@ class SettledAnswer(AnswerSearch):
         Runs of its own that the answer must have.
     most
         Largest number of further repetitions.
+    comparing
+        Models of machine and simulation, which say how far these differ; None without one.
 
     Attributes
     ----------
@@ -86,8 +90,10 @@ class SettledAnswer(AnswerSearch):
         ranking: PooledRanking,
         required: OwnRuns,
         most: int,
+        comparing: PooledModels | None = None,
     ) -> None:
         self._study = study
+        self._comparing = comparing
         self._ranking = ranking
         self._required = required
         self._latest = {trial.number: trial for trial in trials}
@@ -176,7 +182,18 @@ class SettledAnswer(AnswerSearch):
             tuple(dict.fromkeys(self._repeated)),
             tuple(candidates),
             passed_over(models, best, candidates),
+            self._biases(best.trial),
         )
+
+    def _biases(self, trial: Trial) -> tuple[Bias, ...]:
+        """Return how far machine and simulation differ at the parameter set of a trial."""
+        if self._comparing is None:
+            return ()
+        study, known = self._study, list(self._latest.values())
+        rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(known))
+        models = self._comparing(study, known, rng=rng, start=latest_hyperparameters(known))
+        x = study.search_space().cube_of([trial.parameters])
+        return tuple(item.bias(metric, x) for metric, item in models.comparisons.items())
 
 
 def _with_own_runs_first(

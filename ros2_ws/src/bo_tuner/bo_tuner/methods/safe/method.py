@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
+from bo_tuner.errors import StudyError
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.safe.stage_one import SafeOptimization
@@ -83,6 +84,10 @@ class Safe(Boundary):
     def ends_trial(self, study: Study, outcome: Outcome) -> bool:
         """Return whether a run broke a limit: there is no need to break it again."""
         return bool(broken_limits(study, outcome))
+
+    def knowing(self, study: Study, simulated: Sequence[Trial]) -> Self:
+        """Refuse: what is safe on the machine is to be known from the machine alone."""
+        raise StudyError("takes no runs of a simulation; expected boundary")
 
     def runs_again(
         self, study: Study, trials: Sequence[Trial], parameters: Mapping[str, Value]

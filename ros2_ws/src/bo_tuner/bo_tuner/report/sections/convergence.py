@@ -26,7 +26,12 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
 from bo_tuner.report.content import Section, number, numbered, quantity
-from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
+from bo_tuner.storage.provenance import (
+    CARRIED,
+    CARRIED_FROM,
+    SIMULATION_FROM,
+    SIMULATION_TAKEN,
+)
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import decisive, worst_case_holds
 from bo_tuner.study.parts import Objective
@@ -453,6 +458,9 @@ def _notes(analysis: Analysis) -> list[str]:
     total, provenance = len(analysis.record.trials), analysis.record.provenance
     if CARRIED in provenance:
         notes.append(f"Begins with {provenance[CARRIED]}, of {provenance[CARRIED_FROM]}.")
+    if SIMULATION_TAKEN in provenance:
+        known, run = provenance[SIMULATION_TAKEN], provenance[SIMULATION_FROM]
+        notes.append(f"Knows {known}, of the simulation {run}.")
     if total > MOST_INCUMBENTS:
         points = len(_counts(total))
         text = f"The best so far is shown at {points} points, not after each trial"
