@@ -246,7 +246,7 @@ def test_the_way_back_from_an_apply_that_was_killed(client, record, now, capsys,
     """The next one finds a mixture on the nodes, which is not what they had."""
     before = now()
 
-    def killed(nodes, now, new):
+    def killed(nodes, now, new, *_):
         node = next(iter(new))
         nodes.set(node, new[node])
         raise KeyboardInterrupt
