@@ -78,6 +78,7 @@ class System(Node):
         self.declare_parameter("limited", 1.0, limited)
         self.received = []
         self.asked_to_set = 0
+        self.asked_gains = []
         self.add_on_set_parameters_callback(self.judge)
         self.begin()
         self.states = self.create_publisher(JointState, "joint_states", BEST_EFFORT)
@@ -105,6 +106,7 @@ class System(Node):
         self.gains_at_reset = []
         self.received.clear()
         self.set_gain(0.5)
+        self.asked_gains.clear()
 
     def set_gain(self, value):
         self.set_parameters([Parameter("gain", value=value)])
@@ -120,6 +122,7 @@ class System(Node):
         self.asked_to_set += 1
         # As of an author who expects something in it: nobody else sets nothing.
         self.last_asked = parameters[0].name
+        self.asked_gains += [item.value for item in parameters if item.name == "gain"]
         reason = "the key is out" if abs(self.angle) > self.refuses_beyond else self.refusal
         reason = reason if self.accepts() else "it is at work"
         return SetParametersResult(successful=not reason, reason=reason)

@@ -17,6 +17,7 @@ from made_runs import INITIAL, make_run, write_certificate
 from node_threads import at_work
 from rclpy.node import Node
 from servo import System
+from signal_runs import signal_study
 from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
@@ -24,7 +25,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.parameters.messages import UnknownType
 from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
-from bo_tuner.deploy.apply import ApplyError, NodeError, set_values
+from bo_tuner.deploy.apply import ApplyError, NodeError, Way, set_values
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.interruption import Interrupted
 from bo_tuner.study.study_file import study_from_mapping, study_to_mapping
@@ -245,7 +246,7 @@ def test_the_way_back_from_an_apply_that_was_killed(client, record, now, capsys,
     """The next one finds a mixture on the nodes, which is not what they had."""
     before = now()
 
-    def killed(nodes, now, new):
+    def killed(nodes, now, new, *_):
         node = next(iter(new))
         nodes.set(node, new[node])
         raise KeyboardInterrupt
@@ -388,6 +389,24 @@ def test_a_signal_is_heard_while_a_node_is_asked():
         asked.set()
         with pytest.raises(Interrupted):
             live.get("servo", ["gain"])
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_by_a_ramp_it_goes_there_in_steps_and_back_at_once_if_it_is_to_end(ends):
+    ramped = signal_study(run={"end": {"after": 2.0}, "ramp": 0.4})
+    before, new = {"servo": {"gain": 0.5}}, {"servo": {"gain": 1.5}}
+    way = Way.of(study_from_mapping(ramped), before, new)
+    with at_work(System) as servo, contextlib.ExitStack() as stack:
+
+        def interrupted():
+            if ends and servo.get_parameter("gain").value == 1.0:
+                raise Interrupted(signal.SIGINT)
+
+        live = LiveParameters(["servo"], [], interrupted)
+        stack.callback(live.close)
+        with pytest.raises(Interrupted) if ends else contextlib.nullcontext():
+            set_values(live, before, new, way)
+        assert servo.asked_gains == ([0.75, 1.0, 0.5] if ends else [0.75, 1.0, 1.25, 1.5])
 
 
 def test_what_would_be_shown_on_a_closed_output_is_not_set(record, now):

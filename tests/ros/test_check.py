@@ -174,6 +174,19 @@ def test_a_machine_that_warms_up_and_rests_takes_longer(servo, tmp_path):
     assert 0.0 < float(rested[1]) < 3.5
 
 
+@pytest.mark.parametrize(
+    ("run", "often"),
+    [
+        ({"ramp": 0.5}, "once for each parameter set"),
+        ({"ramp": 0.5, "rest": 0.1}, "twice for each test run"),
+    ],
+)
+def test_ramps_are_counted(servo, tmp_path, run, often):
+    code, out, err = study(tmp_path, run=run)
+    assert code == 0, err
+    assert f"a ramp takes 0.5 s, {often}, which counts" in out
+
+
 def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):
     spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
     code, _, err = study(

@@ -11,6 +11,7 @@ import pytest
 from draws_needed import draws_needed_without_event
 from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
+from signal_runs import signal_study
 
 from bo_tuner.cli import apply as command
 from bo_tuner.cli.streams import confirmed
@@ -18,6 +19,7 @@ from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     RefusedError,
+    Way,
     read_values,
     set_values,
 )
@@ -26,6 +28,7 @@ from bo_tuner.evidence.certificate.store import certificate_problem, evaluations
 from bo_tuner.interruption import Interrupted
 from bo_tuner.report.deliverables import withdraw_result
 from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.study.study_file import study_from_mapping
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}
 NEW = {"drive": {"gain": 2.5, "taps": 4}, "axis": {"load": [0.25, 2.0]}}
@@ -51,6 +54,12 @@ class FakeNodes:
             self.values[node]["load"] = [0.25, 2.0000001]
         if node in self.silent and values == NEW[node]:
             raise NodeError(f"{node}: does not answer within 5 s")
+
+    def wait(self, period):
+        """Time is nothing to these."""
+
+    def undisturbed(self):
+        return contextlib.nullcontext()
 
     def watch(self, values):
         """Nothing changes by itself."""
@@ -154,6 +163,99 @@ class TestSetValues:
         with pytest.raises(ApplyError, match="taps is 9 after it was set to 3; previous values of"):
             set_values(nodes, read_values(nodes, new), new)
         assert nodes.values == OLD
+
+
+class TestRamp:
+    """A step of 0.1 s at a time, at which the nodes are told what changes in it."""
+
+    BEFORE, AFTER = {"servo": {"gain": 1.0}}, {"servo": {"gain": 2.0}}
+    STEPS = (1.25, 1.5, 1.75, 2.0)
+
+    class Servo(FakeNodes):
+        def __init__(self, refuses=()):
+            super().__init__()
+            self.values = {"servo": {"gain": 1.0}}
+            self.refuses = refuses
+            self.told = []
+
+        def wait(self, period):
+            self.told.append(pytest.approx(period))
+
+        def set(self, node, values):
+            self.told.append(values["gain"])
+            if values["gain"] in self.refuses:
+                raise RefusedError(f"{node} refuses: gain: no")
+            super().set(node, values)
+
+    @pytest.fixture
+    def way(self):
+        study = signal_study(run={"end": {"after": 2.0}, "ramp": 0.4})
+        return Way.of(study_from_mapping(study), self.BEFORE, self.AFTER)
+
+    def test_the_nodes_go_there_in_steps(self, way):
+        nodes = self.Servo()
+        set_values(nodes, self.BEFORE, self.AFTER, way)
+        assert nodes.told == [item for gain in self.STEPS for item in (0.1, gain)]
+
+    @pytest.mark.parametrize(
+        ("refused", "outcome", "last"),
+        [
+            (1.25, "nothing was changed", 1.25),
+            (1.75, "previous values of servo restored", 1.0),
+            (2.0, "previous values of servo restored", 1.0),
+        ],
+    )
+    def test_what_refuses_a_step_gets_back_what_it_had_at_once(self, way, refused, outcome, last):
+        nodes = self.Servo(refuses=(refused,))
+        with pytest.raises(ApplyError, match=f"servo refuses: gain: no; {outcome}"):
+            set_values(nodes, self.BEFORE, self.AFTER, way)
+        assert nodes.told[-1] == last
+        assert nodes.values == self.BEFORE
+
+    @pytest.mark.parametrize("stays", [False, True])
+    def test_a_request_to_end_on_the_way_gives_back_what_was_there(self, way, stays):
+        class Interrupting(self.Servo):
+            is_disturbed = True
+
+            @contextlib.contextmanager
+            def undisturbed(self):
+                self.is_disturbed = False
+                yield
+                self.is_disturbed = True
+
+            def wait(self, period):
+                super().wait(period)
+                if self.is_disturbed and self.values["servo"]["gain"] == 1.5:
+                    raise Interrupted(signal.SIGINT)
+
+            def set(self, node, values):
+                assert self.is_disturbed or values == {"gain": 1.0}
+                super().set(node, values)
+
+        nodes = Interrupting(refuses=(1.0,) if stays else ())
+        expected = (
+            pytest.raises(ApplyError, match="interrupted by SIGINT; servo could not be restored: ")
+            if stays
+            else pytest.raises(Interrupted)
+        )
+        with expected:
+            set_values(nodes, self.BEFORE, self.AFTER, way, lambda: pytest.fail("it goes on"))
+        assert nodes.told == [0.1, 1.25, 0.1, 1.5, 0.1, 1.0]
+
+    def test_a_request_to_end_at_the_last_moment(self, way):
+        def commit():
+            raise Interrupted(signal.SIGTERM)
+
+        nodes = self.Servo()
+        with pytest.raises(Interrupted):
+            set_values(nodes, self.BEFORE, self.AFTER, way, commit)
+        assert nodes.told[-2:] == [0.1, 1.0]
+
+    def test_a_study_without_one_sets_all_at_once(self):
+        way = Way.of(study_from_mapping(signal_study()), self.BEFORE, self.AFTER)
+        nodes = self.Servo()
+        set_values(nodes, self.BEFORE, self.AFTER, way)
+        assert nodes.told == [2.0]
 
 
 def test_differences_are_of_values_not_of_types(make_study):

@@ -484,6 +484,15 @@ def test_what_a_machine_needs_between_runs_is_told(analysis):
     assert "warm up" not in lead
 
 
+def test_the_time_of_ramps_is_told(analysis):
+    first, *others = analysis.record.evaluations
+    ramped = replace(first.outcome, details={"ramped_seconds": "6.0"})
+    record = replace(analysis.record, evaluations=(replace(first, outcome=ramped), *others))
+    told = " For 6 s the parameters were on their way to others."
+    assert timing(Analysis(record)).lead.endswith(told)
+    assert "on their way" not in timing(analysis).lead
+
+
 def test_a_record_without_times_is_told():
     # As of a journal before times were recorded: the section says so instead of dividing by 0.
     class Untimed:

@@ -99,9 +99,10 @@ def test_what_is_written_reads_back_equal():
         ("warm_up", {"runs": 3, "after": 60}, WarmUp(runs=3, after=60.0)),
         ("rest", 30, Rest(at_least=30.0)),
         ("rest", {"until": "position < 1"}, Rest(until="position < 1", at_most=600.0)),
+        ("ramp", 3, 3.0),
     ],
 )
-def test_warm_up_and_rest(key, short, expected):
+def test_warm_up_rest_and_ramp(key, short, expected):
     study = study_from_mapping(put(short, "run", key))
     assert getattr(study.run, key) == expected
     assert parse_study(study_to_yaml(study)) == study
@@ -248,6 +249,12 @@ def test_no_path_of_a_field(text):
         ("run/rest", {"until": "position < {kp}"}, "run.rest.until: expected no context, found"),
         ("run/rest", {"until": "position < 1", "at_most": 0}, "run.rest.at_most: expected a numb"),
         ("run/rest", {"untill": "position < 1"}, "unknown key; did you mean 'until'?"),
+        ("run/ramp", 0.2, None),
+        ("run/ramp", 0, "run.ramp: expected 0.2 to 60 s, found 0"),
+        ("run/ramp", 61, "run.ramp: expected 0.2 to 60 s, found 61"),
+        ("run/ramp", "3 s", "run.ramp: expected a number, found text '3 s'"),
+        ("run/ramp", True, "run.ramp: expected a number, found true"),
+        ("run/ramp", {"seconds": 3}, "run.ramp: expected a number, found a mapping"),
         ("park", {"parameters": {"kd": 1}}, "park.parameters: there is no parameter 'kd'"),
         ("park", {"parameters": {"kp": 60}}, "park.parameters: kp: 60 lies outside the bounds"),
         ("park", {"parameters": {"kp": "soft"}}, "park.parameters: kp: expected a number, found"),

@@ -89,6 +89,8 @@ WARM_UPS, WARM_UP_SECONDS = "warm_up_runs", "warm_up_seconds"
 which is not part of its own."""
 RESTED = "rested_seconds"
 """Key of an outcome's details: how long [s] the machine was waited for to rest ahead of it."""
+RAMPED = "ramped_seconds"
+"""Key of an outcome's details: how long [s] parameters were under way to others for it."""
 HOLDS = "holds "
 """Begins the keys of an outcome's details with the value that a device has in place of the one
 it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
@@ -202,6 +204,11 @@ class Outcome:
     def rested(self) -> float:
         """How long [s] the machine was waited for to rest ahead of it."""
         return self._number(RESTED)
+
+    @property
+    def ramped(self) -> float:
+        """How long [s] parameters were under way for it, to its own and back to safe ones."""
+        return self._number(RAMPED)
 
     def _number(self, key: str) -> float:
         """Return a number in the details; 0 if there is none."""

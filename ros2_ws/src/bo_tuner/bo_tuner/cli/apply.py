@@ -27,6 +27,7 @@ from bo_tuner.cli.write_back import PREVIOUS, write_back
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
+    Way,
     read_values,
     set_values,
 )
@@ -45,7 +46,7 @@ from bo_tuner.deploy.bundle import (
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.evidence.certificate.store import certificate_problem
-from bo_tuner.interruption import Interruption
+from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, node_values, to_yaml
@@ -84,8 +85,9 @@ exit codes:
   2    bad input: run, option, nodes or file, or no terminal to confirm on
   3    nothing was set: no certificate allows it, you did not confirm, or the
        nodes' values or the file changed before you did
-  130  interrupted by Ctrl-C before anything was set (143: by SIGTERM, 129: the
-       terminal was closed)
+  130  interrupted by Ctrl-C before anything was set, or in a ramp, and the
+       previous values were restored (143: by SIGTERM, 129: the terminal was
+       closed)
   141  if the output pipe was closed, 1 if output could not be written; run
        apply again to see the nodes' values
 
@@ -254,12 +256,19 @@ def _set(
         _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
     elif trial is not None:
         write_bundle(record, rollback=_rollback(record, nodes, now))
-    # From here on it is all or nothing.
-    interruption.ignore()
-    interruption.check()
+
+    def commit() -> None:
+        # From here on it is all or nothing.
+        interruption.ignore()
+        interruption.check()
+
     write_atomically(unfinished, f"nodes may have values of an apply that did not finish: {new}\n")
     try:
-        set_values(nodes, now, new)
+        set_values(nodes, now, new, Way.of(record.study, now, new), commit)
+    except Interrupted:
+        if not was_unfinished:
+            unfinished.unlink()
+        raise
     except ApplyError as error:
         if error.restored and not was_unfinished:
             unfinished.unlink()

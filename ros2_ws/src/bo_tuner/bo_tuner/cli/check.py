@@ -12,6 +12,7 @@ import numpy as np
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.isolation import named_namespace
+from bo_tuner.backends.ros.safe_state import parks_after_runs
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
@@ -343,11 +344,14 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     """Show how long tuning and certificate will take, by test runs that completed."""
     starting = sum(e.outcome.starts[1] for e in complete)
     resting = max(e.outcome.rested for e in complete)
-    seconds = (sum(e.seconds - e.outcome.rested for e in complete) - starting) / len(complete)
+    waiting = starting + sum(e.outcome.rested + e.outcome.ramped for e in complete)
+    seconds = (sum(e.seconds for e in complete) - waiting) / len(complete)
     say(f"a test run took {seconds:.3g} s")
     if resting:
         seconds += resting
         say(f"the machine rested {resting:.3g} s ahead of one, which counts")
+    ramping_of_run, ramping_of_set = _ramping(study)
+    seconds += ramping_of_run
     runs, warming = complete[0].outcome.warm_up
     if runs:
         say(f"{counted(runs, 'run')} to warm up took {warming:.3g} s: once for each command")
@@ -367,6 +371,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
             f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
+    seconds_of_study += min(tuning, study.budget.trials) * ramping_of_set
 
     def of_certificate(evaluations: int) -> float:
         starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
@@ -384,6 +389,18 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         )
     else:
         say(f"certificate: {at_most}; fewer once the verdict is clear")
+
+
+def _ramping(study: Study) -> tuple[float, float]:
+    """Show how long ramps take; returns it [s] for each test run, and for each parameter set."""
+    ramp = None if study.run is None else study.run.ramp
+    if ramp is None:
+        return 0.0, 0.0
+    # The default beside a run, or the safe parameters after it, change them even within a trial.
+    count = 2 if parks_after_runs(study) else 1 if study.relative_metrics else 0
+    often = ("once for each parameter set", "once for each test run", "twice for each test run")
+    say(f"a ramp takes {ramp:g} s, {often[count]}, which counts")
+    return count * ramp, 0.0 if count else ramp
 
 
 def _starts_each_time(study: Study) -> bool:

@@ -1,11 +1,16 @@
 """Setting values on live nodes: on all of them or none, and read back."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from bo_tuner.errors import BoTunerError
+from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.study import checks
+from bo_tuner.study.ramping import Ramp
+from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 
 
@@ -54,6 +59,12 @@ class Nodes(Protocol):
             If the node does not answer; it may have set them.
         """
 
+    def wait(self, period: float) -> None:
+        """Wait for so many seconds; raises `Interrupted` if somebody asks for the end."""
+
+    def undisturbed(self) -> contextlib.AbstractContextManager[None]:
+        """Let nobody end anything within."""
+
     def watch(self, values: NodeValues) -> None:
         """Watch for a while whether nodes keep the values that were set.
 
@@ -75,12 +86,51 @@ def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
     return {node: nodes.get(node, list(values)) for node, values in like.items()}
 
 
-def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
+@dataclass(frozen=True)
+class Way:
+    """The steps of nodes to new values, which are none of them; by default without any.
+
+    Attributes
+    ----------
+    steps : sequence of NodeValues
+        What changes in each.
+    period : float
+        Time [s] ahead of each, and ahead of the new values.
+    """
+
+    steps: Sequence[NodeValues] = ()
+    period: float = 0.0
+
+    @classmethod
+    def of(cls, study: Study, before: NodeValues, new: NodeValues) -> "Way":
+        """Return that of the ramp of a study, by the names of its nodes."""
+        ramp, keys = Ramp(study), {spec.node: key for key, spec in study.nodes.items()}
+        ends = ({keys[node]: v for node, v in values.items()} for values in (before, new))
+        return cls(
+            [
+                {study.nodes[key].node: of_node for key, of_node in step.items()}
+                for step in ramp.steps(*ends)
+            ],
+            ramp.period,
+        )
+
+
+AT_ONCE = Way()
+
+
+def set_values(
+    nodes: Nodes,
+    before: NodeValues,
+    new: NodeValues,
+    way: Way = AT_ONCE,
+    commit: Callable[[], object] = lambda: None,
+) -> None:
     """Set on live nodes what they have otherwise, and read all values back, twice.
 
     A node may take values and go back on them when it next computes with them, so they are watched
     for a while between the two readings. If a node refuses, does not answer or has another value,
-    the previous values of all are restored, in reverse order, and read back.
+    or somebody asks for the end on the way, the previous values of all are restored at once, in
+    reverse order, and read back.
 
     Parameters
     ----------
@@ -90,36 +140,62 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
         Their present values.
     new
         The values to set, of the same nodes and parameters.
+    way
+        The steps to them.
+    commit
+        Called after these; from then on nothing ends it. May raise `Interrupted` instead.
 
     Raises
     ------
     ApplyError
-        If the nodes do not have the new values. One line.
+        If the nodes do not have the new values, or not the previous ones after an interruption.
+        One line.
+    Interrupted
+        If somebody asked for the end, and the nodes have their previous values.
     """
     touched: list[str] = []
     try:
+        for step in way.steps:
+            nodes.wait(way.period)
+            for node, values in step.items():
+                _set(nodes, node, values, touched)
+        if way.steps:
+            nodes.wait(way.period)
+        commit()
         for node, values in new.items():
-            changes = _changes(before[node], values)
-            if not changes:
-                continue
-            touched.append(node)
-            try:
-                nodes.set(node, changes)
-            except RefusedError:
-                touched.remove(node)
-                raise
+            if changes := _changes(before[node], values):
+                _set(nodes, node, changes, touched)
         for node, values in new.items():
             _read_back(nodes, node, values)
         if touched:
             nodes.watch(new)
             for node, values in new.items():
                 _read_back(nodes, node, values)
-    except NodeError as error:
+    except (NodeError, Interrupted) as error:
         # What was set last goes first, as the nodes had it together before.
-        failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)
+        with nodes.undisturbed():
+            failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)
+        why = str(error)
+        if isinstance(error, Interrupted):
+            if not failed:
+                raise
+            why = f"interrupted by {error}"
         done = f"previous values of {', '.join(touched)} restored"
         outcome = "; ".join(failed) or (done if touched else "nothing was changed")
-        raise ApplyError(f"{error}; {outcome}", restored=not failed) from error
+        raise ApplyError(f"{why}; {outcome}", restored=not failed) from error
+
+
+def _set(nodes: Nodes, node: str, values: Mapping[str, object], touched: list[str]) -> None:
+    """Set values of a node, and add it to those that may have others than before."""
+    is_first = node not in touched
+    if is_first:
+        touched.append(node)
+    try:
+        nodes.set(node, values)
+    except RefusedError:
+        if is_first:
+            touched.remove(node)
+        raise
 
 
 def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:

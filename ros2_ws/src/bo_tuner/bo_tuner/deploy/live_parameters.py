@@ -112,6 +112,14 @@ class LiveParameters:
         """Return lines, each of them once, on what nodes lack and what is done instead."""
         return [text for client in self._clients.values() for text in client.take_remarks()]
 
+    def wait(self, period: float) -> None:
+        """Wait for so many seconds."""
+        self._tuner.spin_for(period)
+
+    def undisturbed(self) -> contextlib.AbstractContextManager[None]:
+        """Let nothing end a wait within."""
+        return self._tuner.watched_by(lambda: None)
+
     def watch(self, values: NodeValues) -> None:
         """Watch for `SETTLED` seconds whether nodes keep values; raises `NodeError` if not."""
         self._events.expect(values)

@@ -1,4 +1,4 @@
-"""What a machine needs that is no simulator: runs to warm up, and a rest between two runs."""
+"""What a machine needs that is no simulator: runs to warm up, rests, and slow changes."""
 
 from dataclasses import dataclass
 
@@ -65,6 +65,26 @@ class Rest:
         object.__setattr__(self, "at_most", checks.timeout(self.at_most, "at_most"))
         if not at_least and not self.until:
             raise StudyError("expected at_least, until, or both")
+
+
+SHORTEST_RAMP, LONGEST_RAMP = 0.2, 60.0
+"""Times [s]: a shorter ramp is hardly one, and the machine is not to be under way for long."""
+
+
+def ramp_time(value: object, *path: str | int) -> float:
+    """Return a value of a study file as the time [s] of a ramp.
+
+    Raises
+    ------
+    StudyError
+        If it is none.
+    """
+    seconds = checks.number(value, *path)
+    if not SHORTEST_RAMP <= seconds <= LONGEST_RAMP:
+        raise StudyError(
+            f"expected {SHORTEST_RAMP:g} to {LONGEST_RAMP:g} s, found {seconds:g}", path
+        )
+    return seconds
 
 
 def build_warm_up(value: object) -> WarmUp:

@@ -8,7 +8,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.building import Findings, arguments, build
-from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up
+from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import SetParameter, Step, build_steps
 
@@ -79,6 +79,9 @@ class Run:
         Runs that warm the machine up and count nothing; a number, or a mapping.
     rest : Rest, optional
         Rest of the machine between two runs; a number of seconds, or a mapping.
+    ramp : float, optional
+        Time [s] in which the doubles go from one parameter set to the next, straight on their
+        scales; 0.2 to 60. At once unless given.
     """
 
     end: End
@@ -91,9 +94,12 @@ class Run:
     clock: str = WALL
     warm_up: WarmUp | None = None
     rest: Rest | None = None
+    ramp: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+        if self.ramp is not None:
+            object.__setattr__(self, "ramp", ramp_time(self.ramp, "ramp"))
         for phase in PHASES:
             checks.at_most(getattr(self, phase), maxima.STEPS, phase)
         checks.text(self.abort_when, "abort_when")

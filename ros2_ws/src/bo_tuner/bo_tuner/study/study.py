@@ -58,6 +58,7 @@ from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.study.straight_lines import broken_on_lines
 from bo_tuner.study.titles import check_titles
 from bo_tuner.text import counted
 from bo_tuner.trials import Context, Value
@@ -312,6 +313,8 @@ class Study:
             self._check_park()
         with findings.under():
             self._check_parked_configuration()
+        with findings.under():
+            self._check_ramp()
         with findings.under():
             self.starting_sets()
 
@@ -653,6 +656,17 @@ class Study:
             _ = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
+
+    def _check_ramp(self) -> None:
+        """Refuse a ramp on whose way orders and conditions need not hold."""
+        if self.run is None or self.run.ramp is None or not (self.order or self.where):
+            return
+        if problem := broken_on_lines(self.search_space()):
+            raise StudyError(
+                f"a straight line between two parameter sets leads through one that is not "
+                f"permitted ({problem}); leave out ramp, or this rule",
+                ("run", "ramp"),
+            )
 
     def _check_parked_configuration(self) -> None:
         """Refuse to have a tuned node configured in `before` with its safe parameters.

@@ -34,7 +34,7 @@ from bo_tuner.backends.ros.parameters.at_rest import take_over
 from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.parameters.previous import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
-from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState
+from bo_tuner.backends.ros.safe_state import PARK_TIMEOUT, SafeState, parks_after_runs
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
@@ -52,7 +52,6 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.safe_values import safe_values
@@ -62,6 +61,7 @@ from bo_tuner.trials import (
     DISTURBED,
     HOLDS,
     NOTE,
+    RAMPED,
     RESTED,
     UNPREPARED,
     Evaluation,
@@ -151,11 +151,7 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study)
         self._rates = MessageRates(study)
         self._functions = contextlib.ExitStack()
-        self._rests = study.run is not None and study.run.rest is not None
-        # A function of a metric may take any time, in which nobody watches the machine.
-        self._parks_after_run = (
-            study.park.between_runs or self._rests or bool(python_functions(study))
-        )
+        self._parks_after_run = parks_after_runs(study)
         self._rested = 0.0
         self._latest_run: float | None = None
         self._log_directory = log_directory
@@ -216,10 +212,12 @@ class RosBackend(SequentialBackend):
             self.at_nodes(tuner)
             if self._attach:
                 self._previous = PreviousParameters(self._restored, tuner, client.parameters)
+                client.approach.announce = self._previous.announce
             safe, self._held = take_over(
                 self._study,
                 tuner,
                 client.parameters,
+                client.approach,
                 self._previous,
                 self._run_log or self._log_directory,
                 is_repeat=self._run_log is not None,
@@ -444,6 +442,7 @@ class RosBackend(SequentialBackend):
     def _evaluated(self, planned: Evaluation) -> Outcome:
         """Run an evaluation; whatever becomes of it is an outcome."""
         client = self._opened.client
+        client.approach.take_seconds()
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: {**held, **assignments.get(key, {})} for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
@@ -495,8 +494,10 @@ class RosBackend(SequentialBackend):
         return dataclasses.replace(result, details=details)
 
     def _counts(self) -> dict[str, str]:
-        rested = {RESTED: f"{self._rested:.3f}"} if self._rested else {}
-        return rested if self._procedure is None else rested | self._procedure.counts()
+        ramped = self._opened.client.approach.take_seconds()
+        times = {RESTED: self._rested, RAMPED: ramped}
+        waited = {key: f"{seconds:.3f}" for key, seconds in times.items() if seconds}
+        return waited if self._procedure is None else waited | self._procedure.counts()
 
     def _rest(self, procedure: Procedure) -> None:
         """Let the machine rest ahead of a run.
@@ -581,7 +582,7 @@ class RosBackend(SequentialBackend):
         safe_state = self._opened.safe_state
         if state is EvaluationState.COMPLETE:
             # What was not parked right after a run is not watched until the next one.
-            return safe_state.take_unfinished() and safe_state.park()
+            return safe_state.take_unfinished() and safe_state.park(at_once=True)
         if state is EvaluationState.LOST:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
             if (problems := safe_state.stop()) and self._attach:
@@ -652,6 +653,7 @@ class RosBackend(SequentialBackend):
         """
         problems: list[str] = []
         undone: list[str] = []
+        at_once = self._is_interrupted()
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
         with contextlib.ExitStack() as stack:
@@ -675,20 +677,22 @@ class RosBackend(SequentialBackend):
                     stack.callback(self._client.parameters.forget_all)
                 if self._procedure is not None:
                     stack.callback(self._leave, self._tuner, self._procedure, undone)
-                    stack.callback(self._warn_of, self._tuner, self._park_last)
+                    park = partial(self._park_last, at_once)
+                    stack.callback(self._warn_of, self._tuner, park)
         if problems:
             problems.append("the next command with --attach does that")
         if undone or problems:
             raise BackendError("; ".join([*undone, *problems]))
 
     def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
-        problems += previous.restore(self._restore_timeout)
         if self._client is not None:
+            approach = self._client.approach.as_far_as_possible
+            problems += previous.restore(self._restore_timeout, approach)
             problems += self._client.start_values.reconfigure_restored()
 
-    def _park_last(self) -> list[str]:
+    def _park_last(self, at_once: bool) -> list[str]:
         # One that the tuner has started ends next, and need not start once more for that.
-        return self._opened.safe_state.park(start_anew=self._attach)
+        return self._opened.safe_state.park(start_anew=self._attach, at_once=at_once)
 
     def _leave(self, tuner: TunerNode, procedure: Procedure, undone: list[str]) -> None:
         if self._attach:
@@ -720,6 +724,13 @@ class RosBackend(SequentialBackend):
     def _look_at_guard(self) -> None:
         if self._guard is not None:
             self._guard.look()
+
+    def _is_interrupted(self) -> bool:
+        try:
+            self._interrupted()
+        except Interrupted:
+            return True
+        return False
 
     def _look(self) -> None:
         """Check for an interruption and a suspension, not the nodes."""

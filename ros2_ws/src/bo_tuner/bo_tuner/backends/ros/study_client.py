@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
+from bo_tuner.backends.ros.parameters.approach import Approach
 from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.presence import Presence
@@ -34,6 +35,8 @@ class StudyClient:
     ----------
     parameters : NodeParameters
         The nodes' parameters.
+    approach : Approach
+        Takes the nodes to other parameters in small steps.
     start_values : StartValues
         Those that act only at a start.
     presence : Presence
@@ -56,6 +59,7 @@ class StudyClient:
             study.own_parameters,
             lambda key, name: study.nodes[key].unwatched_by(name),
         )
+        self.approach = Approach(study, tuner, self.parameters)
         self.start_values = StartValues(study, tuner, self.parameters, started)
         self._triggered = TriggeredRun(study, tuner, self.parameters)
         self.results = self._triggered.results
@@ -128,6 +132,7 @@ class StudyClient:
         self._refuse_twins()
         self.parameters.expect(wanted)
         self.start_values.bring(wanted)
+        self.approach.to_held(wanted, kept)
         self.parameters.hold(wanted, kept)
         self.results.begin()
         try:

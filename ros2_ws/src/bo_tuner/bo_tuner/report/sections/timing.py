@@ -46,6 +46,8 @@ def timing(analysis: Analysis) -> Section | None:
         )
     if rested := sum(outcome.rested for outcome in outcomes):
         lead += f" For {quantity(rested, 's')} of the test runs the machine was at rest."
+    if ramped := sum(outcome.ramped for outcome in outcomes):
+        lead += f" For {quantity(ramped, 's')} the parameters were on their way to others."
     if count := sum(number for number, _ in (outcome.warm_up for outcome in outcomes)):
         warming = sum(seconds for _, seconds in (outcome.warm_up for outcome in outcomes))
         lead += f" Beside these, {counted(count, 'run')} to warm up took {quantity(warming, 's')}."

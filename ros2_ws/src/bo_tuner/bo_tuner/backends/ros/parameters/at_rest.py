@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.graph import describe_now
+from bo_tuner.backends.ros.parameters.approach import Approach
 from bo_tuner.backends.ros.parameters.events import Values, differences, offer_unwatched
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.previous import PreviousParameters
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, OutputError, StudyError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import HELD_PARAMETERS, PREVIOUS_PARAMETERS, read_text
@@ -65,8 +66,9 @@ class InitialParameters:
             except RefusedError as refusal:
                 raise self._named(key, refusal, ("nodes", key)) from refusal
 
-    def set_safe(self, safe: Values) -> None:
-        """Set safe values, and read them back."""
+    def set_safe(self, safe: Values, approach: Approach) -> None:
+        """Set safe values by way of an approach, and read them back."""
+        approach.as_far_as_possible(safe, CALL_TIMEOUT)
         section = "park" if self._study.park.parameters else "parameters"
         for key, values in safe.items():
             try:
@@ -117,6 +119,7 @@ def take_over(
     study: Study,
     tuner: TunerNode,
     parameters: NodeParameters,
+    approach: Approach,
     previous: PreviousParameters | None,
     folder: Path,
     *,
@@ -132,6 +135,8 @@ def take_over(
         The tuner's node.
     parameters
         Sets and reads those of the nodes.
+    approach
+        Takes the nodes to their safe parameters.
     previous
         Notes what attached nodes have; None of nodes that the tuner has started.
     folder
@@ -173,7 +178,7 @@ def take_over(
     initial.set_undeclared(current)
     if study.run is not None:
         # The nodes run by themselves, and from now on as they will between two runs.
-        initial.set_safe(safe)
+        initial.set_safe(safe, approach)
     held = {key: current[key] | dict(spec.parameters) for key, spec in study.nodes.items()}
     for key, names in steps.items():
         held[key] |= {name: safe[key][name] for name in names if name in safe[key]}

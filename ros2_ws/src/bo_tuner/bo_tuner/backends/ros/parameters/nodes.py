@@ -88,6 +88,20 @@ class NodeParameters:
         """Return the values that a node is known to have, without any that is just being set."""
         return self._known.get(key, {})
 
+    def present(self, keys: Iterable[str]) -> dict[str, Mapping[str, object]]:
+        """Return the values that nodes are known to have, by key; others are asked.
+
+        Raises
+        ------
+        LostError
+            If one does not answer.
+        """
+        keys = list(keys)
+        asked = [key for key in keys if key not in self._known]
+        readings = self._tuner.complete([self._reading_all(key) for key in asked])
+        self._known |= dict(zip(asked, readings, strict=True))
+        return {key: self._known[key] for key in keys}
+
     def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
         """Set those parameters of a node that it does not have already, all of them or none.
 
@@ -226,10 +240,17 @@ class NodeParameters:
         """
         changed = {key: {**v, **self._changed.get(key, {})} for key, v in wanted.items()}
         self.expect(changed)
-        assigned = {
-            key: self._assign_held(key, values, kept[key]) for key, values in changed.items()
-        }
+        assigned = self.assign_held(changed, kept)
         self.read_back().check(assigned)
+
+    def assign_held(
+        self, values: Values, kept: Mapping[str, Collection[str]]
+    ) -> dict[str, list[str]]:
+        """Set parameters of nodes that are held; returns by node key the names of those set.
+
+        For the arguments and exceptions see `hold`.
+        """
+        return {key: self._assign_held(key, of_node, kept[key]) for key, of_node in values.items()}
 
     def hold_again(self, key: str) -> None:
         """Set what a node that was started anew must have, and read it back.

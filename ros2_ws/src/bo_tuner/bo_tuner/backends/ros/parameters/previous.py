@@ -1,7 +1,7 @@
 """What attached nodes had before a tuner came: noted on disk, and given back in the end."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import LostError, RefusedError
@@ -105,8 +105,8 @@ class PreviousParameters:
         """What nodes had, by key, before this tuner, or an earlier one that left them parked."""
         return {key: values | self._original[key] for key, values in self._previous.items()}
 
-    def announce(self, wanted: Values) -> None:
-        """Note what is about to be set on nodes, by key.
+    def announce(self, *wanted: Values) -> None:
+        """Note what is about to be set on nodes, by key; of several sets, one after the other.
 
         Values that were set before stay noted until it is known what the node has.
         """
@@ -117,7 +117,7 @@ class PreviousParameters:
             by_name = {}
             had = values | dict.fromkeys(self._unset[key])
             for name in had:
-                sets = (self._safe.get(key, {}), known, wanted.get(key, {}))
+                sets = (self._safe.get(key, {}), known, *(each.get(key, {}) for each in wanted))
                 by_name[name] = [s[name] for s in sets if name in s]
                 # A step may set it at any time.
                 by_name[name] += steps.get(key, {}).get(name, [])
@@ -126,7 +126,7 @@ class PreviousParameters:
             self._note.note(node, had, by_name, self._original[key], self._undeclared[key])
         self._write()
 
-    def restore(self, timeout: float) -> list[str]:
+    def restore(self, timeout: float, approach: Callable[[Values, float], object]) -> list[str]:
         """Give the nodes back what they had, but for safe parameters that the study names.
 
         What had no value has none again, as far as a node allows that; the rest is returned.
@@ -137,6 +137,8 @@ class PreviousParameters:
         ----------
         timeout
             Time [s] that all of them have to answer.
+        approach
+            Brings nodes near what they get back, with the same time to answer.
 
         Returns
         -------
@@ -149,6 +151,7 @@ class PreviousParameters:
             return []
         safe = named_safe(study, previous)
         final = {key: values | safe.get(key, {}) for key, values in previous.items()}
+        approach(final, timeout)
         failed = self._parameters.assign_side_by_side(final, timeout)
         refused = {
             key: failed.pop(key)
