@@ -206,8 +206,17 @@ class Analysis:
         """The hand-tuned parameter set."""
         return self.study.search_space().defaults
 
+    @cached_property
+    def _outcomes(self) -> dict[int, tuple[Trial, TrialOutcome]]:
+        """Outcomes by the identity of a trial, which is kept so that no other one can have it."""
+        return {}
+
     def outcome(self, trial: Trial) -> TrialOutcome:
-        """Return the outcome of a trial."""
+        """Return the outcome of a trial, which each figure of a long run asks for."""
+        _, outcome = remembered(self._outcomes, id(trial), lambda: (trial, self._outcome(trial)))
+        return outcome
+
+    def _outcome(self, trial: Trial) -> TrialOutcome:
         if trial.state is not TrialState.COMPLETE:
             return TrialOutcome(trial.ending)
         if trial.number in self.models.outliers:
