@@ -208,7 +208,7 @@ class GuardLink:
         self.unheeded: GuardActedError | None = None
         self._is_begun = False
         self._ended = ""
-        self._checked = self._waited = 0.0
+        self._checked = self._waited = self._stopped = 0.0
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
         # rclpy passes on what it knows of a message to whoever takes two arguments.
@@ -295,20 +295,18 @@ class GuardLink:
         # Then nothing was missed, and the machine is watched while the guard is waited for.
         is_awake = gap < AWAKE
         if not is_awake:
-            self._waited = now + DEAD
+            # A process that was stopped, and is slow now, waits no shorter.
+            self._waited = max(self._waited, now + DEAD)
         # The clock is that of the stamps at which messages came in.
         while time.time() - self._heard.get(self._name, 0.0) > FRESH:
             if gap > STOPPED:
-                self._waited = now + FORGOTTEN
+                self._waited, self._stopped = now + FORGOTTEN, gap
             problem = self._wire.problem
             if problem or now > self._waited:
                 wire, self._wire = self._wire, None
                 # The machine does not wait until it ends by itself.
                 wire.kill()
-                self._ended = (
-                    f"the guard of the nodes has ended: {problem or 'nothing is heard of it'}; "
-                    f"see {self._folder / LOG}"
-                )
+                self._ended = self._why_ended(problem)
                 raise BackendError(self._ended)
             if is_awake:
                 return
@@ -316,7 +314,7 @@ class GuardLink:
             now = time.monotonic()
             gap, self._checked = now - self._checked, now
             self._take()
-        self._waited = time.monotonic() + DEAD
+        self._waited, self._stopped = time.monotonic() + DEAD, 0.0
         state = self._states[self._name]
         # While it acts, nobody is to be in its way.
         while state.acts > self._acts and not state.outcome and time.monotonic() < self._waited:
@@ -335,6 +333,18 @@ class GuardLink:
                 ends=state.ends,
             )
             raise self.unheeded
+
+    def _why_ended(self, problem: str) -> str:
+        """Return why the guard is no longer there, in a line; the `problem` is its own."""
+        if self._stopped and not problem:
+            return (
+                f"this process was stopped for {self._stopped:.0f} s, and its guard is not heard "
+                "since then; look at the machine, then resume the run"
+            )
+        return (
+            f"the guard of the nodes has ended: {problem or 'nothing is heard of it'}; see "
+            f"{self._folder / LOG}"
+        )
 
     def end(self) -> None:
         """Report to the guard that the nodes are left as they are to be, and let go of it."""
