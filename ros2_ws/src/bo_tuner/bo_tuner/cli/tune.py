@@ -287,12 +287,10 @@ def _after_simulation(
         parser.error("--simulated needs --study: that of the machine")
     plan = _new(arguments, parser, ros_arguments, interruption)
     method = METHODS[plan.algorithm]
+    if problem := method.simulation_problem(plan.study):
+        parser.error(f"--simulated: {plan.algorithm} {problem}")
     known = take_simulation(simulated, plan.study, method)
     study = begun_by_simulation(plan.study, simulated, known)
-    try:
-        method.knowing(study, known.trials)
-    except StudyError as error:
-        parser.error(f"--simulated: {plan.algorithm} {error}")
     return dataclasses.replace(plan, study=study, simulation=known)
 
 

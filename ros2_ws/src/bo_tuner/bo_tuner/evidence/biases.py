@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from bo_tuner.evidence.differences import Difference
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 
@@ -25,17 +26,14 @@ def biases_in_words(study: Study, biases: Iterable[Mapping[str, Any]]) -> tuple[
 
 def _in_words(study: Study, item: Mapping[str, Any]) -> str:
     metric = study.metrics[str(item["metric"])]
-    low, difference, high = (float(item[key]) for key in ("low", "difference", "high"))
+    mean, low, high = (float(item[key]) for key in ("difference", "low", "high"))
+    interval = Difference(mean, low, high, 0).interval_in_words
     unit = f" {metric.unit}" if metric.unit else ""
     simulated = f"{shown(float(item['simulated']))}{unit} in the simulation"
     if low <= 0.0 <= high:
         return (
             f"{metric.title} {simulated}, no difference shown on the machine "
-            f"({difference:+.3g}, 95 % CI {low:+.3g} to {high:+.3g})"
+            f"({mean:+.3g}, {interval})"
         )
-    near, far = sorted((abs(low), abs(high)))
-    side = "higher" if difference > 0.0 else "lower"
-    return (
-        f"{metric.title} {simulated}, {abs(difference):.3g}{unit} {side} on the machine "
-        f"(95 % CI {near:.3g} to {far:.3g})"
-    )
+    side = "higher" if mean > 0.0 else "lower"
+    return f"{metric.title} {simulated}, {abs(mean):.3g}{unit} {side} on the machine ({interval})"

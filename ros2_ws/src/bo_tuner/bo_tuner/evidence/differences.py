@@ -58,6 +58,16 @@ class Difference:
     high: float
     count: int
 
+    @property
+    def interval_in_words(self) -> str:
+        """The interval, with signs if neither side is shown, else as how far it is from 0."""
+        ends = (self.low, self.high)
+        if self.low <= 0.0 <= self.high:
+            low, high = (f"{end:+.3g}" for end in ends)
+        else:
+            low, high = (f"{end:.3g}" for end in sorted(map(abs, ends)))
+        return f"{100.0 * CONFIDENCE:g} % CI {low} to {high}"
+
     def change(self, sign: float) -> Change:
         """Return the difference in words.
 

@@ -122,13 +122,9 @@ class Quantity:
         text = f"{abs(difference.mean):.3g} {'lower' if difference.mean < 0.0 else 'higher'}"
         if not (isfinite(difference.low) and isfinite(difference.high)):
             return text
-        interval = f"{100.0 * CONFIDENCE:g} % CI"
         if difference.low <= 0.0 <= difference.high:
-            # Neither side is shown.
-            low, high = difference.low, difference.high
-            return f"{difference.mean:+.3g} ({interval} {low:+.3g} to {high:+.3g})"
-        near, far = sorted((abs(difference.low), abs(difference.high)))
-        return f"{text} ({interval} {near:.3g} to {far:.3g})"
+            text = f"{difference.mean:+.3g}"
+        return f"{text} ({difference.interval_in_words})"
 
     @property
     def gain_in_words(self) -> str:

@@ -50,12 +50,15 @@ class Method(Protocol):
         Short description.
     cuts_short : bool
         Whether runs of its trials may be cut short; otherwise it needs whole ones.
+    takes_simulations : bool
+        Whether it has a use for trials of a simulation of the machine.
     ranking : Ranking
         Of the trials, by its surrogates.
     """
 
     title: str
     cuts_short: ClassVar[bool] = False
+    takes_simulations: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -204,15 +207,23 @@ class Method(Protocol):
             return f"the worst case of constraints.{unsearched[0]} was not searched for in this run"
         return ""
 
+    def simulation_problem(self, study: Study) -> str:
+        """Return in a few words why it takes no trials of a simulation; empty if it does."""
+        if not self.takes_simulations:
+            return "takes no runs of a simulation; expected boundary"
+        if study.budget.cut_short:
+            return "needs whole runs beside a simulation; leave `budget.cut_short` out"
+        return ""
+
     def knowing(self, study: Study, simulated: Sequence[Trial]) -> "Method":
         """Return the method with trials of a simulation as prior knowledge of the machine.
 
         Raises
         ------
         StudyError
-            If it has no use for them, in a few words.
+            If there is a `simulation_problem`.
         """
-        raise StudyError("takes no runs of a simulation; expected boundary")
+        raise StudyError(self.simulation_problem(study))
 
     def takes_parts(self) -> bool:
         """Whether some of a trial's evaluations are data without the others."""

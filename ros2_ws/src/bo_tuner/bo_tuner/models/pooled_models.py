@@ -17,6 +17,7 @@ from typing import Self
 import numpy as np
 
 from bo_tuner.models.bias import Comparison
+from bo_tuner.models.censoring import Censored
 from bo_tuner.models.compression import Compression
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE, log_feasibility
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
@@ -187,9 +188,10 @@ class PooledModels:
                 known = fitting.censored_observations(data.trials, objective.metric)
                 censored = known.on_scale(objective.to_cost)
             name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
-            y, offset = data.aligned(x, objective.to_cost(y))
-            process = fitting.process(self.processes, name, x, c, y, censored)
-            data.compare(objective.metric, process, offset, objective.from_cost)
+            runs = x, c, objective.to_cost(y)
+            process = data.process(
+                self.processes, name, objective.metric, runs, censored, objective.from_cost
+            )
             costs[objective.metric] = ExpectedObjective(process, data.over, objective, data.tried)
         return costs
 
@@ -272,23 +274,35 @@ class _Data:
             c = np.hstack([c, self.covariates.columns(self.fitting.study, self.trials)])
         return x, c, y
 
-    def aligned(self, x: Array, y: Array) -> tuple[Array, float]:
-        """Return responses (N,), those of a simulation moved by their offset, and the offset."""
-        if self.covariates.simulated is None:
-            return y, 0.0
-        return moved(x, y, simulated_in(self.trials))
-
-    def compare(
+    def process(
         self,
+        processes: ContextProcesses,
+        name: str,
         metric: str,
-        process: ContextProcess,
-        offset: float,
+        runs: tuple[Array, Array, Array],
+        censored: Censored | None,
         restore: Callable[[Array], Array],
-    ) -> None:
-        """Note the process of a metric, and what its simulation was moved by."""
-        if self.covariates.simulated is not None:
-            known = Comparison(process, self.over, offset, restore)
-            self.comparisons.setdefault(metric, known)
+    ) -> ContextProcess:
+        """Fit the process of a metric; with a simulation, it is compared with that.
+
+        Parameters
+        ----------
+        processes, name, censored
+            As in `Fitting.process`.
+        metric
+            Its name.
+        runs : tuple of ndarray
+            Its `observations`, on the scale of the model.
+        restore
+            From that scale to the metric's unit.
+        """
+        x, c, y = runs
+        if self.covariates.simulated is None:
+            return self.fitting.process(processes, name, x, c, y, censored)
+        y, offset = moved(x, y, simulated_in(self.trials))
+        process = self.fitting.process(processes, name, x, c, y, censored)
+        self.comparisons.setdefault(metric, Comparison(process, self.over, offset, restore))
+        return process
 
 
 @dataclass(frozen=True)
@@ -324,9 +338,8 @@ class _Responses:
         scale, processes = rule(y, limited.limit, limited.sign), self.models.processes
         censored = fitting.censored_observations(data.trials, limited.metric)
         censored = censored.on_scale(scale.apply)
-        y, offset = data.aligned(x, scale.apply(y))
-        process = fitting.process(processes, limited.name, x, c, y, censored)
-        data.compare(limited.metric, process, offset, scale.restore)
+        runs, metric = (x, c, scale.apply(y)), limited.metric
+        process = data.process(processes, limited.name, metric, runs, censored, scale.restore)
         return process, scale
 
 

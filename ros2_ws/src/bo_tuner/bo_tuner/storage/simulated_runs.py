@@ -92,13 +92,8 @@ def begun_by_simulation(study: Study, record: RunRecord, known: Carried) -> Stud
         # One that the machine does not permit is none of those.
         if any(best.items() <= trial.parameters.items() for trial in known.trials):
             start = [best]
-    budget = study.budget
-    begun = study.replace(trials=budget.trials, evaluations=budget.evaluations, start=start)
-    return begun.replace(
-        trials=budget.trials,
-        evaluations=budget.evaluations,
-        initial_trials=min(len(begun.starting_sets()) or 1, budget.trials),
-    )
+    begun = study.replace(start=start)
+    return begun.replace(initial_trials=len(begun.starting_sets()) or 1)
 
 
 def write_simulation(folder: Path, known: Carried) -> None:

@@ -92,6 +92,7 @@ class Boundary(Method):
     """
 
     cuts_short: ClassVar[bool] = True
+    takes_simulations: ClassVar[bool] = True
 
     title: str
     models: PooledModels = field(default_factory=PooledModels)
@@ -216,8 +217,8 @@ class Boundary(Method):
 
     def knowing(self, study: Study, simulated: Sequence[Trial]) -> Self:
         """Return the method with a `Simulation` in its models."""
-        if study.budget.cut_short:
-            raise StudyError("needs whole runs beside a simulation; leave `budget.cut_short` out")
+        if problem := self.simulation_problem(study):
+            raise StudyError(problem)
         return replace(
             self, models=replace(self.models, simulation=Simulation.of(study, simulated))
         )

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
-from bo_tuner.errors import StudyError
 from bo_tuner.methods.boundary.judging import PooledRanking
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.safe.stage_one import SafeOptimization
@@ -51,6 +50,8 @@ class Safe(Boundary):
 
     # What a run kept until it was cut short says nothing of what the whole one does.
     cuts_short: ClassVar[bool] = False
+    # What is safe on the machine is to be known from the machine alone.
+    takes_simulations: ClassVar[bool] = False
 
     @property
     def ranking(self) -> PooledRanking:
@@ -84,10 +85,6 @@ class Safe(Boundary):
     def ends_trial(self, study: Study, outcome: Outcome) -> bool:
         """Return whether a run broke a limit: there is no need to break it again."""
         return bool(broken_limits(study, outcome))
-
-    def knowing(self, study: Study, simulated: Sequence[Trial]) -> Self:
-        """Refuse: what is safe on the machine is to be known from the machine alone."""
-        raise StudyError("takes no runs of a simulation; expected boundary")
 
     def runs_again(
         self, study: Study, trials: Sequence[Trial], parameters: Mapping[str, Value]
