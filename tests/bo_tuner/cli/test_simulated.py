@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sqlite3
 
 import pytest
 from axis import node
@@ -109,6 +110,50 @@ def test_one_that_is_damaged_is_refused(runs, whole):
     code, _, err = runs.resume("damaged")
     assert code == 2
     assert "simulation.sqlite" in err
+
+
+def test_one_of_another_run_is_refused(runs, whole):
+    """Whatever is in it: a resumed run is to know what it knew."""
+    runs.copy("whole", "other")
+    other = runs.latest("simulation") / "journal.sqlite"
+    shutil.copyfile(other, runs.latest("other") / "simulation.sqlite")
+    for command in (["tune", "--resume"], ["report"]):
+        code, _, err = run(*command, runs.latest("other"), folder=runs.folder)
+        assert code == 2
+        assert "simulation.sqlite: is not the file that the run began with; restore it" in err
+
+
+def test_a_further_run_begins_without_the_simulation(runs, whole):
+    """Its models have another dimension, so that nothing of their fits is taken along."""
+    options = ("--from", runs.latest("whole"), "--trials", 7, "--output", "further")
+    code, _, err = runs.run("further", *options)
+    assert code == 0, err
+    record = read_run(runs.latest("further").resolve())
+    assert (len(record.trials), record.simulation) == (7, ())
+
+
+def test_a_simulation_without_its_summary_has_its_result_all_the_same(runs, whole):
+    runs.copy("simulation", "unsummed")
+    (runs.latest("unsummed") / "summary.json").unlink()
+    given = ("--study", "machine.yaml", "--backend", "inprocess", "--output", "again")
+    code, _, err = runs.run("again", *given, "--from", runs.latest("unsummed"), "--simulated")
+    assert code == 0, err
+    assert "missing; made from the journal" in err
+    assert (runs.latest("again") / "trials.csv").read_bytes() == (
+        runs.latest("whole") / "trials.csv"
+    ).read_bytes()
+
+
+@pytest.mark.parametrize("options", [["--simulated", "--study", "machine.yaml"], ["--trials", 9]])
+def test_a_damaged_record_is_named(runs, whole, options):
+    name = f"broken{len(options)}"
+    runs.copy("simulation", name)
+    with sqlite3.connect(runs.latest(name) / "journal.sqlite") as db:
+        db.execute("UPDATE evaluation SET seed = seed + 1 WHERE trial = 6")
+    backend = ("--backend", "inprocess", "--output", f"{name}_on")
+    code, _, err = runs.run(f"{name}_on", "--from", runs.latest(name), *options, *backend)
+    assert code in (0, 3), err
+    assert "warning: the record of --from was damaged: journal.sqlite" in err
 
 
 @pytest.mark.parametrize(

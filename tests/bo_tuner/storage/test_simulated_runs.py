@@ -149,3 +149,16 @@ class TestBeginning:
         study = make_study(start=["default"])
         begun = begun_by_simulation(study, simulated, take(simulated, study))
         assert len(begun.starting_sets()) == 1
+
+    def test_its_own_start_takes_all_trials(self, simulated, make_study):
+        few = {"trials": 2, "initial_trials": 2, "validation_draws": 5}
+        own = make_study(start=["default", {"gain": 0.9}], budget=few)
+        study, _ = self.begun(simulated, own, 2)
+        assert [s["gain"] for s in study.starting_sets()] == [0.5, 0.9]
+
+    def test_whether_there_is_a_result_is_said(self, simulated, make_study):
+        none = "no result that this machine may begin with"
+        trial = simulated.trials[2]
+        with_result = replace(simulated, summary={"trial": trial.number})
+        assert none in take(simulated, make_study()).text
+        assert none not in take(with_result, make_study()).text

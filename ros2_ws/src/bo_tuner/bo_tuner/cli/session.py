@@ -57,15 +57,17 @@ from bo_tuner.storage.provenance import (
     RECORD_LIMIT,
     SCHEDULER,
     SIMULATION_FROM,
+    SIMULATION_SHA256,
     SIMULATION_TAKEN,
     STOP_EARLY,
     WINDOW,
     WORKERS,
     changed_sources,
+    file_sha256,
     session_provenance,
 )
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
+from bo_tuner.storage.run_folder import RECORDING, SIMULATION, SUMMARY, RunFolder, how_to_resume
 from bo_tuner.storage.simulated_runs import write_simulation
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -251,6 +253,9 @@ class Session:
                 earlier = withdraw_lost(folder.journal, earlier)
             elif (carried := self._options.carried) is not None:
                 earlier = carried.content
+            simulation = self._options.simulation
+            if simulation is not None and not folder.journal.exists():
+                write_simulation(folder.path, simulation)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             if isinstance(self._backend, RosBackend):
@@ -258,8 +263,6 @@ class Session:
             begun = folder.journal.exists()
             try:
                 try:
-                    if not begun and self._options.simulation is not None:
-                        write_simulation(folder.path, self._options.simulation)
                     with (
                         opened(backend, self._interruption) as left,
                         Journal(folder.journal, provenance, earlier.trials) as journal,
@@ -329,6 +332,7 @@ class Session:
         if options.simulation is not None:
             provenance[SIMULATION_FROM] = options.simulation.run
             provenance[SIMULATION_TAKEN] = options.simulation.text
+            provenance[SIMULATION_SHA256] = file_sha256(self._folder.path / SIMULATION)
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage

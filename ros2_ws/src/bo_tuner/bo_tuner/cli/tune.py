@@ -19,6 +19,7 @@ from bo_tuner.cli.common import (
     attached,
     guarded,
     in_namespace_of,
+    read_result,
     recorded_backend,
     run_folder,
     split_ros_arguments,
@@ -27,6 +28,7 @@ from bo_tuner.cli.confirm import NO_TERMINAL
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
+from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
 from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
 from bo_tuner.cli.workers import workers_of
@@ -114,10 +116,10 @@ def _run(
         plan = _resumed(record, arguments, parser)
         ros_arguments = _resumed_in(record, plan.attach, ros_arguments, parser)
     elif arguments.simulated:
-        simulated = read_run(run_folder(arguments.earlier))
+        simulated = _earlier(arguments)
         plan = _after_simulation(simulated, arguments, parser, ros_arguments, interruption)
     elif arguments.earlier is not None:
-        record = read_run(run_folder(arguments.earlier))
+        record = _earlier(arguments)
         ros_arguments = in_namespace_of(record, ros_arguments)
         plan = _after_earlier(record, arguments, parser, ros_arguments, interruption)
     else:
@@ -242,6 +244,15 @@ def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -
     )
 
 
+def _earlier(arguments: argparse.Namespace) -> RunRecord:
+    """Read the run of --from, and warn if what is left of it is not all."""
+    folder = run_folder(arguments.earlier)
+    record = read_result(folder) if arguments.simulated else read_run(folder)
+    if record.damage:
+        say_error(f"warning: the record of --from was damaged: {record.damage}")
+    return record
+
+
 def _after_earlier(
     record: RunRecord,
     arguments: argparse.Namespace,
@@ -266,9 +277,11 @@ def _after_earlier(
     if problem := problem_of(record.algorithm, study):
         parser.error(f"--from: {problem}")
     check_ends_early(study, backend)
-    check_comparable(record, study, record.method)
+    # What that run knew of a simulation is not taken along.
+    method = METHODS[record.algorithm]
+    check_comparable(record, study, method)
     measure = measure_again(record, study) if remeasured(record.study, study) else None
-    carried = carry_over(record, study, record.method, measure)
+    carried = carry_over(record, study, method, measure)
     if all(given is None for given in (arguments.study, arguments.trials, arguments.evaluations)):
         study = _as_much_again(record, study, carried)
     _check_budget(study, carried, parser)

@@ -15,7 +15,7 @@ bounds, another budget, limit or objective. What is made of it may not:
   contexts. Elsewhere it is estimated anew by the models of all evaluations that are taken; an
   algorithm that only searches trial by trial is refused.
 - Hyperparameters are those of the old unit cube and the old responses, and are dropped if anything
-  but the amount has changed.
+  but the amount has changed, or if the earlier run knew a simulation, which the new one does not.
 - Trials and evaluations that were lost or disturbed are not informative, and are left out.
 """
 
@@ -194,7 +194,7 @@ class Taking:
         self._then, self._study, self._method = record.study, study, method
         self._space = study.search_space()
         self._measure = measure
-        self._changed = bool(changes_of_data(self._then, study))
+        self._changed = bool(record.simulation or changes_of_data(self._then, study))
         self._anew = set(remeasured(self._then, study))
         self._measured_otherwise = _measured_otherwise(self._then, study, self._anew)
         self._moved = _moved_contexts(self._then, study)

@@ -38,6 +38,8 @@ CARRIED_FROM, CARRIED = "carried_from", "carried"
 """Keys of the earlier run that a run begins with the trials of, and of what it took from them."""
 SIMULATION_FROM, SIMULATION_TAKEN = "simulation_from", "simulation"
 """Keys of the run of a simulation that is prior knowledge, and of what was taken from it."""
+SIMULATION_SHA256 = "simulation_sha256"
+"""Key of the digest of the file with that."""
 STUDY_YAML = "study_yaml"
 """Key of the study's text in the provenance of a session."""
 COMMIT = "commit-"
@@ -90,6 +92,11 @@ def _count(provenance: Mapping[str, str], key: str) -> int:
 def study_sha256(study: Study) -> str:
     """Return the digest of a study."""
     return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Return the digest of a file's content; raises `OSError` if it cannot be read."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def sources(study: Study, backend: str) -> dict[str, str]:

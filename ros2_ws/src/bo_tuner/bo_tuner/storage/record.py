@@ -17,9 +17,10 @@ from bo_tuner.storage.provenance import (
     NAMESPACE,
     RECORD,
     RECORD_LIMIT,
-    SIMULATION_FROM,
+    SIMULATION_SHA256,
     STOP_EARLY,
     STUDY_YAML,
+    file_sha256,
     session_provenance,
 )
 from bo_tuner.storage.rows import check_study
@@ -214,14 +215,16 @@ def _simulation(path: Path, sessions: Sequence[Mapping[str, str]]) -> tuple[Tria
     Raises
     ------
     JournalError
-        If they cannot be read, or some are missing.
+        If they cannot be read, or the file is not the one that the run began with.
     """
-    if not any(SIMULATION_FROM in session for session in sessions):
+    digests = {session.get(SIMULATION_SHA256) for session in sessions} - {None}
+    if not digests:
         return ()
-    known = read_journal(path / SIMULATION)
-    if known.damage:
-        raise JournalError(f"{path / SIMULATION}: {known.damage}")
-    return known.trials
+    file = path / SIMULATION
+    trials = read_journal(file).trials
+    if digests != {file_sha256(file)}:
+        raise JournalError(f"{file}: is not the file that the run began with; restore it")
+    return trials
 
 
 def _summary(path: Path) -> Mapping[str, object] | None:

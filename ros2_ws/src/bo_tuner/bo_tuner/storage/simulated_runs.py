@@ -5,7 +5,7 @@ the method has them as a `bo_tuner.models.simulation.Simulation` in its models.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
@@ -70,13 +70,17 @@ def take_simulation(record: RunRecord, study: Study, method: Method) -> Carried:
     if not any(trial.state is TrialState.COMPLETE for trial in taken):
         why = taking.left_out or "all have failed"
         raise RunRecordError(f"{record.path}: none of its trials can be used: {why}")
-    return Carried(taking.run, tuple(taken), taking.summary(taken))
+    text = taking.summary(taken)
+    if _best(study, record, taken) is None:
+        text += "; no result that this machine may begin with"
+    return Carried(taking.run, tuple(taken), text)
 
 
 def begun_by_simulation(study: Study, record: RunRecord, known: Carried) -> Study:
     """Return the study of a machine whose initial design the simulation stands in for.
 
-    It begins with its own start, and then with the result of the simulation.
+    It begins with its own start, and then, if there are more trials, with the result of the
+    simulation.
 
     Parameters
     ----------
@@ -85,15 +89,19 @@ def begun_by_simulation(study: Study, record: RunRecord, known: Carried) -> Stud
     record, known
         The run of the simulation, and what was taken of it.
     """
-    start: list[Mapping[str, Value]] = []
-    if record.result is not None:
-        names = study.search_space().names
-        best = {name: record.result.parameters[name] for name in names}
-        # One that the machine does not permit is none of those.
-        if any(best.items() <= trial.parameters.items() for trial in known.trials):
-            start = [best]
-    begun = study.replace(start=start)
+    best = _best(study, record, known.trials)
+    is_last = len(study.starting_sets()) >= study.budget.trials
+    begun = study.replace(start=[] if best is None or is_last else [best])
     return begun.replace(initial_trials=len(begun.starting_sets()) or 1)
+
+
+def _best(study: Study, record: RunRecord, taken: Sequence[Trial]) -> Mapping[str, Value] | None:
+    """Return the result of the simulation if it is among what was taken of it."""
+    if record.result is None:
+        return None
+    best = {name: record.result.parameters[name] for name in study.search_space().names}
+    is_taken = any(best.items() <= trial.parameters.items() for trial in taken)
+    return best if is_taken else None
 
 
 def write_simulation(folder: Path, known: Carried) -> None:
