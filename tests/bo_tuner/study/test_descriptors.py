@@ -1,6 +1,7 @@
 """What nodes say of their parameters, in place of a study or against it."""
 
 import copy
+import re
 
 import pytest
 
@@ -84,6 +85,20 @@ def test_no_node_is_asked_whose_name_is_none():
     text = TEXT.replace("pid: {node: pid}", "pid: {node: my-pid}", 1)
     with pytest.raises(StudyError, match=r"nodes\.pid\.node: expected a node name .*'my-pid'"):
         parse_study(text, describe=lambda nodes: pytest.fail("asked"))
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "complaint"),
+    [
+        ("kp: {node: pid}", "kp: {node: pid, bonds: [0, 1]}", "parameters.kp.bonds: unknown key"),
+        ("measure: iae", "mesure: iae", "metrics.error.mesure: unknown key"),
+        ("objective: {metric: error}", "objective: {metric: eror}", "objective.metric:"),
+    ],
+)
+def test_what_is_wrong_whatever_the_node_says_is_said_before_it_is_asked(right, wrong, complaint):
+    """A node that has to be waited for, or is locked by another tuner, hides no misspelt key."""
+    with pytest.raises(StudyError, match=re.escape(complaint)):
+        parse_study(TEXT.replace(right, wrong), describe=lambda nodes: pytest.fail("asked"))
 
 
 def test_asking_what_is_open_changes_nothing():

@@ -320,3 +320,38 @@ def test_a_number_of_several_fields_is_named_after_all_of_it():
     offers = signal_offers(replace(wheels, publishers=("base",)))
     text = first_study("a.yaml", Seen((node,), ()), [node], parameter_offers(node)[0], offers)
     assert list(parse_study(text).signals) == ["norm_twist_linear_x_twist_linear_y"]
+
+
+class TestEstimators:
+    """The signals of a node that estimates something, beside its ground truth."""
+
+    truth = topic("/ground_truth/odom", "nav_msgs/msg/Odometry", ("pose.position.x",), ("sim",))
+    estimate = topic("/odometry/filtered", "nav_msgs/msg/Odometry", ("pose.position.x",), ("ekf",))
+    drive = scalar("/cmd_vel_out", ("teleop",), ("ekf", "sim"))
+    node = SeenNode("ekf", {"process_noise": Described("double", 0.5)})
+
+    def test_the_ground_truth_is_what_it_should_find(self):
+        _, study = written(self.node, [self.drive, self.truth, self.estimate])
+        error = study.metrics["error"]
+        target, found = (study.signals[name].topic for name in error.of.split(" - "))
+        assert (target, found, error.measure) == ("/ground_truth/odom", "/odometry/filtered", "rms")
+        assert "overshoot" not in study.metrics
+
+    def test_a_controller_follows_its_reference_whatever_the_truth(self):
+        command = scalar("/torque", ("ekf",), ("sim",))
+        target = scalar("/target", (), ("ekf",))
+        offers = [SignalOffer(t, name) for t in (self.truth, command, target) for name in t.fields]
+        assert str(reference(offers, ("ekf",))) == "/target:data"
+
+
+@pytest.mark.parametrize("service", ["/go", "/sim/start", "/start_run", "/plant/run_cut"])
+def test_a_service_that_sets_it_in_motion_starts_a_run(service):
+    node = SeenNode("base", {"kp": Described("double", 0.5)})
+    topics = [topic("/odom", "x_msgs/msg/X", ("speed",), ("base",))]
+    seen = Seen((node,), tuple(topics), ("/sim/reset", service))
+    text = first_study(
+        "first.yaml", seen, [node], parameter_offers(node)[0], suggested_signals(topics, ["base"])
+    )
+    (start,) = parse_study(text).run.start
+    assert start.call.service == service
+    assert "# - call: {service: /sim/reset}" in text.replace("#   - ", "# - ")

@@ -43,6 +43,7 @@ from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
 from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
+from bo_tuner.study.sizing import shortages
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, duration, durations, shown
 from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
@@ -378,6 +379,8 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         return evaluations * seconds + starts * starting + warming
 
     say(f"study: at most {counted(tuning, 'test run')}, {duration(seconds_of_study)}")
+    for line in shortages(study):
+        say(f"note: {line}")
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
         fewest = least_evaluations(study, spent(study.certificate.confidence, 1))

@@ -1,7 +1,7 @@
 """``init``: write a first study for the nodes that are running."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from bo_tuner.backends.ros.graph import opened_node
@@ -11,6 +11,7 @@ from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
+from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.monitoring.display import say
 from bo_tuner.storage.atomic import writing
 from bo_tuner.study.first_study import first_study
@@ -20,6 +21,7 @@ from bo_tuner.study.offers import (
     suggested_nodes,
     suggested_parameters,
 )
+from bo_tuner.study.roles import is_plant
 from bo_tuner.study.seen import Seen, SeenNode
 from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
 from bo_tuner.study.study_file import parse_study
@@ -133,7 +135,7 @@ def write_first_study(
     tuned, chosen, recorded = _choose(seen, nodes, parameters, signals, Chooser(interruption))
     text = first_study(str(path), seen, tuned, chosen, recorded, ros_arguments)
     # Nothing is written that `tune --study` would refuse.
-    parse_study(text, str(path))
+    study = parse_study(text, str(path))
     with writing(path):
         try:
             with path.open("x", encoding="utf-8") as file:
@@ -141,7 +143,9 @@ def write_first_study(
         except FileExistsError:
             _check_path(path)
     contents = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
-    say(f"{path}: {contents}; now review it and")
+    runs = METHODS[method_of(study)].most_evaluations(study)
+    say(f"{path}: {contents}; {counted(study.budget.trials, 'trial')}, at most {runs} test runs")
+    say("with the limits and contexts that are in comments it takes more; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  {shlex.join(['check', str(path), *ros_arguments])}")
     return EXIT_OK
@@ -180,7 +184,7 @@ def _choose(
     for node in seen.nodes:
         offers[node.name], others[node.name] = parameter_offers(node)
     # Parameters that are named may be of any node.
-    suggested = suggested_nodes(offers) if parameters is None else list(offers)
+    suggested = _suggested_nodes(seen, offers) if parameters is None else list(offers)
     tuned = chooser.choose(
         "nodes",
         None if nodes is None else [name.lstrip("/") for name in nodes],
@@ -212,6 +216,18 @@ def _choose(
         lambda offer: [str(offer), shown(offer.topic.fields[offer.field]), offer.remark],
     )
     return tuned, chosen, recorded
+
+
+def _suggested_nodes(seen: Seen, offers: Mapping[str, Sequence[ParameterOffer]]) -> Collection[str]:
+    """Return the nodes that are tuned unless the user says otherwise: a controller, no plant."""
+    plants = [node.name for node in seen.nodes if is_plant(node, seen.topics)]
+    suggested = suggested_nodes({k: own for k, own in offers.items() if k not in plants})
+    if plants and not suggested:
+        say(
+            f"note: {', '.join(plants)}: a plant by its topics and parameters; no node that "
+            "controls it, or estimates its state, was seen: is it running?"
+        )
+    return suggested
 
 
 def _parameter_names(node: str, name: str) -> list[str]:

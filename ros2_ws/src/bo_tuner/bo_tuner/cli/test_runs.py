@@ -9,6 +9,7 @@ from rich.table import Table
 
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
@@ -22,6 +23,8 @@ LARGE_SPREAD = 0.2
 """Difference of two equal runs, of the larger value, from which on it is worth a note."""
 SMALL = 0.01
 """Share of a limit below which values may differ by as much as they do just there."""
+FAR_OFF = 20.0
+"""Ratio of a limit and the value of the default from which on one may be in another unit."""
 BARS = " ▁▂▃▄▅▆▇█"
 
 
@@ -90,6 +93,8 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         table.add_row(name, metric.unit, *cells, limit, count)
         if beyond:
             notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+        if name not in study.relative_metrics:
+            notes += [text for item in limits if (text := far_off(item, metric.unit, values))]
         notes += [
             f"{item.name}: limits a mean, of which a certificate has to assume that the noise is "
             f"normal or log-normal; give metrics.{name} a range that no run can leave, as "
@@ -107,6 +112,22 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         notes.append(beyond_range)
     for note in notes:
         say(f"note: {note}")
+
+
+def far_off(constraint: Constraint, unit: str, values: Sequence[float]) -> str:
+    """Return what to know of a limit that is far from what the default reaches; empty if it is not.
+
+    It may well be meant, but 7 where the default reaches 0.036 rad are rather degrees.
+    """
+    reached = float(np.median(np.abs(values)))
+    limit = abs(constraint.limit)
+    if not reached or not limit or 1 / FAR_OFF < limit / reached < FAR_OFF:
+        return ""
+    share = f"{limit / reached:.3g} times" if limit > reached else f"1/{reached / limit:.3g} of"
+    return (
+        f"{constraint.name}: the limit {constraint.limit:.4g} is {share} what the default reaches, "
+        f"{reached:.3g}; is it in {unit or 'the unit of the metric'}?"
+    )
 
 
 def spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:

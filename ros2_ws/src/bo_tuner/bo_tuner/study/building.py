@@ -1,7 +1,7 @@
 """Objects of a study out of the dictionaries of its file."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -39,10 +39,10 @@ class Findings:
         """How many were found."""
         return len(self._problems)
 
-    def check(self) -> None:
-        """Raise the first error that was found, if any, with the others."""
-        if self._problems:
-            first, *others = self._problems
+    def check(self, counts: Callable[[StudyError], bool] = lambda _: True) -> None:
+        """Raise the first error that was found and counts, if any, with the others."""
+        if problems := [error for error in self._problems if counts(error)]:
+            first, *others = problems
             raise first.with_others(others)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from bo_tuner.study.offers import CHECK
 from bo_tuner.study.seen import Seen, SeenAction, SeenTopic
-from bo_tuner.study.signal_offers import REFERENCE, SignalOffer, is_sure, signal_offers
+from bo_tuner.study.signal_offers import REFERENCE, TRUTH, SignalOffer, is_sure, signal_offers
 from bo_tuner.study.strict_yaml import dump_line
 
 SECONDS = 2.0
@@ -22,6 +22,8 @@ TRAJECTORY_SECONDS = 1
 """Time [s] that a trajectory takes."""
 POSE = re.compile(r"(position|orientation)\.[xyzw]$")
 """Fields of a pose."""
+START = re.compile(r"(^|_)(go|start|run|begin|launch|trigger|execute)(_|$)", re.IGNORECASE)
+"""Words in the name of a service that sets a system in motion."""
 MOST_INPUTS = 3
 """Topics that are offered for a start where none is known."""
 
@@ -163,7 +165,8 @@ def _before_lines(
             remark = "  # where it is now"
         yield f"{margin}- publish: {dump_line(message)}{remark}"
     for service in seen.services:
-        yield f"{offered}- call: {dump_line({'service': service})}"
+        if not is_start(service):
+            yield f"{offered}- call: {dump_line({'service': service})}"
     if step is None or measured is None or not step.is_known or measured.topic.is_silent:
         settled = {"condition": "abs(SPEED) < 0.01", "hold": 0.5}
         yield f"{offered}- wait_until: {dump_line(settled)}  # {CHECK}: at rest"
@@ -177,7 +180,13 @@ def _before_lines(
     yield f"{margin}- wait_until: {dump_line(settled)}  # {CHECK}: at rest"
 
 
+def is_start(service: str) -> bool:
+    """Whether a service sets a system in motion, by its name."""
+    return START.search(service.rpartition("/")[2]) is not None
+
+
 def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
+    calls = [f"- call: {dump_line({'service': s})}" for s in seen.services if is_start(s)]
     if step is not None:
         stamped = "; its header needs a frame" if "Stamped" in step.wanted.topic.type else ""
         yield f"  # {known(step.wanted.topic)}"
@@ -185,17 +194,22 @@ def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
         yield f"    - publish: {dump_line(step.forth)}"
         if "Twist" in step.wanted.topic.type:
             yield f"    # {CHECK}: it is published once; many drives stop without more of them."
+        yield from (f"    # {line}" for line in (*calls, *_goals(seen.actions)))
+        return
+    if len(calls) == 1:
+        yield f"  start:  # {CHECK}: by its name this sets it in motion"
+        yield f"    {calls[0]}"
         yield from (f"    # {line}" for line in _goals(seen.actions))
         return
     yield f"  # {CHECK}: what sets it in motion; without it a run only watches."
     silent = [topic for topic in seen.topics if not topic.publishers and topic.fields]
     silent.sort(key=lambda topic: REFERENCE.search(topic.name) is None)
-    nothing = not silent and not seen.actions
+    nothing = not silent and not seen.actions and not calls
     yield f"  # start:{'  # docs/procedure.md lists the steps' if nothing else ''}"
     for topic in silent[:MOST_INPUTS]:
         if (offer := step_of(signal_offers(topic)[0], None)) is not None:
             yield f"  #   - publish: {dump_line(offer.forth)}  # {known(topic)}"
-    yield from (f"  #   {line}" for line in _goals(seen.actions))
+    yield from (f"  #   {line}" for line in (*calls, *_goals(seen.actions)))
 
 
 def known(topic: SeenTopic) -> str:
@@ -206,6 +220,8 @@ def known(topic: SeenTopic) -> str:
     by_name = (
         "by its name it is the reference"
         if REFERENCE.search(topic.name)
+        else "by its name it is the truth"
+        if TRUTH.search(topic.name)
         else "whether it is the reference is not known"
     )
     return f"{who} publishes {topic.name}, {heard} {listens} to it; {by_name}."

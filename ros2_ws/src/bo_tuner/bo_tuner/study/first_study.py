@@ -17,8 +17,9 @@ from bo_tuner.study.offers import CHECK, ParameterOffer, context_offers, is_seed
 from bo_tuner.study.parameter import array_and_item, study_name
 from bo_tuner.study.parameter_kinds import Kind
 from bo_tuner.study.seen import Seen, SeenNode, SeenTopic
-from bo_tuner.study.signal_offers import SignalOffer, partner, reference, signal_offers
+from bo_tuner.study.signal_offers import SignalOffer, is_truth, partner, reference, signal_offers
 from bo_tuner.study.signals import Signal
+from bo_tuner.study.sizing import OF_PARAMETER, first_budget
 from bo_tuner.study.strict_yaml import dump_line
 from bo_tuner.text import one_line
 
@@ -58,6 +59,12 @@ def first_study(
     own = {node.name for node in tuned}
     wanted = reference(signals, own)
     measured = _measured(signals, wanted, own)
+    metrics = list(_metric_lines(names, wanted, measured, own))
+    budget = first_budget(
+        len(parameters),
+        contexts=any(context_offers(node) for node in seen.nodes),
+        limits_runs="# constraints:" in metrics,
+    )
     lines = [
         "# A first study, written by `init` from the nodes that were running.",
         f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
@@ -86,9 +93,10 @@ def first_study(
             seen, names, wanted, measured, is_simulated=any(node.uses_sim_time for node in tuned)
         ),
         "",
-        *_metric_lines(names, wanted, measured, own),
+        *metrics,
         "",
-        "budget: {trials: 20, initial_trials: 8, drawn_contexts: 1, validation_draws: 5}",
+        f"# {OF_PARAMETER} trials for each parameter, and {OF_PARAMETER} more.",
+        f"budget: {dump_line(budget)}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -268,11 +276,14 @@ def _metric_lines(
         name, target = names[measured], names[wanted]
         if wanted.topic.publishers:
             yield f"# {known(wanted.topic)}"
-        yield f"metrics:  # {CHECK}: what good means, and whether {name} is to follow {target}"
-        yield f"  error: {dump_line({'of': f'{target} - {name}', 'measure': 'iae'})}"
-        overshoot = {"of": name, "measure": "overshoot", "target": target, "unit": "%"}
-        yield f"  overshoot: {dump_line(overshoot)}"
-        constraints.append(("overshoot", 5.0))
+        follows = "estimates" if is_truth(wanted) else "is to follow"
+        yield f"metrics:  # {CHECK}: what good means, and whether {name} {follows} {target}"
+        measure = "rms" if is_truth(wanted) else "iae"
+        yield f"  error: {dump_line({'of': f'{target} - {name}', 'measure': measure})}"
+        if not is_truth(wanted):
+            overshoot = {"of": name, "measure": "overshoot", "target": target, "unit": "%"}
+            yield f"  overshoot: {dump_line(overshoot)}"
+            constraints.append(("overshoot", 5.0))
     else:
         name = names[measured] if measured is not None else next(iter(names.values()))
         yield f"metrics:  # {CHECK}: what good means"

@@ -85,7 +85,7 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
     """
     offers: list[ParameterOffer] = []
     others: dict[str, str] = {}
-    kind_of = _kinds(node)
+    kind_of = kinds_of(node)
     for name, described in node.parameters.items():
         if name in OF_EVERY_NODE or name.startswith("qos_overrides."):
             continue
@@ -114,7 +114,7 @@ def context_offers(node: SeenNode) -> list[ContextOffer]:
 
     Their bounds are a guess around the present value, within the range of the node.
     """
-    kind_of = _kinds(node)
+    kind_of = kinds_of(node)
     offers = []
     for name, described in node.parameters.items():
         is_free = not described.read_only and name not in node.changing
@@ -146,7 +146,8 @@ def suggested_nodes(offers: Mapping[str, Sequence[ParameterOffer]]) -> list[str]
     return of_tuning or [node for node, own in possible.items() if own]
 
 
-def _kinds(node: SeenNode) -> dict[str, Kind]:
+def kinds_of(node: SeenNode) -> dict[str, Kind]:
+    """Return what each parameter of a node is by its name."""
     descriptions = {name: item.description for name, item in node.parameters.items()}
     return kinds(node.name, descriptions)
 

@@ -77,7 +77,7 @@ _PLANT = _whole(
     r"delay|latency|dead_?time|(?:torque|motor|emf|speed)_constant|supply_voltage|battery_voltage",
 )
 _LOAD = _last(r"loads?")
-_NOISE = _whole(r"noise")
+_NOISE = _whole(r"noise|bias(?:es)?|vibrations?|jitter|drift|random_walk|turbulence")
 _EITHER = _whole(r"damping|damper|stiffness|spring|time_?constants?|tau|lag")
 """Names of a plant's parameters, or of a controller's with a filter or an impedance."""
 _WEAK = _whole(

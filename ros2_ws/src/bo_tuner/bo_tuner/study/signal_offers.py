@@ -22,6 +22,8 @@ REFERENCE = re.compile(
     re.IGNORECASE,
 )
 """Words in the name of a topic that carries what another signal shall follow."""
+TRUTH = re.compile(r"ground_?truth|(^|[/_])(truth|gt)([/_]|$)", re.IGNORECASE)
+"""Words in the name of a topic that carries what an estimator should find."""
 USUAL = (
     re.compile(r"position\["),
     re.compile(r"velocity\["),
@@ -34,6 +36,7 @@ UNUSUAL = re.compile(r"(^|[._])(min|max|increment|time|seq|id|status|variance|w)
 NO_SUBJECT = {
     *("data", "x", "y", "z", "w", "position", "velocity", "effort", "linear", "angular", "pose"),
     *("point", "points", "positions", "vector", "twist", "state", "states", "joint", "cmd", "ref"),
+    *("ground", "truth", "groundtruth", "gt"),
 }
 """Words in the name of a signal that do not say what it is a signal of."""
 QUANTITIES = (
@@ -89,7 +92,12 @@ class SignalOffer:
     @property
     def quantity(self) -> str:
         """What it is by its name, such as a velocity; empty if the name does not say it."""
-        return next((name for name, pattern in QUANTITIES if pattern.search(str(self))), "")
+        return quantity_of(str(self))
+
+
+def quantity_of(name: str) -> str:
+    """Return what is measured by the name of a topic or signal; empty if the name does not say."""
+    return next((quantity for quantity, pattern in QUANTITIES if pattern.search(name)), "")
 
 
 def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
@@ -117,8 +125,10 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     # A silent topic may be published in runs only, or never.
     pools = ([t for t in near if not t.is_silent], [t for t in single if not t.is_silent], near)
     usual = next((offers for pool in pools if (offers := [o for t in pool for o in _usual(t)])), [])
-    heard = [topic for topic in topics if set(topic.listeners) & set(nodes)]
-    wanted = reference([o for t in heard if REFERENCE.search(t.name) for o in _usual(t)], nodes)
+    heard = [t for t in topics if set(t.listeners) & set(nodes) and REFERENCE.search(t.name)]
+    truths = [topic for topic in single if TRUTH.search(topic.name)]
+    own = [topic for topic in single if set(topic.publishers) & set(nodes)]
+    wanted = reference([o for topic in (*heard, *truths, *own) for o in _usual(topic)], nodes)
     measured = None
     if wanted is not None:
         possible = [offer for topic in single for offer in signal_offers(topic)]
@@ -142,8 +152,14 @@ def reference(offers: Sequence[SignalOffer], nodes: Collection[str]) -> SignalOf
     offers
         Signals to choose of.
     nodes
-        Names of the nodes that are tuned; their own topics are no reference.
+        Names of the nodes that are tuned; their own topics are no reference. If these are no
+        commands, the nodes estimate something, and its ground truth is the reference.
     """
+    own = {offer.topic for offer in offers if set(offer.topic.publishers) & set(nodes)}
+    if own and not any(map(is_command, own)):
+        truths = (o for o in offers if o.topic not in own and o.topic.publishers)
+        if (truth := next((o for o in truths if is_truth(o)), None)) is not None:
+            return truth
     possible = [
         offer
         for offer in offers
@@ -171,7 +187,7 @@ def partner(
     offers
         Signals to choose of.
     nodes
-        Names of the nodes that are tuned; their own outputs come last.
+        Names of the nodes that are tuned; their own outputs come last, beside a ground truth first.
     """
 
     def rank(offer: SignalOffer) -> tuple[bool, ...]:
@@ -180,13 +196,23 @@ def partner(
             not _is_same(wanted, offer),
             not _subject(wanted) & _subject(offer),
             offer.quantity != (wanted.quantity or "position"),
-            bool(set(offer.topic.publishers) & set(nodes)),
+            bool(set(offer.topic.publishers) & set(nodes)) != is_truth(wanted),
             not shared,
             offer.topic.is_silent,
         )
 
     possible = [o for o in offers if o.topic != wanted.topic and o.topic.publishers and o.is_finite]
     return min(possible, key=rank, default=None)
+
+
+def is_command(topic: SeenTopic) -> bool:
+    """Whether a topic tells somebody what to do, by its name."""
+    return REFERENCE.search(topic.name) is not None or quantity_of(topic.name) == "effort"
+
+
+def is_truth(offer: SignalOffer) -> bool:
+    """Whether a signal is what an estimator should find, by the name of its topic."""
+    return TRUTH.search(offer.topic.name) is not None
 
 
 def is_sure(wanted: SignalOffer, measured: SignalOffer) -> bool:

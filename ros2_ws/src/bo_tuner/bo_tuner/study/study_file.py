@@ -177,6 +177,7 @@ def parse_study(
         document = strict_yaml.parse(text)
         lines = document.lines
         if describe is not None and (open_nodes := incomplete(document.value)):
+            _check_what_is_given(document.value, open_nodes)
             _fill_in(document.value, open_nodes, describe)
         completed = with_function(document.value) if of_function else document.value
         return study_from_mapping(completed)
@@ -195,9 +196,16 @@ def study_from_mapping(mapping: object) -> Study:
     StudyError
         If they violate a rule; carries the key path to the value, and the errors of other parts.
     """
+    findings = Findings()
+    made = _parts(mapping, findings)
+    findings.check()
+    return Study(**made)
+
+
+def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
+    """Return what a study is made of; what is wrong with a part goes to `findings`."""
     if not isinstance(mapping, dict):
         raise StudyError(f"expected a mapping, found {checks.show(mapping)}")
-    findings = Findings()
     with findings.under():
         arguments(Study, mapping)
     values = {key: item for key, item in mapping.items() if key in _SECTIONS}
@@ -225,8 +233,7 @@ def study_from_mapping(mapping: object) -> Study:
     if findings:
         # Errors in references are reported together with those in the parts.
         check_names(made, _names(values), findings)
-    findings.check()
-    return Study(**made)
+    return made
 
 
 def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
@@ -283,6 +290,19 @@ def study_to_mapping(study: Study) -> dict[str, object]:
 def study_to_yaml(study: Study) -> str:
     """Return the text of a study file, which `parse_study` reads as an equal study."""
     return strict_yaml.dump(study_to_mapping(study))
+
+
+def _check_what_is_given(mapping: object, nodes: Mapping[str, Sequence[str]]) -> None:
+    """Raise what is wrong whatever the nodes say: a misspelt key needs no node to be found."""
+    left_open = {name for names in nodes.values() for name in names}
+    keys = {field.name for field in dataclasses.fields(Parameter)}
+
+    def may_be_filled_in(path: KeyPath) -> bool:
+        return path[:1] == ("parameters",) and path[1] in left_open and not set(path[2:3]) - keys
+
+    findings = Findings()
+    _parts(mapping, findings)
+    findings.check(lambda error: not may_be_filled_in(error.path))
 
 
 def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Describe) -> None:

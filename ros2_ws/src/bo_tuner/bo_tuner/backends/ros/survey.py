@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -40,6 +41,8 @@ LISTEN = 1.0
 """Time [s] to hear a message, which has the items of arrays."""
 CHANGES = 2.0
 """Time [s] in which parameters that a node changes by itself are seen to change."""
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""What rmw calls the node of a topic's end while the node is not discovered."""
 GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
 """Ends of the name and the type of the service that takes the goals of an action."""
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
@@ -159,9 +162,37 @@ def _settle(tuner: TunerNode) -> None:
         )
         if now != seen:
             seen, since = now, time.monotonic()
-        return bool(_nodes(tuner)) and time.monotonic() - since > QUIET
+        is_still = bool(_nodes(tuner)) and time.monotonic() - since > QUIET
+        return is_still and _has_all_nodes(tuner.node)
 
     tuner.wait_until(is_quiet, DISCOVERY)
+
+
+def _has_all_nodes(node: Node) -> bool:
+    """Whether each topic and service belongs to a node that is seen, with its parameters.
+
+    On a busy computer the ends of topics are there well before the nodes that have them.
+    """
+    topics = [name for name, _ in node.get_topic_names_and_types() if name not in OF_ROS]
+    services = {name for name, _ in node.get_service_names_and_types()}
+    ends = [
+        end.node_name
+        for topic in topics
+        for find in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
+        for end in find(topic)
+    ]
+    owned: set[str] = set()
+    for name, namespace in node.get_node_names_and_namespaces():
+        try:
+            found = node.get_service_names_and_types_by_node(name, namespace)
+        except RuntimeError:
+            # It is leaving.
+            continue
+        own = {service for service, _ in found}
+        if own and f"{full_name(namespace, name)}/get_parameters" not in own:
+            return False
+        owned |= own
+    return UNKNOWN_NODE not in ends and services <= owned
 
 
 def _nodes(tuner: TunerNode) -> list[str]:
@@ -223,7 +254,8 @@ def _topics(
             continue
         publishers = _ends(tuner, tuner.node.get_publishers_info_by_topic(name))
         listeners = _ends(tuner, tuner.node.get_subscriptions_info_by_topic(name))
-        fields = number_fields(message)
+        # Of a covariance an item is recorded where it is named.
+        fields = {k: v for k, v in number_fields(message).items() if "covariance" not in k}
         for path in named.get(name, ()):
             if path not in fields:
                 fields |= _named(name, path, message, heard=name in heard, silent=not publishers)

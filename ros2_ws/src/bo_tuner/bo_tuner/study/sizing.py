@@ -1,0 +1,54 @@
+"""How large a budget a study needs, by its number of parameters, contexts and kinds of limits."""
+
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted
+
+OF_PARAMETER = 10
+"""Trials for each parameter (Loeppky, Sacks and Welch 2009, sec. 3), and once more as many."""
+FEW = 0.5
+"""Share of these trials below which they are said to be few."""
+DRAWN = 2
+"""Drawn contexts of a trial where its runs differ, and a limit asks by how much."""
+
+
+def usual_trials(parameters: int) -> int:
+    """Return the usual number of trials for a number of tuned parameters."""
+    return OF_PARAMETER * (parameters + 1)
+
+
+def first_budget(parameters: int, *, contexts: bool, limits_runs: bool) -> dict[str, int]:
+    """Return the budget of a first study.
+
+    Parameters
+    ----------
+    parameters
+        Number of tuned parameters.
+    contexts
+        Whether the machine may differ from run to run.
+    limits_runs
+        Whether a limit is on single runs, or on the worst context.
+    """
+    return {
+        "trials": usual_trials(parameters),
+        "initial_trials": max(8, 2 * (parameters + 1)),
+        "drawn_contexts": DRAWN if contexts or limits_runs else 1,
+        "validation_draws": 5,
+    }
+
+
+def shortages(study: Study) -> list[str]:
+    """Return what is too small of a study's budget, a line each."""
+    budget, tuned = study.budget, len(study.search_space().names)
+    usual = usual_trials(tuned)
+    lines = []
+    if budget.trials < FEW * usual:
+        lines.append(
+            f"budget.trials: {budget.trials} are few for {counted(tuned, 'parameter')}; "
+            f"{usual} are usual, {OF_PARAMETER} for each and {OF_PARAMETER} more"
+        )
+    if budget.drawn_contexts == 1 and study.contexts:
+        lines.append(
+            "budget.drawn_contexts: 1 says little of contexts, since each of the first trials has "
+            f"one run; {DRAWN} or more are usual"
+        )
+    return lines
