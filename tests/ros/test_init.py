@@ -149,6 +149,25 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
     assert list(load_study(tmp_path / "study.yaml").parameters) == ["late"]
 
 
+def test_a_plant_whose_controller_is_not_there_is_not_tuned(empty_domain, tmp_path):
+    """A simulator has noise, and hears a command that nobody gives yet."""
+
+    def simulator(context):
+        node = Node("sim", context=context)
+        node.declare_parameter("vibration", 0.1)
+        node.declare_parameter("gyro_bias", 0.01)
+        angle = node.create_publisher(Float64, "angle", 10)
+        node.create_subscription(Float64, "torque", lambda _: None, 10)
+        node.create_timer(0.01, lambda: angle.publish(Float64()))
+        return node
+
+    with at_work(simulator):
+        code, out, err = run("init", folder=tmp_path)
+    assert code == 2
+    assert "note: sim: a plant by its topics and parameters; no node that controls it" in out
+    assert err.startswith("error: --nodes: no name tells which to take; name some of sim")
+
+
 class Lidar(Node):
     """Publishes 360 ranges, and an empty list; takes a trajectory, and an array."""
 
@@ -272,7 +291,7 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
             folder=tmp_path,
         )
     assert (code, err) == (0, "")
-    assert "study.yaml: 1 parameter and 1 signal; now review it and" in out
+    assert "study.yaml: 1 parameter and 1 signal; 20 trials, at most " in out
     text = (tmp_path / "study.yaml").read_text()
     offered = re.sub(r"^  # (other: |offset: )", r"  \1", text, flags=re.MULTILINE)
     assert offered != text

@@ -21,6 +21,7 @@ from bo_tuner.study.offers import (
     suggested_nodes,
     suggested_parameters,
 )
+from bo_tuner.study.parameter_kinds import Kind
 from bo_tuner.study.roles import is_plant
 from bo_tuner.study.seen import Seen, SeenNode
 from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
@@ -221,7 +222,10 @@ def _choose(
 def _suggested_nodes(seen: Seen, offers: Mapping[str, Sequence[ParameterOffer]]) -> Collection[str]:
     """Return the nodes that are tuned unless the user says otherwise: a controller, no plant."""
     plants = [node.name for node in seen.nodes if is_plant(node, seen.topics)]
-    suggested = suggested_nodes({k: own for k, own in offers.items() if k not in plants})
+    controllers = suggested_nodes({k: own for k, own in offers.items() if k not in plants})
+    # A simulation may close a loop of its own, with gains.
+    closed = {k: [o for o in offers[k] if o.kind is Kind.TUNING] for k in plants}
+    suggested = controllers or suggested_nodes(closed)
     if plants and not suggested:
         say(
             f"note: {', '.join(plants)}: a plant by its topics and parameters; no node that "

@@ -22,7 +22,7 @@ from bo_tuner.backends.ros.messages import (
     type_name,
 )
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
-from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
+from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.fields import parsed_field
@@ -189,7 +189,8 @@ def _has_all_nodes(node: Node) -> bool:
             # It is leaving.
             continue
         own = {service for service, _ in found}
-        if own and f"{full_name(namespace, name)}/get_parameters" not in own:
+        asked = f"{full_name(namespace, name)}/get_parameters"
+        if own and asked not in own and not is_own(name):
             return False
         owned |= own
     return UNKNOWN_NODE not in ends and services <= owned
