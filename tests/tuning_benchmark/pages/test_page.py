@@ -22,8 +22,12 @@ def campaign(make_case, record, answer):
     return make
 
 
+PRINTED = {"runs": 10, "objective": 0.25}
+
+
 def rows_named(names):
-    return {name: Row(name=name, algorithm="IV") for name in names}
+    """Rows of which the paper prints something."""
+    return {name: Row(name=name, algorithm="IV", published=PRINTED) for name in names}
 
 
 def test_a_question_begins_with_what_was_found(campaign, record, answer):
@@ -56,24 +60,27 @@ def test_a_figure_compares_as_many_rows_as_can_be_told_apart(campaign, names, dr
     assert len(section.figures) == section.text.count("![") == drawn
 
 
-def test_a_page_tells_protocols_and_remarks(campaign, answer):
+def test_cases_that_the_paper_does_not_have_are_in_one_table(campaign):
     rows = {
         "A": Row(name="A", algorithm="IV"),
         "drawn": Row(name="drawn", optimizer="valley:Draws", protocol="random", contexts=3),
         "lent": Row(name="lent", optimizer="valley:Draws"),
     }
-    (whole,) = page.sections(campaign(rows, remarks="So it is."))
-    assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in whole.text
-    assert "*Worst case*: the trial is evaluated as in Algorithm IV" in whole.text
-    assert "\n\nSo it is.\n\n" in whole.text
-    (alone,) = page.sections(campaign({"A": rows["A"]}))
-    for words in ("*Random*", "*Worst case*"):
-        assert words not in alone.text
+    made = campaign(rows, remarks="So it is.")
+    case = made.experiment.cases["c"]
+    twice = dataclasses.replace(made.experiment, cases={"c": case, "d": case})
+    (section,) = page.sections(dataclasses.replace(made, experiment=twice))
+    lines = section.text.splitlines()
+    assert sum(line.startswith("| ---") for line in lines) == 1
+    assert sum(line.startswith(f"| {case.title} |") for line in lines) == 2
+    assert section.text.count("\n\nSo it is.\n\n") == 1
+    assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in section.text
+    assert "*Worst case*: the trial is evaluated as in Algorithm IV" in section.text
+    assert section.figures == ()
 
 
 def test_what_the_paper_says_is_beside_what_came_out(campaign):
-    rows = {"A": Row(name="A", algorithm="IV", published={"runs": 10, "objective": 0.25})}
-    (section,) = page.sections(campaign(rows))
+    (section,) = page.sections(campaign(rows_named("A")))
     table = "\n".join(line for line in section.text.splitlines() if line.startswith("|"))
     cells = columns_of(table)
     assert cells["validated objective, paper"] == "0.25"

@@ -12,7 +12,7 @@ from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_OK
 from bo_tuner.errors import RunError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.report.page import write_figure
-from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.atomic import write_atomically, writing
 from tuning_benchmark.campaign import provenance
 from tuning_benchmark.campaign.execution import conduct, unfinished
 from tuning_benchmark.campaign.records import Records
@@ -217,6 +217,8 @@ def _write(
         parts += page.sections(campaign)
         failed |= {k: r["failed"] for k, r in campaign.done.items() if r["failed"]}
         print(page.numbers(campaign.experiment, campaign.done))
+    with writing(output):
+        output.mkdir(parents=True, exist_ok=True)
     for part in parts:
         for figure in part.figures:
             write_figure(figure, output / page.FOLDER, [page.FORMAT])

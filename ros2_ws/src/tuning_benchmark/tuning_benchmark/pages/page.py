@@ -32,21 +32,16 @@ FOLDER, FORMAT = "figures", "svg"
 COMMIT_DIGITS = 10
 
 LEGEND = """\
-How to read the tables. *Truly feasible*: in each context of a grid over the whole box the limit is
-kept by the mean over noise, or by a single run with the limit's probability where the case has one
-and its remarks do not say otherwise, and evaluations on the real objects satisfy the chance
-constraints. *Held*: the run called its answer feasible, and 25 fresh draws showed no violation.
-*Objective*: true mean over 600 drawn contexts, of the truly feasible answers. *Regret at equal
-margin*: their distance to the lowest objective of any parameter set whose worst case is as large as
-the answer's own, so that an answer is not blamed for its margin; the frontier of a grid is known
-between few points only, and an answer may lie below it. *Within the limit*: share of runs in the
-answer's worst context, mean and lowest over all answers. *Near*: runs whose incumbent was truly
-feasible and within 5 % of the optimum for good, and the median of the evaluations until then; a run
-that never was counts as longer than any other. *Evaluations*: mean of the trials + checks.
-*Against*: the seeds with a truly feasible answer in this row only : in the first row only, with the
-exact test of McNemar (1947), and the difference of the objective where both have one; runs with the
-same seed share their initial samples and their validation draws. In brackets: 95 % confidence
-intervals, Clopper-Pearson for shares, Student's t for means.
+*Truly feasible*: in each context of a grid over the whole box the limit is kept by the mean over
+noise, or by a single run with the limit's probability where the case has one, and evaluations on
+the real objects satisfy the chance constraints. *Held*: the run called its answer feasible, and 25
+fresh draws showed no violation. *Objective*: true mean over 600 drawn contexts, of the truly
+feasible answers. *Regret at equal margin*: their distance to the lowest objective of any parameter
+set whose worst case is as large. *Within the limit*: share of runs in the answer's worst context,
+mean and lowest over all answers. *Near*: runs whose incumbent was truly feasible and within 5 % of
+the optimum for good, and the median of the evaluations until then. *Evaluations*: mean of the
+trials + checks. In brackets: 95 % confidence intervals, Clopper-Pearson for shares, Student's t for
+means. `benchmark` prints further tables.
 """
 
 
@@ -98,13 +93,19 @@ def sections(campaign: Campaign) -> list[Section]:
     """Lay out a campaign: a section for each question, with its origin at the end."""
     experiment, done = campaign.experiment, campaign.done
     parts = []
+    others = []
     for case in experiment.cases.values():
         summaries = summaries_of(experiment, case, done)
+        if not any(row.published for row in case.rows.values()):
+            others.append((case, summaries))
+            continue
         parts.append(_case(campaign, case, summaries))
         if case.points:
             parts.append(_points(campaign, case))
         if case.surrogates is not None:
             parts.append(_fields(campaign, case, case.surrogates))
+    if others:
+        parts.append(_cases(campaign, others))
     if experiment.calibration is not None and not done[CALIBRATION]["failed"]:
         figure, text = figures.calibration(experiment.calibration, done[CALIBRATION]["result"])
         text = _with(text, figure) if figure else text
@@ -178,7 +179,6 @@ def _case(campaign: Campaign, case: Case, summaries: Sequence[RowSummary]) -> Se
         f"{case.runs} {'run' if case.runs == 1 else 'runs'} of each row on the study "
         f"`{study.name}`, from {initial} initial samples. A run ends with the trial that reaches "
         f"{case.evaluations} evaluations{_exceptions(case)}; {_kept(case)}.",
-        *_protocols(case),
         tables.overview_table(case, summaries),
     ]
     if case.remarks:
@@ -192,6 +192,18 @@ def _case(campaign: Campaign, case: Case, summaries: Sequence[RowSummary]) -> Se
         text.append(_with("", *drawn))
     text.append(_origin(campaign, _runs(case, campaign.done), case.runs))
     return Section(case.title, "\n\n".join(text), drawn)
+
+
+def _cases(campaign: Campaign, cases: Sequence[tuple[Case, Sequence[RowSummary]]]) -> Section:
+    """Lay out cases that the paper does not have in one table."""
+    text = [_protocols([case for case, _ in cases]), tables.cases_table(cases)]
+    text += [case.remarks.strip() for case, _ in cases]
+    runs = [record for case, _ in cases for record in _runs(case, campaign.done)]
+    text.append(_origin(campaign, runs, max(case.runs for case, _ in cases)))
+    return Section(
+        campaign.experiment.title or campaign.experiment.name,
+        "\n\n".join(part for part in dict.fromkeys(text) if part),
+    )
 
 
 def _origin(campaign: Campaign, records: Iterable[Record], seeds: int = 0) -> str:
@@ -210,12 +222,10 @@ def _origin(campaign: Campaign, records: Iterable[Record], seeds: int = 0) -> st
     return f"*{', '.join(parts)}.*"
 
 
-def _protocols(case: Case) -> list[str]:
+def _protocols(cases: Sequence[Case]) -> str:
     """Explain how trials are evaluated, where rows differ in that."""
-    rows = case.rows.values()
-    if not any(row.optimizer for row in rows):
-        return []
-    worst = next(iter(case.study.worst_case_constraints), None)
+    rows = [row for case in cases for row in case.rows.values()]
+    worst = next((w for case in cases for w in case.study.worst_case_constraints), None)
     text = []
     contexts = sorted({row.contexts for row in rows if row.protocol == RANDOM})
     if contexts:
@@ -228,7 +238,7 @@ def _protocols(case: Case) -> list[str]:
             "*Worst case*: the trial is evaluated as in Algorithm IV, in drawn contexts and then "
             "by our search for the worst context."
         )
-    return [" ".join(text)] if text else []
+    return " ".join(text)
 
 
 def _points(campaign: Campaign, case: Case) -> Section:

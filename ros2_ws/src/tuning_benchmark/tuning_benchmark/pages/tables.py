@@ -41,7 +41,6 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def overview_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     """Lay out what matters of a case in one table, without columns of which nothing is known."""
-    first = summaries[0]
     columns: Columns = {
         "row": lambda s: s.row.name,
         "truly feasible": lambda s: _share(s.feasible),
@@ -58,18 +57,28 @@ def overview_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     if any(s.distance is not None for s in summaries):
         columns["near"] = lambda s: f"{_near(s)} of {case.runs}, {_until_near(s)}"
     columns["evaluations"] = _evaluations
-    published = _published(summaries)
-    columns |= published or {"held": lambda s: f"{s.validated.count} of {case.runs}"}
-    if len(summaries) > 1 and not published:
-        columns[f"against {first.row.name}"] = lambda s: "" if s is first else _against(s, first)
+    columns |= _published(summaries)
     return markdown(list(columns), [[shown(s) for shown in columns.values()] for s in summaries])
 
 
-def _against(s: RowSummary, first: RowSummary) -> str:
-    """Compare a row with the first one by the runs with the same seed."""
-    change = difference(s.feasible_objectives, first.feasible_objectives)
-    counts = _counts(s, first)
-    return f"{counts}, {_mean(change, signed=True)}" if change.count else counts
+def cases_table(cases: Iterable[tuple[Case, Sequence[RowSummary]]]) -> str:
+    """Lay out several cases in one table: what was found, and what it took."""
+    header = [
+        "case", "row", "truly feasible", "above the optimum [%]", "within the limit", "evaluations",
+    ]  # fmt: skip
+    rows = [
+        [
+            "" if k else case.title,
+            s.row.name,
+            _share(s.feasible),
+            _mean(s.distance, digits=1) if s.distance else "",
+            _kept(s),
+            _evaluations(s),
+        ]
+        for case, summaries in cases
+        for k, s in enumerate(summaries)
+    ]
+    return markdown(header, rows)
 
 
 def _counts(s: RowSummary, first: RowSummary) -> str:
