@@ -44,7 +44,7 @@ CONTENTS = {
         "notebooks/pid", "notebooks/worst_case", "notebooks/mpc_weights",
         "notebooks/gymnasium_task", "notebooks/reading_a_run",
     ],
-    "Reference": ["commands", "study_file", "glossary", "interfaces", "python_reference"],
+    "Reference": ["commands", "study_keys", "study_file", "interfaces", "python_reference"],
     "Explanation": [
         "method", "certificate", "architecture", "examples", "results", "performance",
     ],
