@@ -20,7 +20,6 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web import runs as runs_module
 from bo_tuner.web.files import files_of
-from bo_tuner.web.qr_code import qr_code
 from bo_tuner.web.runs import Runs
 
 
@@ -305,29 +304,3 @@ class TestOtherMachines:
     def test_all_interfaces_are_listened_to(self, open_to_all):
         # Another address of the loopback interface; by default only 127.0.0.1 is listened to.
         socket.create_connection(("127.0.0.2", open_to_all.port), timeout=5.0).close()
-
-
-class TestCode:
-    ADDRESS = "http://192.168.100.200:41873/?token=95KEED9CrkZz225M6NuZhn6KmpK9UGtw"
-
-    def test_its_finders_are_where_a_reader_looks_for_them(self):
-        """The pattern that a QR code has at three corners (ISO/IEC 18004)."""
-        lines = qr_code(self.ADDRESS, 80)
-        dark = []
-        for line in lines:
-            dark.append([c in " ▄" for c in line])
-            dark.append([c in " ▀" for c in line])
-        finder = ["#######", "#     #", "# ### #", "# ### #", "# ### #", "#     #", "#######"]
-        size = len(dark[0])
-        for top, left in ((2, 2), (2, size - 9), (size - 9, 2)):
-            seen = [
-                "".join("#" if dark[top + k][left + j] else " " for j in range(7)) for k in range(7)
-            ]
-            assert seen == finder
-        # Nothing else is at the margin.
-        assert not any(map(any, (dark[0], dark[1], *([row[0]] for row in dark))))
-
-    def test_none_that_would_be_broken(self):
-        width = len(qr_code(self.ADDRESS, 200)[0])
-        assert qr_code(self.ADDRESS, width)
-        assert qr_code(self.ADDRESS, width - 1) == []
