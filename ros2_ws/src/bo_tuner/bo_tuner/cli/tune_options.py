@@ -261,8 +261,7 @@ def _add_web(group: Group) -> None:
     group.add_argument(
         "--web-control",
         action="store_true",
-        help="with --web: the page may pause, continue and end the run, answer --confirm, "
-        "and take notes",
+        help="with --web: the page may pause, continue and end the run, and answer --confirm",
     )
     add_host_argument(group, "--web")
 
