@@ -336,7 +336,7 @@ def _new(
     study = _given(named, attach, arguments, ros_arguments, interruption)
     algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
-        parser.error(f"--algorithm: {problem}")
+        parser.error(f"{'safe_search' if algorithm == SAFE else '--algorithm'}: {problem}")
     check_ends_early(study, backend)
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 
@@ -400,7 +400,7 @@ def _check_options(
         parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.confirm:
         if plan.algorithm != SAFE:
-            parser.error("--confirm: expected a safe search; add --safe")
+            parser.error("--confirm: expected a study with `safe_search: true`")
         if workers.window > 1:
             parser.error(f"--confirm: expected 1 worker, found {workers.window}")
         if arguments.output_mode is Output.JSON_LINES:

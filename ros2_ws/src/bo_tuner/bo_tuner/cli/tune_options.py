@@ -57,8 +57,7 @@ examples:
   tune --study my_axis.yaml --from latest --simulated   knowing a simulation
   tune --time 30min                    have the result by then
   tune --time 30min --certify          and its certificate
-  tune --safe --attach                 from what runs now on, in small steps
-  tune --safe --attach --confirm       the same, and ask before each step
+  tune --study my_axis.yaml --attach --confirm   a safe search that asks first
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -174,21 +173,12 @@ def _add_known(group: Group) -> None:
 
 
 def _add_method(group: Group) -> None:
-    # A search that is to be safe must not become another one by what stands elsewhere in a script.
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
+    titles = {name: method.title for name, method in METHODS.items() if name != SAFE}
+    group.add_argument(
         "--algorithm",
-        choices=tuple(METHODS),
-        help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
-        + f" (default: {SAFE} for a study with safe_search, else {DEFAULT_METHOD})",
-    )
-    which.add_argument(
-        "--safe",
-        action="store_const",
-        dest="algorithm",
-        const=SAFE,
-        help="try only parameter sets that are expected to keep all limits, from the default or "
-        f"those of --start on, in bounded steps; the same as --algorithm {SAFE}",
+        choices=tuple(titles),
+        help="; ".join(f"{name}: {title}" for name, title in titles.items())
+        + f" (default: {DEFAULT_METHOD}; a study with safe_search has one of its own)",
     )
     group.add_argument(
         "--confirm",
