@@ -30,7 +30,7 @@ from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
-from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
+from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
@@ -92,7 +92,6 @@ class Plan:
 def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
-    refuse_other_commands(own, ros_arguments)
     parser = make_parser()
     arguments, unknown = parser.parse_known_args(own)
     if unknown:

@@ -1,8 +1,6 @@
 """The options of ``tune``."""
 
 import argparse
-import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
@@ -11,7 +9,6 @@ from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
-from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SAFE
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
@@ -68,9 +65,6 @@ examples:
 
 STUDY = "benchmark"
 
-OTHER_COMMANDS = {"--init": "init", "--check": "check"}
-"""Options in place of which there are commands."""
-
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
@@ -84,29 +78,6 @@ def make_parser() -> Parser:
     _add_output(parser.add_argument_group("output"))
     _add_web(parser.add_argument_group("live page"))
     return parser
-
-
-def refuse_other_commands(own: Sequence[str], ros_arguments: Sequence[str]) -> None:
-    """Name the command for what is not asked of ``tune``.
-
-    Parameters
-    ----------
-    own, ros_arguments
-        Of the command line.
-
-    Raises
-    ------
-    StudyError
-        If an option asks for what another command does.
-    """
-    for index, argument in enumerate(own):
-        option, _, value = argument.partition("=")
-        if command := OTHER_COMMANDS.get(option):
-            others = [*filter(None, (value,)), *own[index + 1 :], *own[:index], *ros_arguments]
-            raise StudyError(
-                f"{option}: expected the command {command} in place of tune: "
-                f"{shlex.join([command, *others])}"
-            )
 
 
 def _add_study(group: Group) -> None:
