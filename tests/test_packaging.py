@@ -47,7 +47,6 @@ PIP_PACKAGES = {
     "rich": ("python3-rich", "rich"),
     "rosbags": ("python3-rosbags-pip", "rosbags"),
     "scipy": ("python3-scipy", "scipy"),
-    "segno": (None, "segno"),
     "simpleeval": (None, "simpleeval"),
     "sklearn": ("python3-sklearn", "scikit-learn"),
     "threadpoolctl": (None, "threadpoolctl"),

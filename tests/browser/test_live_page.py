@@ -17,9 +17,8 @@ pytestmark = pytest.mark.slow
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 
-STUDY = study_from_mapping(
-    axis_study(nodes={"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}})
-)
+NODES = {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}}
+STUDY = study_from_mapping(axis_study(nodes=NODES))
 
 
 def held_run(folder):
@@ -112,9 +111,9 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
 
 
 def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path):
-    write_study(tmp_path, STUDY)
+    write_study(tmp_path, study_from_mapping(axis_study(nodes=NODES, safe_search=True)))
     file = tmp_path / "said.txt"
-    options = ("--backend", "inprocess", "--study", "axis.yaml", "--safe", "--confirm")
+    options = ("--backend", "inprocess", "--study", "axis.yaml", "--confirm")
     with file.open("w") as said:
         process = Fork("tune", *options, "--web", "--web-control", folder=tmp_path, stderr=said)
     try:

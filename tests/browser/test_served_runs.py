@@ -1,12 +1,11 @@
-"""The runs in a folder as a reader sees them: links and points lead to trials, and notes stay."""
+"""The runs in a folder as a reader sees them: links and points lead to trials."""
 
 import json
+import re
 import shutil
 
 import pytest
 from pages import ServedRuns
-
-from bo_tuner.storage.notes import Note, read_notes, write_note
 
 pytestmark = pytest.mark.slow
 
@@ -46,20 +45,6 @@ def test_axe_finds_nothing(chromium, page, axe, path, theme, width):
     assert chromium.errors == []
 
 
-def test_a_note_stays(chromium, page, served):
-    page("runs/first/trials/1")
-    chromium.evaluate(
-        "(() => { const { text, tags } = document.querySelector('form.note').elements;"
-        "text.value = 'rings'; tags.value = 'bench'; })()"
-    )
-    chromium.evaluate("document.querySelector('form.note button').click()")
-    chromium.wait_for("document.querySelector('form.note output').textContent === 'Saved'")
-    assert read_notes(served.folder / "first").trials == {"1": Note("rings", ("bench",))}
-    page("runs/first/trials/1")
-    assert chromium.evaluate("document.querySelector('form.note textarea').value") == "rings"
-    assert [url for url in chromium.requests if not url.startswith((served.address, "data:"))] == []
-
-
 def test_the_list_follows_without_being_loaded_again(chromium, page, served):
     """A new run appears and a row changes, while what is ticked, typed and focused stays."""
     page("runs")
@@ -68,7 +53,9 @@ def test_the_list_follows_without_being_loaded_again(chromium, page, served):
     names = "[...document.querySelectorAll('#runs tbody a')].map(a => a.textContent)"
     assert "third" not in chromium.evaluate(names)
     shutil.copytree(served.folder / "first", served.folder / "third")
-    write_note(served.folder / "first", None, Note("rings"))
+    study = served.folder / "first" / "study.yaml"
+    before = study.read_text()
+    study.write_text(re.sub("^name: .*$", "name: rings", before, flags=re.MULTILINE))
     try:
         chromium.wait_for(f"{names}.includes('third')")
         chromium.wait_for(f"{row}.closest('tr').textContent.includes('rings')")
@@ -78,6 +65,7 @@ def test_the_list_follows_without_being_loaded_again(chromium, page, served):
         assert chromium.evaluate("document.querySelector('#runs caption').textContent") == "3 runs"
     finally:
         shutil.rmtree(served.folder / "third")
+        study.write_text(before)
     chromium.wait_for(f"!{names}.includes('third')")
     # A filter holds for a run that comes later, too.
     chromium.evaluate(

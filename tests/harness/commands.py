@@ -17,7 +17,7 @@ from waiting import DEADLINE
 
 # The imports of a command or a node take longer than most runs of a small object. The server has
 # them done when it forks; it serves this test process alone, and ends with it.
-PRELOADED = ("tune", "init", "check", "report", "validate", "replay", "apply")
+PRELOADED = ("tune", "init", "check", "report", "validate", "replay", "apply", "guard")
 _SERVER = multiprocessing.get_context("forkserver")
 _SERVER.set_forkserver_preload(
     [
@@ -77,6 +77,8 @@ class Fork:
         Whose ``__main__`` runs.
     env, without
         Changes of the environment.
+    stdin
+        A descriptor; nothing can be read without one.
     stdout, stderr
         Files or descriptors; what goes to none of them, `communicate` returns.
     start_new_session
@@ -90,6 +92,7 @@ class Fork:
         package="bo_tuner",
         env=None,
         without=(),
+        stdin=None,
         stdout=None,
         stderr=None,
         start_new_session=False,
@@ -100,10 +103,11 @@ class Fork:
         self._said = [None if stream is not None else _temporary() for stream in given]
         self._answer = None
         output = [_Stream(file or stream) for file, stream in zip(self._said, given, strict=True)]
+        input_ = None if stdin is None else _Stream(stdin)
         variables = environment(folder, without=without, **(env or {}))
         self._process = _SERVER.Process(
             target=_run_package,
-            args=(self.args, str(folder), variables, output, start_new_session),
+            args=(self.args, str(folder), variables, input_, output, start_new_session),
         )
         with mock.patch.dict(os.environ, ONE_THREAD):
             self._process.start()
@@ -142,6 +146,26 @@ class Fork:
         self.send_signal(signal.SIGKILL)
 
 
+class ForkedGuard(Fork):
+    """In place of the `subprocess.Popen` of a guard that a tuner starts."""
+
+    def __init__(self, command, *, stdin, stdout, stderr, start_new_session, env):
+        read, beats = os.pipe()
+        heard, said = os.pipe()
+        super().__init__(
+            folder=os.getcwd(),  # noqa: PTH109
+            package=command[-1],
+            env=env,
+            stdin=read,
+            stdout=said,
+            stderr=stderr,
+            start_new_session=start_new_session,
+        )
+        os.close(read)
+        os.close(said)
+        self.stdin, self.stdout = os.fdopen(beats, "wb", buffering=0), os.fdopen(heard, "rb")
+
+
 class _Stream:
     """A descriptor that the forked process gets, too."""
 
@@ -165,9 +189,13 @@ def _content(file):
         return file.read()
 
 
-def _run_package(command, folder, variables, output, new_session):
+def _run_package(command, folder, variables, input_, output, new_session):
     if new_session:
         os.setsid()
+    if input_ is not None:
+        os.dup2(input_.descriptor, 0)
+        os.close(input_.descriptor)
+        sys.stdin = os.fdopen(0, encoding="utf-8", closefd=False)
     for descriptor, (name, stream) in enumerate(zip(STREAMS, output, strict=True), start=1):
         os.dup2(stream.descriptor, descriptor)
         os.close(stream.descriptor)

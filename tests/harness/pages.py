@@ -1,7 +1,6 @@
 """The pages that a command serves, as the tests ask for them."""
 
 import http.client
-import json
 import re
 
 from commands import Fork
@@ -37,13 +36,6 @@ class Pages:
 
     def control_token(self, path="/"):
         return re.search(r'data-token="([\w-]+)"', self.ask(path)[2]).group(1)
-
-    def note(self, page, text="", tags="", **headers):
-        """Status and text of the answer to a note on what a page is about."""
-        given = self.origin | {"X-Control-Token": self.control_token(page)} | headers
-        body = json.dumps({"text": text, "tags": tags})
-        status, _, said = self.ask(f"{page}/note", method="POST", body=body, **given)
-        return status, said
 
 
 class ServedRuns(Pages):

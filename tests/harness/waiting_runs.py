@@ -1,7 +1,7 @@
 """Runs of the command `tune` with several workers, on an object that waits and can be killed."""
 
 from command_runs import RESULTS
-from commands import finish, start
+from commands import Fork, finish
 
 from bo_tuner.study.study_file import study_to_yaml
 
@@ -62,7 +62,7 @@ class Runs:
         return self.folder / name / "latest"
 
     def start(self, *arguments, **options):
-        return start(*arguments, folder=self.folder, **options)
+        return Fork(*arguments, folder=self.folder, **options)
 
     def begin(self, name, *arguments, **options):
         new = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)

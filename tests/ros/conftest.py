@@ -4,11 +4,13 @@ Nothing here sleeps for a fixed time: whatever is waited for is polled with a de
 """
 
 import os
+import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tuner
-from commands import start
+from commands import ForkedGuard, start
 from milling_nodes import Drive, Loop, StandInController, reset_parameters
 from peer import Peer
 from ros_processes import Starter, claim_domain, shared_memory_of
@@ -37,6 +39,15 @@ def ros_environment(tmp_path_factory):
         before = shared_memory_of(domain)
         yield
         assert shared_memory_of(domain) <= before
+
+
+@pytest.fixture(autouse=True)
+def forked_guard(monkeypatch):
+    """Guards of backends in this process are forked: their imports take longer than most runs."""
+    forked = SimpleNamespace(
+        Popen=ForkedGuard, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
+    )
+    monkeypatch.setattr("bo_tuner.backends.ros.guard.link.subprocess", forked)
 
 
 @pytest.fixture

@@ -90,27 +90,34 @@ def write_study(tmp_path, **changes):
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
 
 
-def study(tmp_path, *options, **changes):
-    """Check a study without what `test_parameter_runs` is about."""
-    write_study(tmp_path, **changes)
-    arguments = ("check", "servo.yaml", "--no-sensitivity", *options)
-    return finish(Fork(*arguments, folder=tmp_path))
+@pytest.fixture
+def study(servo, tmp_path, capsys, monkeypatch):
+    """Function that checks a study of the servo without what `test_parameter_runs` is about."""
+    # Nobody else is in the domain, and what runs in this process is discovered at once.
+    for module in ("graph", "bringup"):
+        monkeypatch.setattr(f"bo_tuner.backends.ros.{module}.LOOK_AROUND", 0.1)
+
+    def check(*options, **changes):
+        write_study(tmp_path, **changes)
+        return call(check_command, capsys, tmp_path / "servo.yaml", "--no-sensitivity", *options)
+
+    return check
 
 
-def test_noise_of_a_study_that_declares_none(servo, tmp_path):
+def test_noise_of_a_study_that_declares_none(study):
     """No two runs on the clock of a machine have the same error."""
-    code, _, err = study(tmp_path, noise="none")
+    code, _, err = study(noise="none")
     assert code == 3
     assert "error: the study declares noise: none, but error was " in err
     assert "in two runs of the same parameter set in the same context (seeds " in err
 
 
-def test_a_study_that_is_right(servo, tmp_path):
+def test_a_study_that_is_right(servo, study, tmp_path):
     """Bounds, types, defaults and the array come from the node, which is left as it was.
 
     Not even safe values stay, as they do after a run.
     """
-    code, out, err = study(tmp_path, park={"parameters": {"gain": 0.5}, "between_runs": True})
+    code, out, err = study(park={"parameters": {"gain": 0.5}, "between_runs": True})
     assert (code, err) == (0, "")
     assert "the nodes match the study: 3 parameters and 2 signals" in out
     assert "metrics of the default" in out
@@ -129,13 +136,12 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
+def test_limits_and_noise_that_ask_for_a_look(servo, study):
     """What the default does not keep, also below a limit, and runs that do not begin alike."""
     limit = {"kind": "worst_case", "metric": "error", "upper": 0.001}
     servo.starts = itertools.cycle([0.0, 0.9])
     try:
         code, out, err = study(
-            tmp_path,
             *("--attach", "--trials", "2"),
             signals={
                 "angle": {"topic": "/angle", "field": "data"},
@@ -155,18 +161,18 @@ def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
     assert "note: speed: has a value at the start of run 2 and none at that of " in out
 
 
-def test_a_limit_relative_to_the_default_takes_a_second_run(servo, tmp_path):
+def test_a_limit_relative_to_the_default_takes_a_second_run(study):
     """The default, which the check runs, needs none beside it."""
     calm = {"kind": "chance", "metric": "error", "upper": "1.1 * default", "probability": 0.9}
-    code, out, err = study(tmp_path, constraints={"calm": calm})
+    code, out, err = study(constraints={"calm": calm})
     assert code == 0, err
     assert "error_minus_1.1_default" in out
     said = "note: limits are relative to the default, which is run beside each test run"
     assert said in " ".join(out.split())
 
 
-def test_a_machine_that_warms_up_and_rests_takes_longer(servo, tmp_path):
-    code, out, err = study(tmp_path, run={"warm_up": 2, "rest": 3})
+def test_a_machine_that_warms_up_and_rests_takes_longer(study):
+    code, out, err = study(run={"warm_up": 2, "rest": 3})
     assert code == 0, err
     assert re.search(r"^2 runs to warm up took [\d.]+ s: once for each command$", out, re.MULTILINE)
     rested = re.search(r"^the machine rested ([\d.]+) s ahead of one, which counts$", out, re.M)
@@ -181,16 +187,15 @@ def test_a_machine_that_warms_up_and_rests_takes_longer(servo, tmp_path):
         ({"ramp": 0.5, "rest": 0.1}, "twice for each test run"),
     ],
 )
-def test_ramps_are_counted(servo, tmp_path, run, often):
-    code, out, err = study(tmp_path, run=run)
+def test_ramps_are_counted(study, run, often):
+    code, out, err = study(run=run)
     assert code == 0, err
     assert f"a ramp takes 0.5 s, {often}, which counts" in out
 
 
-def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):
+def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, study):
     spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
     code, _, err = study(
-        tmp_path,
         nodes={"servo": {"node": "servo", "parameters": {"fliter": True}}},
         contexts={"gian": {"node": "servo"} | spread},
         seed_parameter={"node": "servo", "parameter": "seed"},
@@ -217,8 +222,8 @@ def test_a_run_that_is_refused_leaves_no_folder(servo, tmp_path):
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_a_run_that_sends_nothing(servo, tmp_path):
-    _, out, _ = study(tmp_path, run={"start": []})
+def test_a_run_that_sends_nothing(study):
+    _, out, _ = study(run={"start": []})
     assert "note: run.start: missing, so nothing sends a reference" in out
 
 
@@ -264,10 +269,9 @@ def test_the_name_that_is_meant_is_that_of_a_study(
         )
 
 
-def test_every_mistake_is_named_at_once(servo, tmp_path):
+def test_every_mistake_is_named_at_once(study):
     node = {"node": "servo"}
     code, out, err = study(
-        tmp_path,
         parameters={
             "gain": node | {"type": "double", "bounds": [0.0, 2.0], "default": 0.6},
             "gian": node | {"type": "double", "fixed": 1.0},
@@ -350,26 +354,26 @@ def test_a_node_that_is_not_set_back_is_told(servo, tmp_path, monkeypatch, capsy
     assert "metrics of the default" in out
 
 
-def test_a_node_that_is_not_there(servo, tmp_path):
-    code, _, err = study(tmp_path, parameters={"kp": {"node": "pid"}})
+def test_a_node_that_is_not_there(study):
+    code, _, err = study(parameters={"kp": {"node": "pid"}})
     assert code == 2
     assert "there is no node 'pid'" in err
 
 
-def test_a_machine_that_does_not_move(servo, tmp_path):
+def test_a_machine_that_does_not_move(servo, study):
     """Without a gain the servo follows nothing, in both runs."""
     servo.angle = servo.setpoint = 0.0
     gain = {"node": "servo", "type": "double", "bounds": [0.0, 0.9], "default": 0.0}
-    code, out, err = study(tmp_path, parameters={"gain": gain})
+    code, out, err = study(parameters={"gain": gain})
     assert code == 3
     assert err.startswith("error: nothing moves: angle did not change in 2 runs; see that the ")
     assert "metrics of the default" in out
 
 
-def test_runs_that_begin_where_the_last_one_was(servo, tmp_path):
+def test_runs_that_begin_where_the_last_one_was(servo, study):
     """The servo begins again only when it is told a set-point; what was before is in the signal."""
     servo.angle = servo.setpoint = 0.0
-    code, out, err = study(tmp_path, run={"end": {"when": "t > 0.3"}})
+    code, out, err = study(run={"end": {"when": "t > 0.3"}})
     assert (code, err) == (0, "")
     said = r"note: angle: is (1|0\.99\d*) at the start of run 2 and 0 at that of run 1: the "
     assert re.search(said, out), out
@@ -445,9 +449,9 @@ def test_what_a_started_node_has_printed_can_be_read(empty_domain, started, tmp_
     assert (folder / "pid.log").read_text() == "no motor\n"
 
 
-def test_nodes_that_run_already_are_not_started(servo, tmp_path):
+def test_nodes_that_run_already_are_not_started(study):
     nodes = {"servo": {"node": "servo", "command": "no_such_program"}}
-    code, out, err = study(tmp_path, nodes=nodes)
+    code, out, err = study(nodes=nodes)
     assert (code, err) == (0, "")
     assert "starts them" not in out
 
@@ -476,26 +480,26 @@ STREAM = {
 }
 
 
-def test_a_stream_and_a_parameter_that_a_step_sets(servo, mode, tmp_path):
+def test_a_stream_and_a_parameter_that_a_step_sets(servo, study, mode, tmp_path):
     """How regular the messages were is told, and the node is left as it was."""
     (tmp_path / "ref.csv").write_text("t,x\n0,0\n1,2\n")
     setting = {"set": {"node": "servo", "parameter": "mode", "value": 4}}
     run = {"start": [setting, STREAM], "after": [{"set": setting["set"] | {"value": 5}}]}
-    code, out, err = study(tmp_path, "--attach", run=run)
+    code, out, err = study("--attach", run=run)
     assert (code, err) == (0, "")
     assert re.search(r"^stream on /setpoint: \d+ messages, \d+ left out, late by", out, re.M)
     assert servo.get_parameter("mode").value == 3
 
 
-def test_mistakes_in_streams_and_in_parameters_that_steps_set(servo, mode, tmp_path):
+def test_mistakes_in_streams_and_in_parameters_that_steps_set(study, mode):
     setting = {"set": {"node": "servo", "parameter": "mode", "value": 1.5}}
     unheard = {"publish": {"topic": "/nobody", "rate": 20}}
-    code, _, err = study(tmp_path, "--attach", run={"start": [setting, unheard]})
+    code, _, err = study("--attach", run={"start": [setting, unheard]})
     assert code == 2
     assert "run.start[0].set: 'mode' is of type integer in the node, not double" in err
     assert "run.start[1].publish.topic: nothing subscribes to /nobody" in err
     assert "nothing was set" in err
-    code, _, err = study(tmp_path, "--attach", run={"start": [STREAM]})
+    code, _, err = study("--attach", run={"start": [STREAM]})
     assert code == 2
     assert err.count("\n") == 1
     assert "ref.csv: cannot be read: No such file" in err

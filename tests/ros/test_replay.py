@@ -148,7 +148,7 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     evaluation = record.trials[0].evaluations[-1]
     assert "the loop diverged" in evaluation.outcome.reason
     process = Fork(
-        *("replay", folder, "0", "--backend", "ros", "--output", "bags"),
+        *("replay", folder, "--trial", "0", "--backend", "ros", "--output", "bags"),
         folder=tmp_path,
         env={"COLUMNS": "120"},
         without=("ROS_DOMAIN_ID",),
@@ -171,7 +171,7 @@ def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch
     study = replace(study, nodes=nodes)
     folder = tmp_path / "run"
     make_run(folder, study, InProcessBackend(study))
-    code, _, err = call(command, capsys, folder, "0", "--backend", "ros", "--attach")
+    code, _, err = call(command, capsys, folder, "--trial", "0", "--backend", "ros", "--attach")
     assert code == 2
     (line,) = err.splitlines()[1:]
     assert line.startswith("error: no_milling_plant")

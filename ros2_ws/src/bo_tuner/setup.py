@@ -60,7 +60,6 @@ setup(
         "plotly>=6,<8",
         "scikit-learn>=1.4,<2",
         "scipy>=1.11,<2",
-        "segno>=1.5,<2",
         "PyYAML>=6,<7",
         "rich>=13,<16",
         "rosbags>=0.10,<0.12",

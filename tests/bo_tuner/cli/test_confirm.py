@@ -14,13 +14,13 @@ from bo_tuner.methods.registry import METHODS, SAFE
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage.record import read_run
 
-OPTIONS = ("--backend", "inprocess", "--safe", "--confirm")
+OPTIONS = ("--backend", "inprocess", "--confirm")
 ASKED = "the trials: "
 
 
 @pytest.fixture
 def study_file(tmp_path, make_study):
-    return write_study(tmp_path, make_study())
+    return write_study(tmp_path, make_study(safe_search=True))
 
 
 def test_each_answer_is_on_record(tmp_path, study_file):
@@ -67,10 +67,12 @@ def test_shows_differences_predictions_and_the_nearest(make_study, function_back
 
 
 class TestRefused:
-    def test_without_a_safe_search(self, study_file, capsys):
-        options = ("--backend", "inprocess", "--confirm", "--study", study_file)
-        message = complaint(tune, capsys, *options)
-        assert message == "error: --confirm: expected a safe search; add --safe (see tune --help)"
+    def test_without_a_safe_search(self, tmp_path, make_study, capsys):
+        study = write_study(tmp_path, make_study())
+        message = complaint(tune, capsys, *OPTIONS, "--study", study)
+        assert message == (
+            "error: --confirm: expected a study with `safe_search: true` (see tune --help)"
+        )
 
     def test_without_a_terminal(self, study_file, capsys):
         message = complaint(tune, capsys, *OPTIONS, "--study", study_file)

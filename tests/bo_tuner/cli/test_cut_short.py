@@ -112,7 +112,6 @@ def test_its_replay_is_whole(made, capsys):
     [
         (["--backend", "ros"], "budget.cut_short: nothing ends a run of a node that a service"),
         (["--algorithm", "V"], "--algorithm: V needs whole runs, and the study has `budget.cut"),
-        (["--safe"], "safe needs whole runs, and the study has `budget.cut_short`"),
     ],
 )
 def test_what_needs_whole_runs_is_refused(study_file, capsys, options, expected):

@@ -1,4 +1,4 @@
-"""``tune --safe`` as a user sees it."""
+"""A safe search as a user of ``tune`` sees it."""
 
 import pytest
 from axis import write_study
@@ -15,7 +15,7 @@ from bo_tuner.storage.record import read_run
 
 @pytest.fixture
 def study_file(tmp_path, make_study):
-    return write_study(tmp_path, make_study())
+    return write_study(tmp_path, make_study(safe_search=True))
 
 
 def test_without_a_safe_start_it_ends_with_what_would_help(
@@ -24,7 +24,7 @@ def test_without_a_safe_start_it_ends_with_what_would_help(
     """The peak is limited to 1; nothing more is run, neither now nor when it is resumed."""
     monkeypatch.setenv("PEAK", "2")
     monkeypatch.chdir(tmp_path)
-    options = ("--backend", "inprocess", "--study", study_file, "--safe", "--quiet")
+    options = ("--backend", "inprocess", "--study", study_file, "--quiet")
     code, _, err = call(tune, capsys, *options)
     record = read_run(tmp_path / "runs" / "latest")
     assert (code, record.algorithm, len(record.evaluations)) == (3, SAFE, 1)
@@ -61,16 +61,14 @@ def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch
     )
 
 
-@pytest.mark.parametrize(
-    "options", [("--safe", "--algorithm", "V"), ("--algorithm", "V", "--safe")]
-)
-def test_another_algorithm_is_refused_beside_it(capsys, options):
-    assert "not allowed with argument" in complaint(tune, capsys, *options)
+def test_another_algorithm_is_refused_beside_it(study_file, capsys):
+    options = ("--backend", "inprocess", "--study", study_file, "--algorithm", "V")
+    said = "--algorithm: V is no safe search, and the study has `safe_search`; expected one of safe"
+    assert said in complaint(tune, capsys, *options)
 
 
 def test_without_a_limit_it_is_refused(tmp_path, make_study, capsys, monkeypatch):
-    study = write_study(tmp_path, make_study(constraints={}))
+    study = write_study(tmp_path, make_study(constraints={}, safe_search=True))
     monkeypatch.chdir(tmp_path)
-    code, _, err = call(tune, capsys, "--backend", "inprocess", "--study", study, "--safe")
-    assert code == 2
-    assert err.startswith("error: --algorithm: safe needs a limit to keep, and the study has none")
+    line = complaint(tune, capsys, "--backend", "inprocess", "--study", study)
+    assert line.startswith("error: safe_search: safe needs a limit to keep, and the study has none")

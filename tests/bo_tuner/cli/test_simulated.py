@@ -165,10 +165,6 @@ def test_a_damaged_record_is_named(runs, whole, options):
             ["--from", "RUN", "--simulated", "--study", "machine.yaml", "--algorithm", "IV"],
             "--simulated: IV takes no runs of a simulation; expected boundary",
         ),
-        (
-            ["--from", "RUN", "--simulated", "--study", "machine.yaml", "--safe"],
-            "--simulated: safe takes no runs of a simulation; expected boundary",
-        ),
     ],
 )
 def test_bad_options(runs, options, problem):

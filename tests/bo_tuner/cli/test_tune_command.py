@@ -63,24 +63,6 @@ def recorded(folder):
     return list(read_journal(folder / "journal.sqlite").trials)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "command"),
-    [
-        (["--init"], "init"),
-        (["--init", "a b.yaml", "--nodes", "pid"], "init 'a b.yaml' --nodes pid"),
-        (["--trials", "3", "--check", "my.yaml"], "check my.yaml --trials 3"),
-        (["--check=my.yaml", "--sensitivity"], "check my.yaml --sensitivity"),
-        (
-            ["--check", "my.yaml", "--ros-args", "-r", "__ns:=/x"],
-            "check my.yaml --ros-args -r __ns:=/x",
-        ),
-    ],
-)
-def test_what_is_a_command_of_its_own_is_named(capsys, arguments, command):
-    line = complaint(tune_command, capsys, *arguments)
-    assert line.endswith(f" in place of tune: {command}")
-
-
 @pytest.mark.parametrize("options", [[], ["--study", "full"]])
 @pytest.mark.parametrize("backend", ["ros", "inprocess"])
 def test_without_the_machine_that_comes_along_it_says_what_to_do(

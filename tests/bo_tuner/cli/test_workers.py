@@ -50,10 +50,9 @@ def alone(tmp_path, study):
 
 
 class TestAnswer:
-    @pytest.mark.parametrize("workers", [2, 4])
-    def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(self, runs, whole, workers):
-        assert runs.run("several", "--workers", workers, "--window", 4) == whole
-        assert len({pid for pid, _ in runs.places}) == workers
+    def test_it_does_not_depend_on_how_many_there_are_or_who_is_faster(self, runs, whole):
+        assert runs.run("several", "--workers", 3, "--window", 4) == whole
+        assert len({pid for pid, _ in runs.places}) == 3
 
     def test_it_depends_on_the_window(self, shared, whole):
         assert shared.run("one", "--window", 1)[2] != whole[2]
@@ -65,14 +64,12 @@ class TestAnswer:
         line = complaint(tune, capsys, "--resume", runs.latest("new"), "--window", 3, "--trials", 4)
         assert "--window: expected 2, by which the trials of the run were planned" in line
 
-    def test_a_certificate(self, shared, whole, tmp_path):
+    def test_a_certificate(self, shared, whole):
         """Contexts, bounds and verdict, in the file that others read."""
-        texts = []
         for workers in (1, 2):
             again = ("validate", shared.latest("whole"), "--workers", workers, "--window", 2)
-            code, out, err = finish(shared.start(*again, "--draws", 300))
+            code, _, err = finish(shared.start(*again, "--draws", 300))
             assert code in (0, 3), err
-            texts.append(out)
         certificates = sorted((shared.latest("whole") / "certificates").glob("*.csv"))
         assert len(certificates) >= 2
         # Each has fresh draws: as many were run, for the same reason.
@@ -89,7 +86,7 @@ class TestFaults:
 
     def test_a_run_that_was_killed_goes_on(self, runs, shared, whole):
         (runs.folder / "hold").touch()
-        process = runs.begin("killed", "--workers", 4)
+        process = runs.begin("killed", "--workers", 2, "--window", 4)
         wait_until(lambda: runs.evaluations.exists(), "an evaluation", process)
         process.kill()
         finish(process)
@@ -99,7 +96,7 @@ class TestFaults:
         assert runs.results("killed") == whole
 
     def test_ctrl_c_ends_the_workers(self, runs, whole):
-        process = runs.begin("ended", "--workers", 4)
+        process = runs.begin("ended", "--workers", 2, "--window", 4)
         wait_until(lambda: len(runs.places) >= 6, "evaluations", process)
         pids = {int(pid) for pid, _ in runs.places}
         process.send_signal(signal.SIGINT)
@@ -107,7 +104,7 @@ class TestFaults:
         assert code == 128 + signal.SIGINT, err
         assert "--resume" in err
         assert not any(alive(pid) for pid in pids)
-        code, _, err = finish(runs.start("tune", "--resume", "ended/latest", "--workers", 2))
+        code, _, err = finish(runs.start("tune", "--resume", "ended/latest", "--workers", 1))
         assert code == 0, err
         assert runs.results("ended") == whole
 

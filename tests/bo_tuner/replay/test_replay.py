@@ -215,11 +215,7 @@ class TestChoice:
         worst = {trial.number: trial.worst_cases["peak"].value for trial in complete(record)}
         assert find_trial(record, "worst") == max(worst, key=worst.get)
 
-    def test_both_ways_to_name_a_trial(self, record, capsys):
-        by_option, by_place = (
-            run(capsys, record.path, *arguments) for arguments in (("--trial", "worst"), ("worst",))
-        )
-        assert by_option == by_place
+    def test_the_default_is_the_best_trial(self, record, capsys):
         assert run(capsys, record.path) == run(capsys, record.path, "--trial", "best")
 
     def test_the_default_is_the_evaluation_with_the_largest_peak(self, record):
@@ -291,7 +287,6 @@ def test_what_else_has_changed_since(record):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("worst", "--trial", "1"), "--trial is given twice"),
         (("--output", "x"), "--output needs --backend ros"),
         (("--attach",), "--attach needs --backend ros"),
         (("--evaluation", "one"), "--evaluation: one: expected a whole number"),

@@ -15,13 +15,13 @@ from bo_tuner.web.live_page import ahead_of, in_parts
 from bo_tuner.web.sections import LiveSections
 from bo_tuner.web.state import LiveState
 
-OPTIONS = ("--backend", "inprocess", "--safe", "--confirm", "--study", "axis.yaml")
+OPTIONS = ("--backend", "inprocess", "--confirm", "--study", "axis.yaml")
 
 
 @pytest.fixture
 def asking(tmp_path, make_study):
     """A run without a terminal that asks before each trial."""
-    write_study(tmp_path, make_study())
+    write_study(tmp_path, make_study(safe_search=True))
     file = tmp_path / "said.txt"
     with file.open("w") as said:
         process = Fork(*("tune", *OPTIONS, "--web", "--web-control"), folder=tmp_path, stderr=said)
@@ -69,7 +69,7 @@ def test_it_is_answered_on_the_page(asking, tmp_path):
 
 def test_a_page_that_is_read_only_has_no_buttons(tmp_path, make_study):
     """Nobody could answer there, so that without a terminal there is nobody to ask."""
-    write_study(tmp_path, make_study())
+    write_study(tmp_path, make_study(safe_search=True))
     code, _, err = finish(Fork("tune", *OPTIONS, "--web", folder=tmp_path))
     assert code == 2
     assert "--confirm: no terminal to ask on" in err

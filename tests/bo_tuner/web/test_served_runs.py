@@ -1,4 +1,4 @@
-"""The runs in a folder, served after their end: list, trials, notes, files, and who may do what."""
+"""The runs in a folder, served after their end: list, trials, files, and who may do what."""
 
 import csv
 import io
@@ -15,12 +15,10 @@ from report_runs import run_axis, with_ends
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.what_if import forecast
-from bo_tuner.storage.notes import Note, read_notes, write_note
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web import runs as runs_module
 from bo_tuner.web.files import files_of
-from bo_tuner.web.qr_code import qr_code
 from bo_tuner.web.runs import Runs
 
 
@@ -75,11 +73,9 @@ class TestServed:
         assert served.ask("/news?page=7")[0] == 404
         assert served.ask("/news?page=x")[0] == 400
         shutil.copytree(folder / "first", folder / "fourth")
-        write_note(folder / "second", None, Note("rings"))
         news = served.ask(address)[2]
         listed = re.findall(r'<a href="/runs/(\w+)">', news)
         assert sorted(listed) == ["first", "fourth", "second", "third"]
-        assert "<td>rings</td>" in news
 
     def test_the_models_predict_for_other_values(self, served, finished):
         page = served.ask("/runs/first")[2]
@@ -158,12 +154,10 @@ class TestServed:
         (folder / "first" / "aside").symlink_to("/etc")
         assert served.ask(f"/runs/first/files/{path}")[0] == 404
 
-    def test_all_runs_as_a_table(self, served, folder, finished):
-        write_note(folder / "third", None, Note("with, commas", ("bench", "old")))
+    def test_all_runs_as_a_table(self, served, finished):
         text = served.ask("/runs.csv")[2]
         rows = {row["run"]: row for row in csv.DictReader(io.StringIO(text))}
         assert list(rows) == ["third", "second", "first"]
-        assert (rows["third"]["note"], rows["third"]["tags"]) == ("with, commas", "bench, old")
         (gain,) = [name for name in rows["first"] if name.startswith("gain [")]
         result = read_run(finished).result
         assert float(rows["first"][gain]) == result.parameters["gain"]
@@ -178,90 +172,6 @@ class TestServed:
         # The least error that there is.
         assert float(tuned) >= 1.0
         assert default == ""
-
-
-class TestNotes:
-    def test_on_a_run_and_on_a_trial(self, served, folder):
-        assert served.note("/runs/first", "a <b> of\nmine", "bench, to  check,bench,")[0] == 204
-        assert served.note("/runs/first/trials/2", "stalled")[0] == 204
-        notes = read_notes(folder / "first")
-        assert notes.run == Note("a <b> of\nmine", ("bench", "to check"))
-        assert notes.trials == {"2": Note("stalled")}
-        listed = served.ask("/runs")[2]
-        assert "a &lt;b&gt; of" in listed
-        assert "bench, to check" in listed
-        assert ">stalled</textarea>" in served.ask("/runs/first/trials/2")[2]
-        # An empty one takes it away, and the record does not know of any.
-        assert served.note("/runs/first/trials/2")[0] == 204
-        assert read_notes(folder / "first").trials == {}
-        assert read_run(folder / "first").damage == ""
-
-    def test_only_a_page_of_ours_may_change_them(self, served, folder):
-        for headers in (
-            {"Origin": "http://evil.example"},
-            {"Origin": "null"},
-            {"X-Control-Token": "wrong"},
-            {"X-Control-Token": served.token},
-        ):
-            assert served.note("/runs/first", "x", **headers)[0] == 403, headers
-        assert not (folder / "first" / "notes.json").exists()
-
-    @pytest.mark.parametrize(
-        ("text", "tags", "said"),
-        [
-            ("x" * 2001, "", "note: expected at most 2000 characters, found 2001"),
-            ("", ",".join(map(str, range(11))), "tags: expected at most 10, found 11"),
-            ("", "x" * 31, "tags: expected at most 30 characters each, found xxx"),
-        ],
-    )
-    def test_what_is_too_long(self, served, folder, text, tags, said):
-        status, answer = served.note("/runs/first", text, tags)
-        assert status == 400
-        assert answer.startswith(f"400: {said}")
-        assert not (folder / "first" / "notes.json").exists()
-
-    @pytest.mark.parametrize("body", ["", "[]", "{}", '{"text": "x"}', "x" * 20_000, "[" * 9_000])
-    def test_what_is_no_note(self, served, body):
-        headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
-        status, _, _ = served.ask("/runs/first/note", method="POST", body=body, **headers)
-        assert status in (400, 413)
-
-    def test_half_a_character(self, served, folder):
-        """As of an emoji that a browser has cut; the notes stay readable."""
-        assert served.note("/runs/first", "fast \ud83d", "a\udfff")[0] == 204
-        assert read_notes(folder / "first").run == Note("fast ?", ("a?",))
-
-    def test_of_what_does_not_exist(self, served):
-        headers = served.origin | {"X-Control-Token": served.control_token("/runs/first")}
-        body = '{"text": "x", "tags": ""}'
-        for path in ("/runs/none/note", "/runs/first/trials/99/note"):
-            assert served.ask(path, method="POST", body=body, **headers)[0] == 404
-
-    @pytest.mark.parametrize(
-        "content", ["no JSON", "[]", '{"run": {"text": 1, "tags": []}, "trials": {}}']
-    )
-    def test_a_file_that_is_something_else_is_kept(self, served, folder, content):
-        token = served.control_token("/runs/first")
-        path = folder / "first" / "notes.json"
-        path.write_text(content)
-        assert "not the notes on a run" in served.ask("/runs")[2]
-        assert "not the notes on a run" in served.ask("/runs/first")[2]
-        headers = served.origin | {"X-Control-Token": token}
-        body = '{"text": "x", "tags": ""}'
-        status, _, said = served.ask("/runs/first/note", method="POST", body=body, **headers)
-        assert status == 409
-        assert len(said.splitlines()) == 1
-        assert path.read_text() == content
-
-    def test_beside_a_run_in_progress_they_are_read_only(self, beside):
-        assert "<textarea" not in beside.ask(f"/runs/{beside.finished_one}")[2]
-        status, _, said = beside.ask(
-            f"/runs/{beside.finished_one}/note", method="POST", body="{}", **beside.origin
-        )
-        assert (status, said) == (
-            403,
-            "403: notes are read-only here; tune --web-control or report --serve takes them\n",
-        )
 
 
 def test_a_long_list_has_pages(folder, monkeypatch):
@@ -305,29 +215,3 @@ class TestOtherMachines:
     def test_all_interfaces_are_listened_to(self, open_to_all):
         # Another address of the loopback interface; by default only 127.0.0.1 is listened to.
         socket.create_connection(("127.0.0.2", open_to_all.port), timeout=5.0).close()
-
-
-class TestCode:
-    ADDRESS = "http://192.168.100.200:41873/?token=95KEED9CrkZz225M6NuZhn6KmpK9UGtw"
-
-    def test_its_finders_are_where_a_reader_looks_for_them(self):
-        """The pattern that a QR code has at three corners (ISO/IEC 18004)."""
-        lines = qr_code(self.ADDRESS, 80)
-        dark = []
-        for line in lines:
-            dark.append([c in " ▄" for c in line])
-            dark.append([c in " ▀" for c in line])
-        finder = ["#######", "#     #", "# ### #", "# ### #", "# ### #", "#     #", "#######"]
-        size = len(dark[0])
-        for top, left in ((2, 2), (2, size - 9), (size - 9, 2)):
-            seen = [
-                "".join("#" if dark[top + k][left + j] else " " for j in range(7)) for k in range(7)
-            ]
-            assert seen == finder
-        # Nothing else is at the margin.
-        assert not any(map(any, (dark[0], dark[1], *([row[0]] for row in dark))))
-
-    def test_none_that_would_be_broken(self):
-        width = len(qr_code(self.ADDRESS, 200)[0])
-        assert qr_code(self.ADDRESS, width)
-        assert qr_code(self.ADDRESS, width - 1) == []

@@ -35,10 +35,14 @@ def test_a_guarded_machine_is_parked_while_the_service_is_waited_for(running, pe
     # The default is to keep the limits, which is where a safe search begins.
     study["constraints"]["overshoot"]["upper"] = study["constraints"]["calm"]["upper"] = 1e3
     study["run"]["end"] = {"after": 1.0}
-    study |= {"park": {"parameters": {"kp": SAFE}}, "guard": {"always": True, "timeout": 0.5}}
+    study |= {
+        "park": {"parameters": {"kp": SAFE}},
+        "guard": {"always": True, "timeout": 0.5},
+        "safe_search": True,
+    }
     (tmp_path / "study.yaml").write_text(strict_yaml.dump(study))
     tune = Fork(
-        *("tune", "--study", "study.yaml", "--attach", "--safe", "--confirm", "--quiet"),
+        *("tune", "--study", "study.yaml", "--attach", "--confirm", "--quiet"),
         folder=tmp_path,
     )
 

@@ -9,7 +9,7 @@ from bo_tuner.evidence.certificate.independent_search import least_searched
 from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.plan import Subject
-from bo_tuner.numerics.sequential import is_shown
+from bo_tuner.numerics.sequential import log_evidence
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, WorstCase
 
 MEAN = {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}}
@@ -61,8 +61,9 @@ def test_a_range_holds_eight_in_ten_draws(make_study):
     rng, taken = np.random.default_rng(5), []
     for _ in range(300):
         events = rng.random(1000) < rng.beta(1.5, 49.5)
-        shown = [n for n in range(1, 1001) if is_shown(events[:n], 0.04, 0.95)][:1]
-        taken += [max(30, n) for n in shown]
+        # Of a test martingale with a level of 1 in 20 (Ville's inequality).
+        reached = np.flatnonzero(log_evidence(events, 0.04) >= np.log(20.0))[:1]
+        taken += [max(30, n + 1) for n in reached]
     assert sum(n > probable.high for n in taken) / len(taken) == pytest.approx(0.1, abs=0.07)
     # More than one in ten take the fewest.
     assert sum(n < probable.low for n in taken) / len(taken) <= 0.17

@@ -20,6 +20,7 @@ from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against, is_running
 from bo_tuner.cli.study_options import (
+    add_attach_argument,
     add_bounds_argument,
     add_budget_arguments,
     changed_study,
@@ -88,12 +89,7 @@ def make_parser() -> Parser:
     add_budget_arguments(changes)
     add_bounds_argument(changes)
     nodes = parser.add_argument_group("nodes and test runs")
-    nodes.add_argument(
-        "--attach",
-        action=argparse.BooleanOptionalAction,
-        help="use running nodes, or with --no-attach start them (default: start them where the "
-        "study says how, and none of them is running)",
-    )
+    add_attach_argument(nodes)
     nodes.add_argument(
         "--sensitivity",
         action=argparse.BooleanOptionalAction,

@@ -81,9 +81,9 @@ def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("replay", DESCRIPTION, EPILOG)
     parser.add_run_argument()
-    parser.add_argument("which", nargs="?", metavar="TRIAL", help="short for --trial TRIAL")
     parser.add_argument(
         "--trial",
+        default=BEST,
         metavar=f"N|{BEST}|{WORST}",
         help=f"number of the trial; {BEST} is the run's result, {WORST} the trial with the largest "
         f"worst case (default: {BEST})",
@@ -107,16 +107,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    if arguments.which is not None and arguments.trial is not None:
-        parser.error("--trial is given twice")
     record = read_result(arguments.run)
     name = arguments.backend or recorded_backend(record)
     attach = attached(arguments, parser, name, record)
     if name == IN_PROCESS and arguments.output is not None:
         parser.error("--output needs --backend ros: without nodes there are no messages")
-    recorded = find_evaluation(
-        record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.evaluation
-    )
+    recorded = find_evaluation(record, find_trial(record, arguments.trial), arguments.evaluation)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)

@@ -241,7 +241,7 @@ class Session:
         ) as page:
             self._live_page = page
             show = display.warn if self._options.output is Output.QUIET else display.inform
-            tell_address(address, "live page", show, code=self._options.output is Output.PROGRESS)
+            tell_address(address, "live page", show)
             yield
 
     def _run_on_record(self) -> int:

@@ -50,6 +50,16 @@ def add_bounds_argument(group: Group) -> None:
     )
 
 
+def add_attach_argument(group: Group) -> None:
+    """Add the option of a command that starts what does not run."""
+    group.add_argument(
+        "--attach",
+        action=argparse.BooleanOptionalAction,
+        help="use running nodes, or with --no-attach start them (default: start them where the "
+        "study says how, and none of them is running)",
+    )
+
+
 def read_study(
     named: str, attach: bool, ros_arguments: Sequence[str], interruption: Interruption
 ) -> Study:

@@ -13,7 +13,7 @@ from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.cli.common import RUNS, Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.study_on_nodes import is_running
-from bo_tuner.cli.study_options import read_study, trust_given
+from bo_tuner.cli.study_options import add_attach_argument, read_study, trust_given
 from bo_tuner.errors import BackendError, ParameterError, StudyError
 from bo_tuner.evidence.single_run import SingleRun
 from bo_tuner.figures.figure import Panel
@@ -101,12 +101,7 @@ def make_parser() -> Parser:
         default=BACKENDS[0],
         help="run on ROS nodes, or on the same objects in this process (default: %(default)s)",
     )
-    nodes.add_argument(
-        "--attach",
-        action=argparse.BooleanOptionalAction,
-        help="use running nodes, or with --no-attach start them (default: start them where the "
-        "study says how, and none of them is running)",
-    )
+    add_attach_argument(nodes)
     return parser
 
 

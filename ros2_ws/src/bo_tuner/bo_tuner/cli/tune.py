@@ -30,7 +30,7 @@ from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
-from bo_tuner.cli.tune_options import STUDY, make_parser, refuse_other_commands
+from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
@@ -92,7 +92,6 @@ class Plan:
 def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
-    refuse_other_commands(own, ros_arguments)
     parser = make_parser()
     arguments, unknown = parser.parse_known_args(own)
     if unknown:
@@ -336,7 +335,7 @@ def _new(
     study = _given(named, attach, arguments, ros_arguments, interruption)
     algorithm = arguments.algorithm or method_of(study)
     if problem := problem_of(algorithm, study):
-        parser.error(f"--algorithm: {problem}")
+        parser.error(f"{'safe_search' if algorithm == SAFE else '--algorithm'}: {problem}")
     check_ends_early(study, backend)
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 
@@ -400,7 +399,7 @@ def _check_options(
         parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.confirm:
         if plan.algorithm != SAFE:
-            parser.error("--confirm: expected a safe search; add --safe")
+            parser.error("--confirm: expected a study with `safe_search: true`")
         if workers.window > 1:
             parser.error(f"--confirm: expected 1 worker, found {workers.window}")
         if arguments.output_mode is Output.JSON_LINES:

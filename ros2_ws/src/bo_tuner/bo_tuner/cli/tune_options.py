@@ -1,8 +1,6 @@
 """The options of ``tune``."""
 
 import argparse
-import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.cli.common import RUNS, Group, Parser
@@ -11,7 +9,6 @@ from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
-from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SAFE
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
@@ -57,8 +54,7 @@ examples:
   tune --study my_axis.yaml --from latest --simulated   knowing a simulation
   tune --time 30min                    have the result by then
   tune --time 30min --certify          and its certificate
-  tune --safe --attach                 from what runs now on, in small steps
-  tune --safe --attach --confirm       the same, and ask before each step
+  tune --study my_axis.yaml --attach --confirm   a safe search that asks first
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -68,9 +64,6 @@ examples:
 """
 
 STUDY = "benchmark"
-
-OTHER_COMMANDS = {"--init": "init", "--check": "check"}
-"""Options in place of which there are commands."""
 
 
 def make_parser() -> Parser:
@@ -85,29 +78,6 @@ def make_parser() -> Parser:
     _add_output(parser.add_argument_group("output"))
     _add_web(parser.add_argument_group("live page"))
     return parser
-
-
-def refuse_other_commands(own: Sequence[str], ros_arguments: Sequence[str]) -> None:
-    """Name the command for what is not asked of ``tune``.
-
-    Parameters
-    ----------
-    own, ros_arguments
-        Of the command line.
-
-    Raises
-    ------
-    StudyError
-        If an option asks for what another command does.
-    """
-    for index, argument in enumerate(own):
-        option, _, value = argument.partition("=")
-        if command := OTHER_COMMANDS.get(option):
-            others = [*filter(None, (value,)), *own[index + 1 :], *own[:index], *ros_arguments]
-            raise StudyError(
-                f"{option}: expected the command {command} in place of tune: "
-                f"{shlex.join([command, *others])}"
-            )
 
 
 def _add_study(group: Group) -> None:
@@ -174,21 +144,12 @@ def _add_known(group: Group) -> None:
 
 
 def _add_method(group: Group) -> None:
-    # A search that is to be safe must not become another one by what stands elsewhere in a script.
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
+    titles = {name: method.title for name, method in METHODS.items() if name != SAFE}
+    group.add_argument(
         "--algorithm",
-        choices=tuple(METHODS),
-        help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
-        + f" (default: {SAFE} for a study with safe_search, else {DEFAULT_METHOD})",
-    )
-    which.add_argument(
-        "--safe",
-        action="store_const",
-        dest="algorithm",
-        const=SAFE,
-        help="try only parameter sets that are expected to keep all limits, from the default or "
-        f"those of --start on, in bounded steps; the same as --algorithm {SAFE}",
+        choices=tuple(titles),
+        help="; ".join(f"{name}: {title}" for name, title in titles.items())
+        + f" (default: {DEFAULT_METHOD}; a study with safe_search has one of its own)",
     )
     group.add_argument(
         "--confirm",
@@ -261,8 +222,7 @@ def _add_web(group: Group) -> None:
     group.add_argument(
         "--web-control",
         action="store_true",
-        help="with --web: the page may pause, continue and end the run, answer --confirm, "
-        "and take notes",
+        help="with --web: the page may pause, continue and end the run, and answer --confirm",
     )
     add_host_argument(group, "--web")
 

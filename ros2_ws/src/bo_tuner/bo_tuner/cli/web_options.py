@@ -5,9 +5,7 @@ import ipaddress
 from collections.abc import Callable
 
 from bo_tuner.cli.common import Group
-from bo_tuner.monitoring.display import plain_console
 from bo_tuner.web.address import Address
-from bo_tuner.web.qr_code import qr_code
 
 LARGEST_PORT = 65535
 
@@ -36,9 +34,7 @@ def port(text: str) -> int:
     return int(text)
 
 
-def tell_address(
-    address: Address, what: str, tell: Callable[[str], None], *, code: bool = True
-) -> None:
+def tell_address(address: Address, what: str, tell: Callable[[str], None]) -> None:
     """Tell where pages are, and how to open them from another machine.
 
     Parameters
@@ -49,16 +45,10 @@ def tell_address(
         What they are.
     tell
         Shows a line.
-    code
-        Whether to show the address as a QR code, too, if there is a terminal and others reach it.
     """
     tell(f"{what}: {address.url}")
     for line in address.ways:
         tell(line)
-    console = plain_console(stderr=True)
-    if code and console.is_terminal and not address.is_local:
-        for line in qr_code(address.url, console.width):
-            console.print(line, soft_wrap=True)
 
 
 def _host(text: str) -> str:

@@ -47,8 +47,17 @@ def method_of(study: Study) -> str:
 
 def problem_of(name: str, study: Study) -> str:
     """Return in one line why a method cannot run a study; empty if it can."""
-    problem = METHODS[name].problem(study)
+    problem = _problem(name, study)
     if not problem:
         return ""
-    others = ", ".join(other for other, item in METHODS.items() if not item.problem(study))
-    return f"{name} {problem}; expected one of {others}"
+    others = ", ".join(other for other in METHODS if not _problem(other, study))
+    return f"{name} {problem}" + (f"; expected one of {others}" if others else "")
+
+
+def _problem(name: str, study: Study) -> str:
+    # What a machine must not go through stands in its study, and no option of a run passes over it.
+    if study.safe_search is None and name == SAFE:
+        return "needs `safe_search`, and the study has none"
+    if study.safe_search is not None and name != SAFE:
+        return "is no safe search, and the study has `safe_search`"
+    return METHODS[name].problem(study)

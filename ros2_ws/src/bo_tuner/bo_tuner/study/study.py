@@ -112,8 +112,7 @@ class Study:
         Whether a guard watches also over nodes that the tuner starts, and its patience; or
         ``true``.
     safe_search : SafeSearch, optional
-        The search tries only parameter sets that it expects to keep all limits, as with
-        ``tune --safe``; or ``true``.
+        The search tries only parameter sets that it expects to keep all limits; or ``true``.
     further_objectives : tuple of Objective
         One or two more objectives. The run then searches the Pareto front of all, and its result is
         the compromise between them, while the limits hold as with one.

@@ -74,9 +74,6 @@ def new_control_token() -> str:
 class Page(RequestHandler):
     """Base of all pages: checks host and token."""
 
-    read_only = "the pages are read-only"
-    """Answer to a request that changes something where there are none."""
-
     def initialize(self, **shared: Any) -> None:
         """Take what pages share: all of them who may read them."""
         self.access: Access = shared["access"]
@@ -107,7 +104,7 @@ class Page(RequestHandler):
     def check_control(self) -> None:
         """Refuse a request to change something, unless it is from a page of ours."""
         if not self.access.control:
-            raise HTTPError(403, self.read_only)
+            raise HTTPError(403, "the page is read-only; tune --web-control allows requests")
         if self.request.headers.get("Origin", "") != f"http://{self.request.host}":
             raise HTTPError(403, "the request is not from this page")
         given = self.request.headers.get("X-Control-Token", "")

@@ -1,6 +1,6 @@
 """Serves the pages about the runs in a folder: beside a run in progress, and by themselves.
 
-Nothing of a run can be changed but its notes. Files are given as downloads, never shown: what a
+Nothing of a run can be changed. Files are given as downloads, never shown: what a
 stranger's run has named HTML would else be a page of ours.
 """
 
@@ -18,10 +18,9 @@ from tornado.web import HTTPError
 
 from bo_tuner.interruption import LOOK_AROUND, Interruption
 from bo_tuner.report.content import Forecast
-from bo_tuner.storage.notes import Note
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.web.address import Address
-from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
+from bo_tuner.web.page import Access, Page, Route, start_server
 from bo_tuner.web.places import NEWS, RUNS
 from bo_tuner.web.runs import MOST_COMPARED, Runs
 
@@ -34,8 +33,6 @@ PIECE = 1_000_000
 
 class RunsHandler(Page):
     """Base of the pages about the runs in a folder."""
-
-    read_only = "notes are read-only here; tune --web-control or report --serve takes them"
 
     def initialize(self, **shared: Any) -> None:
         """Take what makes these pages, and the thread in which it may be used."""
@@ -154,26 +151,6 @@ class RunFile(RunsHandler):
                 await self.flush()
 
 
-class NoteOf(RunsHandler):
-    """A note on a run or a trial."""
-
-    async def post(self, name: str, number: str | None = None) -> None:
-        """Put it in place of what was noted before, if it is a page of ours that asks."""
-        self.check_control()
-        try:
-            asked = json.loads(self.request.body)
-            note = Note.of(str(asked["text"]), str(asked["tags"]))
-        except (KeyError, TypeError, RecursionError):
-            raise HTTPError(400, "expected a note with text and tags") from None
-        except json.JSONDecodeError:
-            raise HTTPError(400, "expected a note in JSON") from None
-        except ValueError as error:
-            raise HTTPError(400, "%s", error) from None
-        trial = None if number is None else int(number)
-        await self.made(NO_TRIAL, self.thread, self.runs.note, name, trial, note)
-        self.set_status(204)
-
-
 def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
     """Return the routes of the pages about runs, which are made in a thread."""
     shared = {"runs": runs, "thread": thread}
@@ -184,8 +161,6 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
         (r"/runs/([^/]+)", RunPage),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})", TrialPage),
         (r"/runs/([^/]+)/forecast", ForecastOf),
-        (r"/runs/([^/]+)/note", NoteOf),
-        (r"/runs/([^/]+)/trials/([0-9]{1,9})/note", NoteOf),
         (r"/runs/([^/]+)/files/(.+)", RunFile),
         (r"/compare", ComparisonPage),
     ]
@@ -213,9 +188,9 @@ def serve_runs(address: Address, folder: Path, interruption: Interruption) -> No
 
 
 async def _serve(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
-    access = Access(address.token, address.host, address.port, new_control_token())
+    access = Access(address.token, address.host, address.port)
     thread = ThreadPoolExecutor(1)
-    runs = Runs(folder, control=access.control)
+    runs = Runs(folder)
     entrance: Route = (r"/", Entrance, {"runs": runs, "thread": thread})
     server = start_server(address.socket, access, [entrance, *run_routes(runs, thread)])
     try:

@@ -1,4 +1,4 @@
-"""The pages about the runs in a folder: listed, shown, compared, with notes and files."""
+"""The pages about the runs in a folder: listed, shown, compared, with their files."""
 
 import csv
 import io
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bo_tuner.errors import BoTunerError, RunRecordError
+from bo_tuner.errors import BoTunerError
 from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
@@ -15,7 +15,6 @@ from bo_tuner.report.content import Forecast, Table
 from bo_tuner.report.page import chapters, fill, list_html, render, trial_html
 from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.report.trial_page import trial_sections
-from bo_tuner.storage.notes import Note, Notes, read_notes, write_note
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.text import counted, csv_cell, with_unit
 from bo_tuner.trials import Value
@@ -37,7 +36,7 @@ MOST_RUNS = 50
 MOST_COMPARED = 8
 """Runs side by side; more columns and lines cannot be told apart."""
 COLUMNS = ("verdict", "objective", "study", "how", "trials")
-"""What the list has of each run, beside its name and what is noted of it."""
+"""What the list has of each run, beside its name."""
 
 Signatures = tuple[tuple[int, int] | None, ...]
 """When the files of a run were changed [ns], and their sizes [byte]; None for one that is missing.
@@ -54,24 +53,12 @@ class Frame:
         Address and words of what it belongs to.
     previous, following
         Address and words of its neighbours; None without one.
-    note
-        What is noted of it.
-    notes
-        Address that takes another note.
-    control
-        Token of requests; empty if the pages are read-only.
-    problem
-        Why notes cannot be read; empty if they can.
     """
 
     home: str
     where: str
     previous: tuple[str, str] | None
     following: tuple[str, str] | None
-    note: Note
-    notes: str
-    control: str
-    problem: str
 
 
 @dataclass(frozen=True)
@@ -92,14 +79,11 @@ class Runs:
         The folder of runs.
     present
         Name of the run in progress, of which the page at `HOME` is; empty without one.
-    control
-        Token of the requests that change notes; empty if they may not be changed.
     """
 
-    def __init__(self, folder: Path, present: str = "", control: str = "") -> None:
+    def __init__(self, folder: Path, present: str = "") -> None:
         self._folder = folder
         self._present = present
-        self._control = control
         self._known: dict[str, _Known] = {}
         # The runs that were looked at last, the latest at the end.
         self._open: dict[str, tuple[Signatures, Analysis]] = {}
@@ -154,16 +138,7 @@ class Runs:
             if run.problem:
                 problems.append(f"{name}: {run.problem}")
                 continue
-            notes, problem = self._notes(name)
-            problems += [problem] if problem else []
-            rows.append(
-                [
-                    name,
-                    *(run.row[column] for column in COLUMNS),
-                    ", ".join(notes.run.tags),
-                    notes.run.text,
-                ]
-            )
+            rows.append([name, *(run.row[column] for column in COLUMNS)])
         if count > 1:
             problems.append(
                 f"Runs {begin + 1} to {begin + len(listed)} of {len(names)}, the latest first; the "
@@ -174,7 +149,7 @@ class Runs:
             "news": news_address(page),
             "table": Table(
                 caption=counted(len(names), "run"),
-                header=["run", *COLUMNS, "tags", "note"],
+                header=["run", *COLUMNS],
                 rows=rows,
                 numeric=[1 + COLUMNS.index("trials")],
             ),
@@ -202,10 +177,8 @@ class Runs:
         # The list has the latest first.
         earlier = names[place + 1] if place + 1 < len(names) else ""
         later = names[place - 1] if place > 0 else ""
-        frame = self._frame(
-            name,
-            None,
-            (RUNS, "All runs"),
+        frame = Frame(
+            *(RUNS, "All runs"),
             (self._address(earlier), f"earlier run: {earlier}") if earlier else None,
             (self._address(later), f"later run: {later}") if later else None,
         )
@@ -214,7 +187,6 @@ class Runs:
             chapters(analysis),
             None,
             template="run.html",
-            scripts=["notes.js"],
             frame=frame,
             files=[
                 (file_address(name, path), path, size_in_words(size))
@@ -244,10 +216,9 @@ class Runs:
                 return None
             return f"{trials_address(name)}{other}", f"trial {other}"
 
-        home = (self._address(name), name)
-        frame = self._frame(name, number, home, beside(number - 1), beside(number + 1))
+        frame = Frame(self._address(name), name, beside(number - 1), beside(number + 1))
         parts = trial_sections(analysis, trial)
-        return trial_html(analysis, trial, parts, "run_trial.html", ["notes.js"], frame=frame)
+        return trial_html(analysis, trial, parts, "run_trial.html", frame=frame)
 
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
         """Return what is predicted for values of a run's parameters; None if there are none such.
@@ -274,16 +245,13 @@ class Runs:
         return fill("comparison.html", sections=parts, title=title, home=RUNS)
 
     def table(self) -> str:
-        """Return all runs that can be read, a row each, as CSV: verdicts, values and notes."""
+        """Return all runs that can be read, a row each, as CSV: verdicts and values."""
         rows: list[dict[str, object]] = []
         for name in self.names():
             known = self._read(name)
             if known.problem:
                 continue
-            note = self._notes(name)[0].run
-            of_note = {"tags": ", ".join(note.tags), "note": note.text}
-            values = _values(self._analysis(name))
-            rows.append({"run": name, **known.row, **of_note, **values})
+            rows.append({"run": name, **known.row, **_values(self._analysis(name))})
         columns = dict.fromkeys(column for row in rows for column in row)
         text = io.StringIO()
         writer = csv.DictWriter(text, list(columns), restval="")
@@ -297,51 +265,9 @@ class Runs:
             return None
         return self._folder / name / path
 
-    def note(self, name: str, trial: int | None, note: Note) -> bool | None:
-        """Put a note on a trial, or on the run for None; None if there is no such thing.
-
-        Raises
-        ------
-        BoTunerError
-            If the run or its notes cannot be read, or these not be written.
-        """
-        if name not in self.names():
-            return None
-        if trial is not None and not 0 <= trial < len(self._analysis(name).trials):
-            return None
-        write_note(self._folder / name, trial, note)
-        return True
-
-    def _frame(
-        self,
-        name: str,
-        trial: int | None,
-        home: tuple[str, str],
-        previous: tuple[str, str] | None,
-        following: tuple[str, str] | None,
-    ) -> Frame:
-        notes, problem = self._notes(name)
-        own = run_address(name) if trial is None else f"{trials_address(name)}{trial}"
-        return Frame(
-            *home,
-            previous,
-            following,
-            notes.of(trial),
-            f"{own}/note",
-            self._control,
-            problem,
-        )
-
     def _address(self, name: str) -> str:
         """Return the address of the page of a run."""
         return HOME if name == self._present else run_address(name)
-
-    def _notes(self, name: str) -> tuple[Notes, str]:
-        """Return the notes on a run, and why they cannot be read."""
-        try:
-            return read_notes(self._folder / name), ""
-        except RunRecordError as error:
-            return Notes(), str(error)
 
     def _analysis(self, name: str) -> Analysis:
         """Read a run, unless it is as it was when it was looked at of late."""

@@ -40,8 +40,6 @@ NO_PIPE = -1
 class LiveHandler(Page):
     """Base of what is about the run in progress."""
 
-    read_only = "the page is read-only; tune --web-control allows requests"
-
     def initialize(self, **shared: Any) -> None:
         """Take the state of the run, too."""
         super().initialize(**shared)
@@ -167,7 +165,7 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], steps: Bi
         (rf"/requests/({'|'.join(WORDS)})", RequestToRun, shared | {"requests": control}),
     ]
     # A thread of their own, so that a comparison does not hold up the page of the run.
-    runs = Runs(folder.parent, folder.name, access.control)
+    runs = Runs(folder.parent, folder.name)
     server = start_server(listening, access, of_run + run_routes(runs, ThreadPoolExecutor(1)))
     keeping_up = asyncio.create_task(state.keep_up())
     over = asyncio.Event()
