@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 
 import numpy as np
 import pytest
@@ -301,6 +302,44 @@ def test_measured_return_times_are_summed_up_by_quantiles():
     for name, share in (("p50", 0.5), ("p96", 0.96), ("p99", 0.99)):
         expected = np.quantile(times, share, method="inverted_cdf")
         assert result[f"return_time_{name}"] == expected
+
+
+def test_computing_time_has_no_waiting_in_it(controller_settings, monkeypatch):
+    """A step that waits for 50 ms in its middle: of that nothing is computed."""
+    wait = 0.05
+
+    def solve(mpc, *arguments):
+        time.sleep(wait)
+        return Solution(0.5, "solved", 1)
+
+    monkeypatch.setattr(mpc_module.Mpc, "solve", solve)
+    p50 = {}
+    for source in ("measured", "cpu"):
+        controller = MpcController(controller_settings(return_time=source))
+        run(controller, measurements()[:5])
+        result = controller.cut_result()
+        assert result["return_time_source"] == source
+        p50[source] = result["return_time_p50"]
+    assert 0.0 < p50["cpu"] < wait <= p50["measured"]
+
+
+def test_computing_time_counts_what_the_solver_does(controller_settings, monkeypatch):
+    """OSQP solves in the thread that calls it."""
+    plain = mpc_module.Mpc.solve
+    solving = []
+
+    def solve(mpc, *arguments):
+        begin = time.thread_time()
+        solution = plain(mpc, *arguments)
+        solving.append(time.thread_time() - begin)
+        return solution
+
+    monkeypatch.setattr(mpc_module.Mpc, "solve", solve)
+    controller = MpcController(controller_settings(return_time="cpu"))
+    steps = run(controller, measurements())
+    assert all(
+        0.0 < inside <= step.return_time for inside, step in zip(solving, steps, strict=True)
+    )
 
 
 def test_modelled_return_times_are_the_same_every_time_and_grow_with_the_horizon(

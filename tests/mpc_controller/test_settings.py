@@ -53,7 +53,10 @@ def test_defaults_are_the_hand_tuned_controller_of_the_scenario():
             "1 pi / sample_time, so that the samples do not show all states; expected another "
             "sample_time, or a damping_ratio above 0",
         ),
-        ({"return_time": "guessed"}, "return_time: 'guessed' is not one of measured, modelled"),
+        (
+            {"return_time": "guessed"},
+            "return_time: 'guessed' is not one of measured, cpu, modelled",
+        ),
     ],
 )
 def test_rules_between_parameters(controller_settings, changes, message):

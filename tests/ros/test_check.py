@@ -445,7 +445,8 @@ def test_what_a_started_node_has_printed_can_be_read(empty_domain, started, tmp_
     (folder,) = tmp_path.glob("bo_tuner-check-*")
     where, why = err.splitlines()
     assert where == f"what the nodes have printed is in {folder}"
-    assert why == f"error: pid ended with exit code 1; see {folder / 'pid.log'}"
+    said = f"its last line is 'no motor', see {folder / 'pid.log'}"
+    assert why == f"error: pid ended with exit code 1; {said}"
     assert (folder / "pid.log").read_text() == "no motor\n"
 
 

@@ -1,24 +1,30 @@
 """When a guard acts, told in heartbeats and times; nothing runs."""
 
-from bo_tuner.backends.ros.guard.messages import END, IDLE, RUN, Beat, State
+import pytest
+
+from bo_tuner.backends.ros.guard.messages import END, IDLE, PERIOD, RUN, Beat, State
+from bo_tuner.backends.ros.guard.plan import Patience, patience
 from bo_tuner.backends.ros.guard.watch import CYCLE, Watch
+from bo_tuner.errors import BackendError
 
 TIMEOUT = 0.5
+FIRM = Patience(TIMEOUT, TIMEOUT)
+WIDENED = Patience(TIMEOUT, 1.5)
 
 
 def beat(phase=IDLE, run=0, acts=0):
     return Beat("guard", phase, run, acts)
 
 
-def watching(phase=IDLE):
-    watch = Watch(TIMEOUT)
+def watching(phase=IDLE, patience=FIRM):
+    watch = Watch(patience)
     watch.beat(beat(phase), 0.0)
     return watch
 
 
 class TestHeartbeats:
     def test_before_the_first_one_nothing_is_watched(self):
-        watch = Watch(TIMEOUT)
+        watch = Watch(FIRM)
         watch.hang_up()
         assert watch.due(100.0) is None
 
@@ -53,6 +59,61 @@ class TestHeartbeats:
         watch.hang_up()
         assert watch.due(100.0) is None
         assert not watch.is_watching
+
+
+class TestBusyComputer:
+    """Late heartbeats widen the patience by their delay, up to a bound, and for a while."""
+
+    def test_by_the_largest_delay(self):
+        watch = watching(patience=WIDENED)
+        for now in (0.4, 0.5):
+            watch.beat(beat(), now)
+        late = 0.4 - PERIOD
+        assert watch.timeout == pytest.approx(TIMEOUT + late, abs=0.01)
+        assert watch.due(0.5 + TIMEOUT + late - 0.02) is None
+        assert watch.due(0.5 + TIMEOUT + late + 0.02) is not None
+
+    def test_never_beyond_its_bound_however_late_they_come(self):
+        watch, now = watching(patience=WIDENED), 0.0
+        for _ in range(20):
+            now += watch.timeout
+            assert watch.due(now) is None
+            watch.beat(beat(), now)
+        assert watch.timeout == WIDENED.most
+        assert "set BO_TUNER_GUARD_TIMEOUT" in watch.due(now + 1.51).reason
+
+    def test_not_where_somebody_has_named_the_time(self):
+        watch = watching()
+        watch.beat(beat(), 0.49)
+        assert watch.timeout == TIMEOUT
+
+    def test_a_computer_that_is_free_again_is_forgiven(self):
+        watch = watching(patience=WIDENED)
+        watch.beat(beat(), 0.5)
+        for k in range(1, 601):
+            watch.beat(beat(), 0.5 + PERIOD * k)
+        assert watch.timeout == pytest.approx(TIMEOUT, abs=1e-6)
+
+    @pytest.mark.parametrize(
+        ("guard", "variable", "expected"),
+        [
+            (None, "", (0.5, 1.5)),
+            ({"timeout": 0.5}, "", (0.5, 0.5)),
+            ({"timeout": 3.0}, "", (3.0, 3.0)),
+            (None, "0.8", (0.8, 0.8)),
+            ({"timeout": 3.0}, "0.8", (3.0, 3.0)),
+            (None, "4", (4.0, 4.0)),
+        ],
+    )
+    def test_who_says_how_patient_it_is(self, make_study, monkeypatch, guard, variable, expected):
+        monkeypatch.setenv("BO_TUNER_GUARD_TIMEOUT", variable)
+        changes = {} if guard is None else {"guard": guard}
+        assert patience(make_study(**changes)) == expected
+
+    def test_a_variable_that_is_no_time_is_refused(self, make_study, monkeypatch):
+        monkeypatch.setenv("BO_TUNER_GUARD_TIMEOUT", "0.1")
+        with pytest.raises(BackendError, match=r"BO_TUNER_GUARD_TIMEOUT: .*at least 0\.3 s"):
+            patience(make_study())
 
 
 class TestAfterAnAct:
@@ -109,7 +170,7 @@ class TestPresence:
         assert watch.due(0.3) is None
 
     def test_before_a_tuner_is_there_nodes_come_and_go(self):
-        watch = Watch(TIMEOUT)
+        watch = Watch(FIRM)
         for is_there in (True, False, True):
             watch.presence("/servo", is_there)
         watch.beat(beat(), 0.0)

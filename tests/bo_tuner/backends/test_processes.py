@@ -117,3 +117,27 @@ def command_of(pid):
         return Path(f"/proc/{pid}/cmdline").read_text().split("\0")[2]
     except (OSError, IndexError):
         return ""
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("exit 3", "axis ended with exit code 3; it has printed nothing"),
+        ("echo started; echo no bus >&2; echo; exit 1",
+         "axis ended with exit code 1; its last line is 'no bus', see LOG"),
+        ("kill -SEGV $$", "axis was ended by SIGSEGV"),
+        ("echo pure virtual method called; kill -ABRT $$",
+         "axis was ended by SIGABRT; its last line is 'pure virtual method called', see LOG"),
+        ("no_such_program 2>/dev/null",
+         f"axis ended with exit code 127; it has printed nothing; {processes.MISSING}"),
+        ("echo \"ModuleNotFoundError: No module named 'servo_msgs'\"; exit 1",
+         "axis ended with exit code 1; its last line is 'ModuleNotFoundError: No module named "
+         f"'servo_msgs'', see LOG; {processes.MISSING}"),
+    ],
+)  # fmt: skip
+def test_how_a_node_has_ended_is_told_with_its_last_line(tmp_path, script, reason):
+    log = tmp_path / "axis.log"
+    process = NodeProcess("axis", ["/bin/sh", "-c", script], {}, log)
+    wait_until(lambda: process.exit_reason is not None, "its end")
+    assert process.exit_reason == reason.replace("LOG", str(log))
+    process.stop()

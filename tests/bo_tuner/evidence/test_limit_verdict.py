@@ -56,7 +56,7 @@ def verdict_of(study, tuned, default=None, searched=True, doubt=""):
     ]
     both = [validation(study, side) for side in (default, tuned)]
     every = [*default, *tuned, *search]
-    return validated(study, 3, *both, (), every, doubt=doubt, measured=False)
+    return validated(study, 3, *both, (), every, doubt=doubt)
 
 
 def said(study, count, above, *, unsearched=False):

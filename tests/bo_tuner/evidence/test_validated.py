@@ -12,8 +12,10 @@ from bo_tuner.evidence.observed import Observed, WorstMean
 from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import Quantity, State, Status, Verdict
+from bo_tuner.load import Load
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.validation import Validation
 
 LOAD = "Only solve time (p99) exceeded a limit; other load on this machine can cause this too."
@@ -31,21 +33,30 @@ def validation(study, violations):
 
 
 @pytest.mark.parametrize(
-    ("violations", "measured", "told"),
+    ("violations", "source", "load", "told"),
     [
-        ({"real_time": 25, "overshoot": 0}, True, True),
-        # Counted operations do not depend on the load.
-        ({"real_time": 25, "overshoot": 0}, False, False),
-        ({"real_time": 25, "overshoot": 9}, True, False),
-        ({"real_time": 25, "overshoot": 3}, True, False),
-        ({"real_time": 0, "overshoot": 9}, True, False),
-        ({"real_time": 0, "overshoot": 0}, True, False),
+        ({"real_time": 25, "overshoot": 0}, "measured", None, True),
+        # What attached nodes waited is not known.
+        ({"real_time": 25, "overshoot": 0}, "measured", Load(0.1, None), True),
+        ({"real_time": 25, "overshoot": 0}, "measured", Load(0.1, 0.0), False),
+        # Counted operations do not depend on the load, and waiting is not in a computing time.
+        ({"real_time": 25, "overshoot": 0}, "modelled", None, False),
+        ({"real_time": 25, "overshoot": 0}, "cpu", None, False),
+        ({"real_time": 25, "overshoot": 9}, "measured", None, False),
+        ({"real_time": 25, "overshoot": 3}, "measured", None, False),
+        ({"real_time": 0, "overshoot": 9}, "measured", None, False),
+        ({"real_time": 0, "overshoot": 0}, "measured", None, False),
     ],
 )
-def test_other_load_explains_only_measured_times(violations, measured, told):
+def test_other_load_explains_only_measured_times(violations, source, load, told):
     study = load_study("benchmark")
     both = validation(study, violations)
-    verdict = validated(study, 0, both, both, (), (), doubt="", measured=measured)
+    details = {"controller.return_time_source": source}
+    outcome = Outcome(
+        EvaluationState.COMPLETE, dict.fromkeys(study.metrics, 1.0), "", details, load
+    )
+    runs = [Evaluation(1, 0, Stage.VALIDATION, both.parameters, {}, 0, outcome)]
+    verdict = validated(study, 0, both, both, (), runs, doubt="")
     assert verdict.remarks == ((LOAD,) if told else ())
 
 
@@ -53,7 +64,7 @@ def test_outliers_that_kept_all_limits_are_told_of():
     """Otherwise the answer seems to violate less than they do."""
     study = load_study("benchmark")
     both = validation(study, {"real_time": 25, "overshoot": 9})
-    judged = partial(validated, study, 0, both, both, (), (), doubt="", measured=False)
+    judged = partial(validated, study, 0, both, both, (), (), doubt="")
     found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
     assert not any("far off" in sentence for sentence in found[0])
     assert (
@@ -75,7 +86,7 @@ def test_without_contexts_there_is_no_worst_one_to_doubt(make_study, contexts):
     sections = {} if contexts is None else {"contexts": contexts}
     study = make_study(constraints={"peak": limit}, **sections)
     both = validation(study, {"peak": 2})
-    found = validated(study, 0, both, both, (), (), doubt="", measured=False)
+    found = validated(study, 0, both, both, (), (), doubt="")
     assert bool(found.reasons) is bool(found.default_reasons) is bool(study.contexts)
 
 
@@ -110,7 +121,7 @@ def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
         math.nan,
         {"peak": Sample("peak", math.nan, 0, 0, 0, Standing.VIOLATED)},
     )
-    found = validated(study, 0, none, none, (), (), doubt="", measured=False)
+    found = validated(study, 0, none, none, (), (), doubt="")
     assert found.reasons == ("peak, limit 1: no test run is complete", "8 of 8 test runs failed")
 
 

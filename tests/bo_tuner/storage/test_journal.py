@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 
 import bo_tuner.storage.journal
 from bo_tuner.errors import JournalError, OutputError
+from bo_tuner.load import Load
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.plans import Event, EventKind, Phase
+from bo_tuner.storage import journal as journal_module
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
 from bo_tuner.storage.journal_reader import read_journal
@@ -34,6 +36,7 @@ from bo_tuner.trials import (
 finite = st.floats(allow_nan=False, allow_infinity=False)
 texts = st.text(max_size=20).filter(str.isprintable)
 measured = st.floats(-LARGEST_METRIC, LARGEST_METRIC)
+shares = st.none() | st.floats(0.0, 1.0)
 names = st.sampled_from(["gain", "state", "reason", "trial", "größe"])
 
 
@@ -71,14 +74,15 @@ class TestRoundTrip:
         metrics=st.dictionaries(names, measured),
         details=st.dictionaries(texts, texts),
         reason=texts,
+        load=st.none() | st.builds(Load, shares, shares),
         worst=st.none() | st.builds(WorstCase, finite, st.dictionaries(names, finite), finite),
         warnings=st.lists(texts, max_size=2).map(tuple),
     )
     def test_bit_for_bit(
-        self, tmp_path_factory, parameters, context, metrics, details, reason, worst, warnings
+        self, tmp_path_factory, parameters, context, metrics, details, reason, load, worst, warnings
     ):
         whole = evaluation(
-            context=context, outcome=Outcome(EvaluationState.COMPLETE, metrics, "", details)
+            context=context, outcome=Outcome(EvaluationState.COMPLETE, metrics, "", details, load)
         )
         broken = evaluation(index=1, outcome=Outcome(EvaluationState.FAILED, {}, reason, details))
         recorded = trial(
@@ -92,7 +96,22 @@ class TestRoundTrip:
         path = tmp_path_factory.mktemp("journal") / "journal.sqlite"
         with Journal(path, {}) as journal:
             record(journal, recorded)
-        assert read_journal(path).trials == (recorded,)
+        found = read_journal(path).trials
+        assert found == (recorded,)
+        # Outcomes are compared without it.
+        assert [e.outcome.load for e in found[0].evaluations] == [load, None]
+
+    @pytest.mark.parametrize(
+        "load", ["1", "{}", '{"machine": 1.5, "nodes": null}', '{"machine": "0.5", "nodes": 0.5}']
+    )
+    def test_a_load_that_is_none_is_refused(self, tmp_path, load):
+        path = tmp_path / "journal.sqlite"
+        with Journal(path, {}) as journal:
+            row = list(journal_module.evaluation_row(evaluation()))
+            row[journal_module.COLUMNS["evaluation"].index("load")] = load
+            journal._record("evaluation", tuple(row))
+        with pytest.raises(JournalError, match=r"rows that this program does not write: load: "):
+            read_journal(path)
 
     @pytest.mark.parametrize("value", [float("inf"), float("nan"), "0.5 m", None])
     def test_a_metric_that_is_no_number_is_refused(self, tmp_path, value):

@@ -38,8 +38,9 @@ class TestBadInput:
 
     def test_a_node_that_exits_at_once(self, tune, tmp_path):
         line = tune(DRIVE="exit").refusal()
-        assert line.startswith("axis_drive ended with exit code 1; see ")
-        assert "no such bus" in (tmp_path / line.split("; see ")[1]).read_text()
+        assert line.startswith("axis_drive ended with exit code 1; its last line is ")
+        assert "no such bus', see " in line
+        assert "no such bus" in (tmp_path / line.split(", see ")[1]).read_text()
 
     def test_constants_that_are_refused(self, tune, drive_study):
         study = drive_study()

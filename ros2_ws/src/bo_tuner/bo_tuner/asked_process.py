@@ -52,6 +52,11 @@ class AskedProcess:
         """Whether it is there."""
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def pid(self) -> int | None:
+        """Identifier of the process; None if it is not there."""
+        return self._process.pid if self._process is not None and self.running else None
+
     def ask(self, question: object, timeout: float | None = None) -> Any:
         """Return the answer to a question; both are pickled.
 

@@ -3,7 +3,7 @@
 import math
 import textwrap
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 JOIN = "\xa0"
 """In place of a space, between what stays on one line, such as a name and its number."""
@@ -119,6 +119,17 @@ def capitalized(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with what it counts: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def ranges(numbers: Iterable[int]) -> str:
+    """Return numbers in ascending order, neighbours joined: ``3, 5–8``."""
+    runs: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]}–{run[-1]}" if run[1:] else f"{run[0]}" for run in runs)
 
 
 def rounded_time(seconds: float) -> str:

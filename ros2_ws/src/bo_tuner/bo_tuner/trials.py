@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
 
+from bo_tuner.load import Load
+
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
 
@@ -128,12 +130,15 @@ class Outcome:
         Why the evaluation is not complete.
     details
         Further values that the nodes reported, as text.
+    load
+        How busy the computer was; None if nobody has looked. Ignored when outcomes are compared.
     """
 
     state: EvaluationState
     metrics: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
+    load: Load | None = field(default=None, compare=False)
 
     @classmethod
     def cut_short(

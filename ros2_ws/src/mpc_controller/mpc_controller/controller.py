@@ -7,7 +7,7 @@ tuner calls it directly. Equal settings and measurements give equal commands, bi
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
-from time import perf_counter
+from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from mpc_controller.return_time import (
     program_operations,
     quantiles,
 )
-from mpc_controller.settings import ControllerSettings, default_settings
+from mpc_controller.settings import CPU, MODELLED, ControllerSettings, default_settings
 
 HOLD_LAST_INPUT = "hold_last_input"
 """The fallback of a step without a usable solution: the last command is given again."""
@@ -42,7 +42,7 @@ class Step:
     estimate
         Velocity estimate after the measurement [m/s].
     return_time
-        Time from the measurement to the command [s], measured or modelled as set.
+        Time from the measurement to the command [s], as the settings have it.
     status
         ``solved``, or why the fallback was taken.
     """
@@ -65,6 +65,7 @@ class MpcController:
     def __init__(self, settings: ControllerSettings | None = None) -> None:
         self.settings = default_settings() if settings is None else settings
         self._reference: Array | None = None
+        self._clock = perf_counter
 
     def set_parameters(self, values: Mapping[str, object]) -> None:
         """Change some parameters for the cuts to come, all of them or none.
@@ -92,6 +93,8 @@ class MpcController:
             )
         s = self.settings
         self._in_force = s
+        # OSQP solves in the calling thread: its computing time is that of this one.
+        self._clock = thread_time if s.return_time == CPU else perf_counter
         model = s.model()
         program = condense(model, s.control_horizon, s.prediction_horizon, s.lambda_mpc)
         self._mpc = Mpc(program, s.input_lower, s.input_upper)
@@ -152,7 +155,7 @@ class MpcController:
         ControllerError
             If no cut was started or all samples of the cut are done.
         """
-        begin = perf_counter()
+        begin = self._clock()
         k = self._expect_sample("step")
         s = self._in_force
         if isfinite(measurement) and abs(measurement) < FASTEST:
@@ -171,9 +174,9 @@ class MpcController:
         self._kf.predict(self._last_input)
         self._samples += 1
         self._iterations += solution.iterations
-        elapsed = perf_counter() - begin
+        elapsed = self._clock() - begin
         self._return_times.append(
-            elapsed if s.return_time == "measured" else self._modelled_return_time(solution)
+            self._modelled_return_time(solution) if s.return_time == MODELLED else elapsed
         )
         return Step(self._last_input, estimate, self._return_times[-1], solution.status)
 

@@ -1,7 +1,8 @@
-"""Return time of one controller step: measured by the clock, or modelled from its operations.
+"""Return time of one controller step: measured, computing time, or modelled from its operations.
 
-The clock on a shared computer is noise to an optimizer; the model makes a campaign repeatable. It
-counts the multiplications and additions that a step asks for and takes a fixed time for each.
+On a shared computer a measured time has the waits for the processor in it, and a computing time
+still what others do to the caches. The model makes a campaign repeatable: it counts the
+multiplications and additions that a step asks for and takes a fixed time for each.
 """
 
 from collections.abc import Sequence

@@ -14,6 +14,9 @@ from feed_axis_common.model import (
 )
 from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
 
+MEASURED, CPU, MODELLED = "measured", "cpu", "modelled"
+"""How a return time is obtained."""
+
 UNDETECTABLE = 1e-6
 """A mode that decays in a sample by less than this share of itself counts as undamped, and one with
 a phase per sample this close to a multiple of pi [rad] as unseen in the samples."""
@@ -66,8 +69,9 @@ class ControllerSettings:
     joint_name: str = parameter("", "Joint that the controller drives, as in joint_states")
     return_time: str = parameter(
         "",
-        "How the return time of a step is obtained: by the clock, or from its count of operations",
-        choices=("measured", "modelled"),
+        "How the return time of a step is obtained: by the clock, as what its thread computed "
+        "(without waiting for the processor), or from its count of operations",
+        choices=(MEASURED, CPU, MODELLED),
     )
     modelled_overhead: float = parameter(
         "s", "Modelled return time of a step without its operations", lower=0, upper=10

@@ -12,6 +12,7 @@ from bo_tuner.backends.function import Function, FunctionBackend, failed
 from bo_tuner.backends.protocol import Backend, SequentialBackend
 from bo_tuner.backends.workers.pool import BREAKING_OFF, WorkerPool
 from bo_tuner.errors import BackendError, FunctionError, MetricsError, MissingPackageError
+from bo_tuner.load import with_children
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION, returned_metrics
 from bo_tuner.study.named_code import described
@@ -205,6 +206,11 @@ class FunctionProcess(SequentialBackend):
     def close(self) -> None:
         """End the process."""
         self._process.close()
+
+    @property
+    def processes(self) -> list[int]:
+        """The process in which the function is called, and what it has started."""
+        return [] if (pid := self._process.pid) is None else list(with_children([pid]))
 
     def outcome(self, planned: Evaluation) -> Outcome:
         """Call the function; a run that takes too long or ends the process is a failed evaluation.

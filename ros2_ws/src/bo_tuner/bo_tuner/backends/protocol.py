@@ -1,13 +1,15 @@
 """What the loop asks of a backend: to run evaluations."""
 
 import contextlib
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from time import monotonic
 from typing import Protocol
 
 from bo_tuner.backends.paired import DefaultBeside
+from bo_tuner.load import LoadMeter
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Outcome
 
@@ -70,9 +72,15 @@ class SequentialBackend(ABC):
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run planned evaluations in the order given."""
         for planned in evaluations:
-            begin = monotonic()
+            begin, meter = monotonic(), LoadMeter(self.processes)
             outcome = self._beside.outcome(planned, self.outcome, self.after_extra_run)
+            outcome = replace(outcome, load=meter.load(self.processes))
             yield replace(planned, outcome=outcome, seconds=monotonic() - begin)
+
+    @property
+    def processes(self) -> Sequence[int]:
+        """Processes that perform a run, by their identifiers; those that are known."""
+        return (os.getpid(),)
 
     @abstractmethod
     def outcome(self, planned: Evaluation) -> Outcome:

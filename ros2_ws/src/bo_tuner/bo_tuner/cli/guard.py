@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bo_tuner.backends.ros.graph import describe_nodes
 from bo_tuner.backends.ros.guard.guard import Guard, TopicBeats, end_on_signals
-from bo_tuner.backends.ros.guard.plan import Plan, patience
+from bo_tuner.backends.ros.guard.plan import Plan, patience, patience_of
 from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.interruption import Interruption
@@ -63,14 +63,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     describe = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
     study = load_study(arguments.study, describe)
-    timeout = patience(study)
+    waits = patience(study)
     if arguments.timeout is not None:
-        timeout = Guarding(timeout=arguments.timeout).timeout
+        waits = patience_of(Guarding(timeout=arguments.timeout))
     guard = Guard(
         Plan.of(study),
         ros_arguments,
         TopicBeats(),
-        timeout=timeout,
+        patience=waits,
         attached=True,
         record=arguments.record,
         say=say,

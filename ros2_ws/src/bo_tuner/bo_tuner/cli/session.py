@@ -18,6 +18,7 @@ from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.confirm import Confirmation, refused_in
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.paused import WAY, ContinueByKey, has_terminal
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.time_plan import TimePlan
 from bo_tuner.cli.web_options import tell_address
@@ -455,6 +456,7 @@ class Session:
                 self._show_on_ros(context, pool.park, stack)
             if self._live_page is not None:
                 self._observers.add(self._live_page)
+            self._observers.add(ContinueByKey(partial(self._gate.requests.request, False)))
             self._observers.add(self._advisor)
             stack.enter_context(self._display)
             stack.enter_context(recording)
@@ -514,7 +516,9 @@ class Session:
     @property
     def _ways_to_continue(self) -> Iterator[str]:
         """Ways in which a paused run can be continued, in words."""
-        return self._ways("/pause (std_srvs/srv/SetBool, data: false)")
+        if has_terminal():
+            yield WAY
+        yield from self._ways("/pause (std_srvs/srv/SetBool, data: false)")
 
     def _ways(self, service: str) -> Iterator[str]:
         """Yield in words the ways to tell the run something, elsewhere than on the terminal."""

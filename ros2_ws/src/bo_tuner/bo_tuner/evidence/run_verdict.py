@@ -8,6 +8,7 @@ from pathlib import Path
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.biases import biases_in_words
+from bo_tuner.evidence.busy import computing_in_words, computing_times, high_load
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
@@ -35,7 +36,6 @@ from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.measured import seen_in, seen_in_words
-from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import (
@@ -60,7 +60,7 @@ def run_verdict(record: RunRecord) -> Verdict:
     RunRecordError
         If the summary of the run is not one of `tune`.
     """
-    verdict = _latest(record)
+    verdict = _with_load(record, _latest(record))
     faults = contradicted(record.study, record.evaluations)
     verdict = replace(verdict, remarks=(*verdict.remarks, *faults))
     trial = record.result
@@ -113,7 +113,6 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             record.trials,
             record.evaluations,
             doubt="" if bool(summary["passed_check"]) else record.method.doubt(feasibility),
-            measured=record.backend == ROS,
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
@@ -174,7 +173,15 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     RunRecordError
         If the certificate cannot be read, or the summary of the run is not one of `tune`.
     """
-    return _certified(record, trial, path, _by_validation(record))
+    return _with_load(record, _certified(record, trial, path, _by_validation(record)))
+
+
+def _with_load(record: RunRecord, verdict: Verdict) -> Verdict:
+    """Return a verdict with what the load of the computer was in the runs on record."""
+    computing = computing_times(record.study, record.evaluations)
+    remarks = (*verdict.remarks, *computing_in_words(record.study, computing))
+    high = high_load(record.study, record.evaluations)
+    return replace(verdict, high_load=high, remarks=remarks)
 
 
 def _certified(

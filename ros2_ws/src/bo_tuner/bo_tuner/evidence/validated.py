@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.busy import by_the_clock
 from bo_tuner.evidence.in_reach import in_reach
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.evidence.observed import Observed
@@ -70,7 +71,6 @@ def validated(
     evaluations: Sequence[Evaluation],
     *,
     doubt: str,
-    measured: bool,
     outliers: Sequence[int] = (),
 ) -> Verdict:
     """Return the verdict of a run by its validation.
@@ -87,8 +87,6 @@ def validated(
         All that are on record.
     doubt
         Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
-    measured
-        Whether metrics of time are measured, on nodes, and not modelled.
     outliers
         Numbers of the trials that are outliers of the objective, and so were no candidates.
     """
@@ -115,7 +113,7 @@ def validated(
         quantities=quantities(study, *sides, default_limits, limits, {}),
         choice="" if doubt else _choice(study),
         remarks=(
-            *(_load(study, tuned) if measured else ()),
+            *_load(study, tuned, evaluations),
             *_how_to_complete(tuned.lost + default.lost),
         ),
         observed=sides,
@@ -279,11 +277,15 @@ def _how_to_complete(lost: int) -> tuple[str, ...]:
     return ("tune --resume runs the lost test runs again, and completes the verdict.",) * bool(lost)
 
 
-def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
-    """Return a remark if only measured times exceed their limits, in all draws."""
+def _load(study: Study, tuned: Validation, evaluations: Sequence[Evaluation]) -> tuple[str, ...]:
+    """Return a remark if only measured times exceed limits, and the nodes' load is not known."""
+    runs = [e.outcome for e in evaluations_of(evaluations, tuned.parameters) if e.whose == TUNED]
+    complete = [outcome for outcome in runs if outcome.complete]
+    times = {name for outcome in complete for name in by_the_clock(study, outcome)}
     samples = [s for s in tuned.constraints.values() if s.violations or not s.agrees]
-    metrics = [study.metrics[study.constraints[sample.name].metric] for sample in samples]
-    if all(sample.agrees for sample in samples) or not all(m.measures_time for m in metrics):
+    exceeding = [study.constraints[sample.name].metric for sample in samples]
+    known = any(o.load is not None and o.load.nodes is not None for o in complete)
+    if known or all(sample.agrees for sample in samples) or not times.issuperset(exceeding):
         return ()
-    names = ", ".join(metric.title for metric in metrics)
+    names = ", ".join(study.metrics[name].title for name in exceeding)
     return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)

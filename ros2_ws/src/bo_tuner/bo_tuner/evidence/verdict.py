@@ -10,6 +10,7 @@ from enum import StrEnum
 from math import isfinite, isnan
 
 from bo_tuner.evidence.at_bounds import AtBound
+from bo_tuner.evidence.busy import HighLoad, load_in_words
 from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
@@ -186,6 +187,8 @@ class Verdict:
         What is in reach where nothing was found feasible, and what to change, in sentences.
     standstill
         Whether the search ended as it could not go on; resumed, it would end there again.
+    high_load
+        Runs with limits on measured times in which the computer was busy; None if there are none.
     """
 
     state: State
@@ -210,6 +213,7 @@ class Verdict:
     of_parameters: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     standstill: bool = False
+    high_load: HighLoad | None = None
 
     @property
     def feasible(self) -> bool:
@@ -345,7 +349,14 @@ class Verdict:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The explanation: evidence, reasons, the default, and what changed beyond chance."""
+        """The explanation: evidence, reasons, the default, and what changed beyond chance.
+
+        A busy computer comes first: it may explain all that follows.
+        """
+        load = () if self.high_load is None else (load_in_words(self.high_load),)
+        return (*load, *self._sentences())
+
+    def _sentences(self) -> tuple[str, ...]:
         if self.state is State.OPEN:
             return self.remarks
         if self.trial is None:

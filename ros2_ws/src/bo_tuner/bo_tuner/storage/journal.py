@@ -19,10 +19,11 @@ from bo_tuner.errors import JournalError
 from bo_tuner.plans import Event
 from bo_tuner.storage.atomic import synchronize, temporary_path
 from bo_tuner.storage.run_files import is_same_file
+from bo_tuner.storage.typed_json import to_json
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Of the tables and of a session's provenance; a journal of another version is refused."""
 
 COLUMNS = {
@@ -33,7 +34,7 @@ COLUMNS = {
     ),
     "evaluation": (
         "trial", "position", "stage", "parameters", "context", "seed", "state", "reason",
-        "metrics", "details", "seconds",
+        "metrics", "details", "load", "seconds",
     ),
     "event": ("phase", "tasks", "kind", "detail"),
 }  # fmt: skip
@@ -49,7 +50,8 @@ CREATE TABLE trial (
 CREATE TABLE evaluation (
     trial INTEGER NOT NULL, position INTEGER NOT NULL, stage TEXT NOT NULL,
     parameters TEXT NOT NULL, context TEXT NOT NULL, seed INTEGER NOT NULL, state TEXT NOT NULL,
-    reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, seconds REAL NOT NULL,
+    reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, load TEXT NOT NULL,
+    seconds REAL NOT NULL,
     checksum INTEGER NOT NULL
 );
 CREATE TABLE event (
@@ -223,6 +225,7 @@ def evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
         _storable(outcome.reason),
         json.dumps(dict(outcome.metrics)),
         json.dumps(dict(outcome.details)),
+        json.dumps(None if outcome.load is None else to_json(outcome.load)),
         float(evaluation.seconds),
     )
 

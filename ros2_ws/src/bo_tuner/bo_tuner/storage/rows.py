@@ -8,9 +8,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from bo_tuner.errors import ParameterError
+from bo_tuner.load import Load
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.plans import Event, EventKind
+from bo_tuner.storage.typed_json import from_json
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -48,7 +50,7 @@ def evaluation_of(row: Row) -> Evaluation:
         # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
-    outcome = Outcome(state, metrics, reason, _texts(row, "details"))
+    outcome = Outcome(state, metrics, reason, _texts(row, "details"), _load(row))
     if unbounded := [name for name, value in outcome.at_least.items() if not math.isfinite(value)]:
         raise ValueError(f"details: {unbounded[0]} is at least {outcome.at_least[unbounded[0]]}")
     return Evaluation(
@@ -183,6 +185,14 @@ def _worst_case(content: object) -> WorstCase:
     if noise < 0.0:
         raise ValueError(f"worst_cases: noise {noise}")
     return WorstCase(value, _as_values(content["context"], "worst_cases"), observed, noise)
+
+
+def _load(row: Row) -> Load | None:
+    content = _json(row, "load")
+    try:
+        return None if content is None else from_json(Load, content)
+    except ValueError as error:
+        raise ValueError(f"load: {error}") from error
 
 
 def _text(row: Row, column: str) -> str:

@@ -6,6 +6,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.building import build
 
+TIMEOUT = 0.5
+"""Time [s] without a heartbeat after which a guard acts, unless heartbeats come late."""
 LEAST_TIMEOUT = 0.3
 """Time [s] of three heartbeats: one may be late on a busy machine."""
 
@@ -20,16 +22,19 @@ class Guarding:
     ----------
     always : bool
         Also over nodes that the tuner starts; nodes that it attaches to are guarded anyway.
-    timeout : float
-        Time [s] without a heartbeat of the tuner after which the guard acts; at least 0.3.
+    timeout : float, optional
+        Time [s] without a heartbeat of the tuner after which the guard acts; at least 0.3. Without
+        it that is 0.5 s, and up to 1.5 s while the computer is so busy that heartbeats come late.
     """
 
     always: bool = False
-    timeout: float = 0.5
+    timeout: float | None = None
 
     def __post_init__(self) -> None:
         """Check the fields."""
         checks.boolean(self.always, "always")
+        if self.timeout is None:
+            return
         timeout = checks.timeout(self.timeout, "timeout")
         if timeout < LEAST_TIMEOUT:
             raise StudyError(

@@ -41,6 +41,7 @@ from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
+from bo_tuner.load import with_children
 from bo_tuner.metrics.collect import Collector, cut_short
 from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.message_rates import MessageRates
@@ -626,6 +627,11 @@ class RosBackend(SequentialBackend):
     def recording(self) -> Recording:
         """What was recorded of the last run."""
         return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
+
+    @property
+    def processes(self) -> list[int]:
+        """Those of the nodes that the tuner has started; attached ones may be anywhere."""
+        return list(with_children(p.pid for p in self._started.processes.values()))
 
     @property
     def nodes(self) -> list[str]:

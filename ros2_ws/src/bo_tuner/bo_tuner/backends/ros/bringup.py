@@ -82,7 +82,7 @@ class Bringup:
             if look_around:
                 self._refuse_running()
             self._started.start()
-        presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+        self._wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
         if self._attach:
             # That the nodes are discovered does not mean that another tuner is, too.
             tuner.spin_for(LOOK_AROUND)
@@ -111,7 +111,7 @@ class Bringup:
         except (BackendError, StudyError) as error:
             raise LostError(f"{key} is not started anew: {error}") from error
         # Others may run in the same process.
-        for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
+        for anew in dict.fromkeys((key, *self._wait_for_nodes())):
             self._client.assign_again(anew)
         self._client.start_values.after()
 
@@ -141,7 +141,7 @@ class Bringup:
             self._client.start_values.between(())
             client.start_values.reset()
             self._started.start()
-        anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
+        anew = self._wait_for_nodes()
         if self._attach:
             # A node that was killed and is back appears in the graph bit by bit.
             tuner.spin_for(LOOK_AROUND)
@@ -149,6 +149,17 @@ class Bringup:
         client.renew(anew)
         self._settle_all()
         InitialParameters(self._study, tuner, client.parameters).set_constants()
+
+    def _wait_for_nodes(self, timeout: float = DISCOVERY_TIMEOUT) -> list[str]:
+        """Wait for all nodes; if one does not come, say what its program has printed."""
+        presence = self._client.presence
+        try:
+            return presence.wait_for_nodes(timeout)
+        except LostError as loss:
+            running = self._started.processes
+            of_absent = [running[key] for key in presence.absent() if key in running]
+            said = (f"{item.name} runs, {item.said}" for item in of_absent or running.values())
+            raise LostError("; ".join([str(loss), *said])) from loss
 
     def _settle_all(self) -> None:
         try:

@@ -1,6 +1,7 @@
 """Node processes that the tuner starts, and ends whatever happens."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -17,6 +18,11 @@ STOP_TIMEOUT = 3.0
 """Time [s] that a node has to end after SIGTERM before it is killed."""
 
 POLL = 0.02
+NOT_RUN = (126, 127)
+"""Exit codes of a shell that cannot run a program, or does not find it (POSIX, 2.8.2)."""
+NOT_FOUND = re.compile(r"ModuleNotFoundError|ImportError|[Pp]ackage .*not found|shared librar")
+MISSING = "install what it needs, or source its workspace in this terminal"
+
 LAST_BYTES = 4096
 """Most that is read of what a node has printed last."""
 
@@ -131,16 +137,24 @@ class NodeProcess:
 
     @property
     def exit_reason(self) -> str | None:
-        """How the process ended, or None while it runs."""
+        """How the process ended, with what it has printed last; None while it runs."""
         code = self._process.poll()
         if code is None:
             return None
         if code < 0:
-            return f"{self.name} was ended by {signal.Signals(-code).name}"
-        return f"{self.name} ended with exit code {code}; see {self.log}"
+            how = f"{self.name} was ended by {signal.Signals(-code).name}"
+            return f"{how}; {self.said}" if self._last_line else how
+        hint = f"; {MISSING}" if code in NOT_RUN or NOT_FOUND.search(self._last_line) else ""
+        return f"{self.name} ended with exit code {code}; {self.said}{hint}"
 
     @property
-    def last_line(self) -> str:
+    def said(self) -> str:
+        """What it has printed last, and where the rest is."""
+        last = self._last_line
+        return f"its last line is '{last}', see {self.log}" if last else "it has printed nothing"
+
+    @property
+    def _last_line(self) -> str:
         """The last line that it has printed; empty if there is none, or it cannot be read."""
         try:
             with self.log.open("rb") as printed:

@@ -276,9 +276,8 @@ class StartValues:
         except LostError as loss:
             process = self._started.processes.get(starter)
             if process is not None and (reason := process.exit_reason) is not None:
-                said = f": {text}" if (text := process.last_line) else ""
                 raise RefusedError(
-                    f"{starter} does not start with these parameters: {reason}{said}"
+                    f"{starter} does not start with these parameters: {reason}"
                 ) from loss
             raise
 

@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from bo_tuner.evidence.busy import high_load, load_in_words
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.evaluations_file import evaluations_csv
@@ -31,7 +31,6 @@ from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.measured import seen_in
-from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
 
@@ -112,7 +111,7 @@ def make_certificate(
         parameter_sensitivity=sensitivity,
         warnings=(
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
-            *_busy(study, findings, backend),
+            *_busy(study, findings, tuned),
             *_rounded(findings, held),
             *drifts(study, {name: item.drawn for name, item in evidence.items()}),
         ),
@@ -149,16 +148,13 @@ def write_certificate(
     return write_atomically(path, certificate_text(certificate))
 
 
-def _busy(study: Study, findings: Findings, backend: str) -> Iterator[str]:
-    """Yield what to know of a limit on a measured time that was not shown."""
-    for constraint in findings.constraints:
-        measured = study.metrics[constraint.metric].measures_time
-        if measured and not constraint.passed and backend == ROS:
-            yield (
-                f"{constraint.name}: {constraint.metric} depends on the load of the machine, "
-                f"which was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; measure it "
-                "with nothing else running, on the computer that will control the machine"
-            )
+def _busy(study: Study, findings: Findings, evidence: Evidence) -> Iterator[str]:
+    """Yield what to know of limits on times that were not shown: how busy the computer was."""
+    open_limits = (study.constraints[c.name] for c in findings.constraints if not c.passed)
+    titles = {study.metrics[constraint.metric].title for constraint in open_limits}
+    high = high_load(study, evidence.evaluations)
+    if high is not None and titles & set(high.metrics):
+        yield load_in_words(high)
 
 
 def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from bo_tuner.backends.ros.guard.guard import Guard, PipeBeats, end_on_signals
-from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.guard.plan import Patience, Plan
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.study_file import parse_study
 
@@ -30,7 +30,7 @@ def main() -> int:
             settings["ros_arguments"],
             PipeBeats(sys.stdin.fileno()),
             name=settings["name"],
-            timeout=settings["timeout"],
+            patience=Patience(*settings["patience"]),
             attached=settings["attached"],
             record=Path(settings["record"]) if settings["record"] else None,
             say=_say,

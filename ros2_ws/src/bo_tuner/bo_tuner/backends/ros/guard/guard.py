@@ -33,7 +33,7 @@ from bo_tuner.backends.ros.guard.messages import (
     Beat,
     State,
 )
-from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.guard.plan import Patience, Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
 from bo_tuner.backends.ros.lifecycle import LifecycleNode
 from bo_tuner.backends.ros.own_topics import OwnTopic
@@ -128,7 +128,7 @@ class Guard:
         Heartbeats of the tuner.
     name
         Its own, by which the tuner knows it; random unless given.
-    timeout
+    patience
         Time [s] without a heartbeat after which it acts.
     attached
         Whether the nodes run by themselves: those that a tuner has started come and go with it.
@@ -145,7 +145,7 @@ class Guard:
         beats: Beats,
         *,
         name: str = "",
-        timeout: float,
+        patience: Patience,
         attached: bool,
         record: Path | None,
         say: Callable[[str], None],
@@ -156,7 +156,7 @@ class Guard:
         self._record = record
         self._output = say
         self._attached = attached
-        self._watch = Watch(timeout)
+        self._watch = Watch(patience)
         self._ending = False
         self._held = 0.0
         # It publishes its state also while it waits for a node: its tuner awaits it.

@@ -393,7 +393,7 @@ class GuardLink:
             "name": self._name,
             "study": study_to_yaml(study),
             "values": values,
-            "timeout": patience(study),
+            "patience": patience(study),
             "attached": self._attached,
             "ros_arguments": list(ros_arguments),
             "record": str((self._folder / GUARD_RECORD).resolve()),

@@ -16,8 +16,6 @@ BEATS = QoSProfile(depth=10)
 
 PERIOD = 0.1
 """Time [s] between two heartbeats, and between two states."""
-TIMEOUT = 0.5
-"""Time [s] without a heartbeat after which a guard acts, by default."""
 
 IDLE, RUN, END = "idle", "run", "end"
 """Phases: between runs; in a run, in which the abort condition counts; no further beat comes."""

@@ -6,11 +6,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
+from typing import NamedTuple
 
 from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.guarding import TIMEOUT, Guarding
 from bo_tuner.study.publishing import Topic
 from bo_tuner.study.run import WALL
 from bo_tuner.study.safe_values import safe_values
@@ -20,22 +21,41 @@ from bo_tuner.study.study import Study
 PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
 """Environment variable with the least time [s] that a guard waits for a heartbeat: how busy a
 computer may be is no matter of a study."""
+WIDEST = 1.5
+"""Time [s] to which late heartbeats widen it at most, unless somebody has named the time."""
 
 
-def patience(study: Study) -> float:
-    """Return the time [s] without a heartbeat after which a guard acts.
+class Patience(NamedTuple):
+    """For how long [s] a guard waits for a heartbeat: at first, and at most if some come late."""
+
+    least: float
+    most: float
+
+
+def patience(study: Study) -> Patience:
+    """Return the time without a heartbeat after which a guard acts.
 
     Raises
     ------
     BackendError
         If the environment names one that is none.
     """
+    of_study = patience_of(study.guard)
     given = os.environ.get(PATIENCE, "")
+    if not given:
+        return of_study
     try:
-        least = Guarding(timeout=float(given)).timeout if given else 0.0
+        least = max(patience_of(Guarding(timeout=float(given))).least, of_study.least)
     except (ValueError, StudyError) as error:
         raise BackendError(f"{PATIENCE}: {error}") from error
-    return max(study.guard.timeout, least)
+    return Patience(least, least)
+
+
+def patience_of(guarding: Guarding) -> Patience:
+    """Return what a study says of it; where it says nothing, late heartbeats widen it."""
+    if guarding.timeout is None:
+        return Patience(TIMEOUT, WIDEST)
+    return Patience(guarding.timeout, guarding.timeout)
 
 
 @dataclass(frozen=True)

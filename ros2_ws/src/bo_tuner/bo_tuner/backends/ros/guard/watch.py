@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
-from bo_tuner.backends.ros.guard.messages import END, RUN, Beat
+from bo_tuner.backends.ros.guard.messages import END, PERIOD, RUN, Beat
+from bo_tuner.backends.ros.guard.plan import PATIENCE, Patience
 
+FORGETTING = 1.0 / 60.0
+"""By how much [s] the largest delay of a heartbeat counts less in each second that follows it."""
 CYCLE = 0.1
 """Time [s] that the tuner has to act on a condition: it checks it every 0.01 s."""
 
@@ -32,16 +35,18 @@ class Watch:
     """Watches the tuner by its heartbeats, and the machine by what the guard hears of it.
 
     It watches from the first beat to the one that says that no further one comes. Times [s] are of
-    a steady clock, and given by the caller.
+    a steady clock, and given by the caller. On a busy computer beats come late: it waits longer by
+    the largest delay that it has seen lately.
 
     Parameters
     ----------
-    timeout
+    patience
         Time [s] without a beat after which the tuner counts as hung.
     """
 
-    def __init__(self, timeout: float) -> None:
-        self._timeout = timeout
+    def __init__(self, patience: Patience) -> None:
+        self._patience = patience
+        self._late = 0.0
         self._last: Beat | None = None
         self._heard = 0.0
         self._gone = False
@@ -50,6 +55,11 @@ class Watch:
         self._back: list[str] = []
         self._answered = 0
         self.acts = 0
+
+    @property
+    def timeout(self) -> float:
+        """Time [s] without a beat after which it acts, as things are."""
+        return min(self._patience.least + self._late, self._patience.most)
 
     @property
     def is_watching(self) -> bool:
@@ -71,6 +81,9 @@ class Watch:
         if self._last is None or (beat.phase, beat.run) != (self._last.phase, self._last.run):
             self._held_since = None
         self._answered = beat.acts
+        if self._last is not None:
+            gap = now - self._heard
+            self._late = max(gap - PERIOD, self._late - FORGETTING * gap, 0.0)
         self._heard = now
         self._last = None if beat.phase == END else beat
         if self._last is None:
@@ -108,8 +121,11 @@ class Watch:
         if not self.is_known:
             # It is held safe until the tuner knows.
             return None
-        if now - self._heard > self._timeout:
-            return Cause(f"no heartbeat of the tuner for {now - self._heard:.2f} s")
+        if now - self._heard > self.timeout:
+            return Cause(
+                f"no heartbeat of the tuner for {now - self._heard:.2f} s (on a busy computer set "
+                f"{PATIENCE} to more [s])"
+            )
         if self._held_since is not None and now - self._held_since > CYCLE:
             return Cause(
                 "the abort condition holds, and the tuner has not ended the run", on_condition=True
