@@ -158,7 +158,7 @@ class TestRun:
         assert text.startswith("# DO NOT USE: ")
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
         assert out.startswith("No feasible parameter set was found\n")
-        assert "best.yaml holds this parameter set; do not use it." in out
+        assert "best.yaml holds this set, which is not within limits: do not use it." in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1000"}))

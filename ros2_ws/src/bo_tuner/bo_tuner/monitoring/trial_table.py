@@ -90,14 +90,20 @@ class TrialTable:
             yield from _header(columns)
         self._shown += 1
         cells = self._cells(trial)
-        line = Text(" ").join(_aligned(cells[column.name], column) for column in columns)
+        line = Text(" ").join(_aligned(cells[id(column)], column) for column in columns)
         left = None if room is None else room - line.cell_len - 2
-        outcome, style = self._outcome(trial, left)
-        said = "; ".join(filter(None, (mark, outcome)))
-        yield Text.assemble(line, "  " if said else "", (said, style))
-        rest = [ending_in_words(trial)] if trial.state is not TrialState.COMPLETE else []
+        outcome, style = self._outcome(trial, None if left is None or mark else left)
+        said, rest = "; ".join(filter(None, (mark, outcome))), []
+        if left is not None and cell_len(said) > left:
+            rest, said = [said], ""
+        if said:
+            line = Text.assemble(line, "  ", (said, style))
+        line.rstrip()
+        yield line
+        if trial.state is not TrialState.COMPLETE:
+            rest.append(ending_in_words(trial))
         if shown_apart:
-            named = (f"{column.name} {cells[column.name]}".strip() for column in shown_apart)
+            named = (f"{column.name} {cells[id(column)]}".strip() for column in shown_apart)
             rest.append("  ".join(pair.replace(" ", JOIN) for pair in named))
         for text in rest:
             text = printable(INDENT + text)
@@ -108,8 +114,8 @@ class TrialTable:
         first, *others = self._values
         return [first, *(self._parameters if beside else ()), *others]
 
-    def _cells(self, trial: Trial) -> dict[str, Text]:
-        """Return the cells by the names of the columns."""
+    def _cells(self, trial: Trial) -> dict[int, Text]:
+        """Return the cells by the identity of their columns; two may have the same name."""
         study, complete = self._study, trial.state is TrialState.COMPLETE
         cells = [Text(str(trial.number))]
         cells += [Text(printable(shown(trial.parameters[item.name]))) for item in self._tuned]
@@ -120,15 +126,13 @@ class TrialTable:
         for name, constraint in study.constraints.items():
             sign = OVER if name in over else MARGIN if name in close else KEPT
             cells.append(_against(constraint, trial, sign) if complete else Text(f"–{KEPT}"))
-        names = (column.name for column in self._columns(beside=True))
-        return dict(zip(names, cells, strict=True))
+        columns = map(id, self._columns(beside=True))
+        return dict(zip(columns, cells, strict=True))
 
     def _outcome(self, trial: Trial, left: int | None) -> tuple[str, str]:
         """Return the outcome in words that fit into the room that is left, and their style."""
-        if trial.state is not TrialState.COMPLETE:
-            return trial.ending.upper(), STYLES[OVER]
         over, close = violated(self._study, trial), uncertain(self._study, trial)
-        if not over and not close:
+        if trial.state is not TrialState.COMPLETE or not (over or close):
             return "", STYLES[KEPT]
         words = outcome_on_screen(self._study, trial)
         if left is not None and cell_len(words) > left:
