@@ -252,6 +252,8 @@ class Verdict:
         """The same of the default; None if it was not evaluated, or not in full."""
         if self.default_reasons is None:
             return None
+        if self.is_default and self.state is State.UNPROVEN:
+            return Standing.OPEN
         if not self.default_unrefuted:
             return Standing.VIOLATED
         certified = self.certificate != "" and self.default_certified
