@@ -119,6 +119,8 @@ class Infeasible:
         models; NaN if they were not asked.
     beyond
         Bounds beyond which the models expect feasible sets.
+    fresh_deaths
+        Number of test runs of the recommended set that failed in its validation.
     """
 
     trials: int
@@ -131,6 +133,7 @@ class Infeasible:
     loosened: tuple[Loosened, ...]
     chance: float = math.nan
     beyond: tuple[AtBound, ...] = ()
+    fresh_deaths: int = 0
 
     def of(self, name: str) -> LimitReached:
         """Return how the trials did on a limit."""
@@ -149,6 +152,7 @@ def infeasible(
     trials: Sequence[Trial],
     prospects: Prospects | None = None,
     refuted: Sequence[str] = (),
+    fresh_deaths: int = 0,
 ) -> Infeasible:
     """Return why no parameter set was found feasible.
 
@@ -160,8 +164,9 @@ def infeasible(
         Those that were candidates.
     prospects
         What the models expect; None if they were not asked.
-    refuted
-        Names of the limits that the recommended one has violated in its validation.
+    refuted, fresh_deaths
+        Names of the limits that the recommended one has violated in its validation, and how many of
+        its test runs failed there.
     """
     counted = [trial for trial in trials if not trial.unusable]
     deaths = [trial.reason for trial in counted if trial.state is TrialState.FAILED]
@@ -184,6 +189,7 @@ def infeasible(
         loosened=_loosened(blocker, reached, judged, nearest),
         chance=math.nan if prospects is None else prospects.chance,
         beyond=() if prospects is None else _beyond(study, prospects),
+        fresh_deaths=fresh_deaths,
     )
 
 

@@ -22,7 +22,11 @@ def blocker_in_words(facts: Infeasible) -> str:
         case Blocker.CONFLICT:
             return f"the limits of {names} are in conflict: trials keep each, but none all of them"
         case Blocker.MARGIN:
-            why = f"fresh ones broke that of {names}" if names else "none is sure enough to do so"
+            why = "the models are not sure enough of any"
+            if names:
+                why = f"fresh runs broke that of {names}"
+            if facts.fresh_deaths:
+                why = f"{facts.fresh_deaths} of the fresh runs failed"
             return f"trials kept all limits in their own runs, but {why}"
 
 

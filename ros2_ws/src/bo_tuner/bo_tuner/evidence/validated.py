@@ -159,9 +159,10 @@ def _infeasible(
     prospects: Prospects | None,
 ) -> Infeasible:
     """Return why none of the trials that were candidates is feasible."""
-    refuted = [name for name, sample in tuned.constraints.items() if not sample.agrees]
+    samples = tuned.constraints.items()
+    refuted = [name for name, sample in samples if sample.count and not sample.agrees]
     candidates = [trial for trial in trials if trial.number not in outliers]
-    return infeasible(study, candidates, prospects, refuted)
+    return infeasible(study, candidates, prospects, refuted, tuned.failures)
 
 
 def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:

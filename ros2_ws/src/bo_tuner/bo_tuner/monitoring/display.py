@@ -104,7 +104,9 @@ class Display(RunObserver):
 
     def no_result(self, verdict: Verdict, folder: Path) -> None:
         """Warn that the run in a folder has no result, with why and what to do next."""
-        self.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+        self.warn(verdict.headline)
+        for sentence in verdict.sentences:
+            self.warn(f"  {sentence}")
         print_next_steps(self._console, verdict, folder)
 
     def finish(self, code: int) -> None:
