@@ -19,9 +19,9 @@ from rich.console import Console
 from bo_tuner.cli import apply
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.infeasible_words import blocker_in_words
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
-from bo_tuner.evidence.infeasible_words import blocker_in_words
 from bo_tuner.evidence.table import print_verdict
 from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
 from bo_tuner.evidence.what_to_set import what_to_set
