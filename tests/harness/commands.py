@@ -5,6 +5,7 @@ import faulthandler
 import json
 import multiprocessing
 import os
+import re
 import runpy
 import signal
 import subprocess
@@ -254,6 +255,11 @@ def finish(process, deadline=DEADLINE):
         raise
     assert "Traceback" not in out + err, err
     return process.returncode, out, err
+
+
+def rows(lines):
+    """The rows of the table of trials among the lines that tune says."""
+    return [line for line in lines if re.match(r" *\d+ ", line)]
 
 
 def run(*arguments, **options):

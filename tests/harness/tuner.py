@@ -217,7 +217,7 @@ class Tune:
         wait_until(condition, what, self.popen, lambda: self.err)
 
     def wait_for_trial(self, number):
-        self.wait_for(lambda: re.search(rf"^trial +{number} ", self.err, re.M), f"trial {number}")
+        self.wait_for(lambda: re.search(rf"^ *{number} ", self.err, re.M), f"trial {number}")
 
     def wait_for_nodes_to_end(self):
         wait_until(lambda: self.nodes() == [], "the nodes to end", said=lambda: self.err)

@@ -91,15 +91,14 @@ def test_a_whole_number_on_a_log_scale_stays_positive(make_study, lower, sentenc
 
 
 @pytest.mark.parametrize(
-    "state", [State.VALIDATED, State.INFEASIBLE, State.CERTIFIED, State.REFUSED, State.INCOMPLETE]
+    "state", [State.VALIDATED, State.UNPROVEN, State.CERTIFIED, State.REFUSED, State.INCOMPLETE]
 )
 def test_the_verdict_tells_of_it_and_names_the_command(make_study, state):
     each = found(make_study, kp=10.0, ki=8.0, law="a")
     verdict = Verdict(state=state, trial=3, evidence="", reasons=("why",), at_bounds=each)
     assert "kp is at its upper bound 10 V/rad" in " ".join(verdict.sentences)
     assert [item["parameter"] for item in verdict.to_mapping()["at_bounds"]] == ["kp", "ki"]
-    # Where nothing was found feasible the range is what to change first.
-    step = next_steps(verdict, "/my runs/a")[0 if state is State.INFEASIBLE else -1]
+    step = next_steps(verdict, "/my runs/a")[-1]
     assert shlex.split(step.command) == [
         "tune", "--from", "/my runs/a", "--bounds", "kp=0.1:20", "--bounds", "ki=0:16",
     ]  # fmt: skip

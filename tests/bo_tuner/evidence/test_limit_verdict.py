@@ -5,9 +5,12 @@ import math
 import pytest
 from scipy.stats import binomtest
 
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, exit_code
 from bo_tuner.evidence.limit_verdict import by_test_runs
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import State, Status
+from bo_tuner.evidence.what_to_set import what_to_set
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limits import Standing, judge_samples
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.validation import Validation
@@ -47,7 +50,7 @@ def validation(study, evaluations):
     )  # fmt: skip
 
 
-def verdict_of(study, tuned, default=None, searched=True, doubt=""):
+def verdict_of(study, tuned, default=None, searched=True, doubt="", likely=False):
     default = default or runs(study, 10, 0, side=0, error=2.0)
     search = [
         Evaluation(0, 0, Stage.SEARCH, dict(evaluations[0].parameters), {}, 0, FAILED)
@@ -56,7 +59,7 @@ def verdict_of(study, tuned, default=None, searched=True, doubt=""):
     ]
     both = [validation(study, side) for side in (default, tuned)]
     every = [*default, *tuned, *search]
-    return validated(study, 3, *both, (), every, doubt=doubt)
+    return validated(study, 3, *both, (), every, doubt=doubt, likely=likely)
 
 
 def said(study, count, above, *, unsearched=False):
@@ -162,6 +165,43 @@ def test_a_result_that_is_doubted_is_not_told_that_a_limit_is_kept(make_study):
     assert found.state is State.INFEASIBLE
     (quantity,) = [q for q in found.quantities if q.limit_verdict is not None]
     assert "kept" not in quantity.limit_verdict.words
+
+
+class TestUnproven:
+    """A set that nothing refutes, and that is likely within limits, but not surely enough."""
+
+    def test_it_is_neither_infeasible_nor_to_be_used(self, make_study):
+        study = study_of(make_study, 0.9)
+        found = verdict_of(study, runs(study, 8, 0), doubt="It is 94.2 % likely", likely=True)
+        assert found.state is State.UNPROVEN
+        assert found.headline == "Not proven: no limit broken in 8 test runs"
+        assert (found.feasible, found.status) == (False, Status.WARNING)
+        assert found.to_mapping()["keeps_limits"]["tuned"] is None
+        assert "do not use" not in " ".join(found.sentences).lower()
+        assert found.file_notes(study)[0] == f"{found.headline}."
+        assert exit_code(found) == EXIT_INFEASIBLE
+        assert what_to_set(study, found, {"gain": 0.25}) == (
+            f"{found.headline}. Likeliest so far: gain 0.25"
+        )
+
+    @pytest.mark.parametrize(("above", "further"), [(5, ()), (0, (FAILED,))])
+    def test_what_its_runs_refute_is_infeasible(self, make_study, above, further):
+        study = study_of(make_study, 0.9)
+        tuned = runs(study, 8, above, *further)
+        assert verdict_of(study, tuned, doubt="doubt", likely=True).state is State.INFEASIBLE
+
+    @pytest.mark.parametrize(
+        ("method", "feasibility", "checked", "likely"),
+        [
+            ("boundary", 0.942, True, True),
+            ("boundary", 0.3, True, False),
+            ("IV", 0.942, False, True),
+            # A check that it did not pass has refuted it.
+            ("IV", 0.942, True, False),
+        ],
+    )
+    def test_what_a_method_calls_likely(self, method, feasibility, checked, likely):
+        assert METHODS[method].is_likely(feasibility, checked=checked) is likely
 
 
 class TestIncomplete:

@@ -76,7 +76,7 @@ def test_outliers_that_kept_all_limits_are_told_of():
         "therefore not candidates."
     ) in found[2]
     for sentences in found:
-        assert "best.yaml holds this parameter set; do not use it." in sentences
+        assert "best.yaml holds this set, which is not within limits: do not use it." in sentences
 
 
 @pytest.mark.parametrize("contexts", [{}, None])

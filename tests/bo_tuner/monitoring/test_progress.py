@@ -14,14 +14,12 @@ from bo_tuner.monitoring.progress import (
     advice_in_words,
     describe,
     duration,
-    units_in_words,
 )
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Phase
 from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.study.limits import outcome_in_words
-from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
 from bo_tuner.trials import DISTURBED, NOTE, EvaluationState, Outcome
 
@@ -56,11 +54,8 @@ class TestLines:
         trials = [make_trial(k, {"gain": 0.5}, [1.0, 2.0]) for k in range(3)]
         follow(out, make_study(), trials, candidate(trials[0]))
         lines = text(out).splitlines()
-        assert len(lines) == 3
-        assert lines[2] == (
-            "trial   2              gain 0.5        error 1.5        worst peak 0.5       limit 1"
-            "  [2 test runs]"
-        )
+        assert lines[-1] == "    2       0.5       1.5        0.5"
+        assert [line.split()[0] for line in lines[-3:]] == ["0", "1", "2"]
         assert not ESCAPE.search(text(out))
 
     def test_a_file_gets_a_line_now_and_then_where_nothing_else_is_said(
@@ -85,7 +80,7 @@ class TestLines:
             for number in range(3):
                 now[0] += 20.0
                 progress.trial(make_trial(number, {"gain": 0.5}, [1.0]), None)
-        assert [line[:5] for line in text(out).splitlines()] == ["trial"] * 3
+        assert [line.split()[0] for line in text(out).splitlines()[-3:]] == ["0", "1", "2"]
 
     def test_a_run_whose_signals_have_gaps_is_told(self, make_study, make_trial):
         out = console()
@@ -95,17 +90,8 @@ class TestLines:
         gap = dataclasses.replace(gap, outcome=noted)
         marked = dataclasses.replace(trial, evaluations=(whole, gap))
         follow(out, make_study(), [marked], candidate(marked))
-        first, _ = text(out).splitlines()
+        first, *_ = text(out).splitlines()
         assert first.strip() == "warning: trial 3, test run 1: signal x was silent"
-
-    def test_the_units_of_the_lines_come_first(self, make_study, tmp_path):
-        study = load_study("benchmark")
-        out = console()
-        RunProgress(out, study).start(tmp_path, "inprocess", "boundary")
-        folder, units = text(out).splitlines()
-        assert folder == f"run folder {tmp_path}"
-        assert units == "units: control_horizon samples, tracking_error (m/s)^2, overshoot m/s"
-        assert units_in_words(make_study()) == ""
 
     def test_a_failure_has_all_that_repeats_it(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}), make_study())
@@ -147,13 +133,13 @@ class TestLines:
 
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
-        assert "worst peak 1.25      limit 1  over the limit (peak)" in line.replace(JOIN, " ")
+        assert "limit 1  over the limit (peak 1.25 > 1)" in line.replace(JOIN, " ")
 
     def test_a_new_best_is_marked(self, make_study, make_trial):
         out = console()
         trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(2)]
         follow(out, make_study(), trials, candidate(trials[1]))
-        assert [line[10:21].strip() for line in text(out).splitlines()] == ["", "best so far"]
+        assert ["best so far" in line for line in text(out).splitlines()[-2:]] == [False, True]
         out = console()
         follow(out, make_study(), trials[1:], candidate(trials[1], feasibility=0.01))
         assert "best so far" not in text(out)
@@ -170,24 +156,10 @@ class TestLines:
     def test_long_lines_are_not_broken_in_a_file(self, make_study, make_trial):
         out = console(width=40)
         follow(out, make_study(), [make_trial(0, {"gain": 0.5}, [1.0])], None)
-        assert len(text(out).splitlines()) == 1
+        assert len([line for line in text(out).splitlines() if "0.5" in line]) == 1
 
 
 class TestTerminal:
-    @pytest.mark.parametrize("width", [60, 80, 120])
-    def test_no_line_breaks_in_a_word_or_before_a_number(self, make_study, make_trial, width):
-        out = console(width, terminal=True)
-        follow(out, make_study(), [make_trial(0, {"gain": -0.00123456}, [1.5])], None)
-        shown = [line.rstrip() for line in ESCAPE.sub("", text(out)).splitlines()]
-        start = next(k for k, line in enumerate(shown) if line.startswith("trial   0"))
-        lines = list(itertools.takewhile(lambda line: "test run]" not in line, shown[start:]))
-        lines.append(shown[start + len(lines)])
-        assert max(map(len, lines)) <= width
-        whole = " ".join(" ".join(lines).split())
-        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 test run]")
-        ends = ("gain", "error", "worst", "peak", "limit")
-        assert not any(line.endswith(ends) for line in lines)
-
     @pytest.mark.parametrize("width", [40, 80, 200])
     def test_shows_count_and_incumbent(self, make_study, make_trial, width):
         out = console(width, terminal=True)

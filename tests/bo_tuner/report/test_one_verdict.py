@@ -19,6 +19,7 @@ from rich.console import Console
 from bo_tuner.cli import apply
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
+from bo_tuner.evidence.infeasible_words import blocker_in_words
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.table import print_verdict
@@ -153,7 +154,10 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     analysis = Analysis(run)
     (row,) = verdicts_table({"run": analysis}, "").rows
     marks = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
-    assert row[1] == marks[verdict.status] + verdict.headline
+    mark, headline = marks[verdict.status], verdict.headline
+    if verdict.infeasible is not None:
+        headline += f": {blocker_in_words(verdict.infeasible)}"
+    assert row[1] == mark + headline
     assert row[3] == verdict.evidence
     live = unescape(answer_html(analysis))
     assert f'<h2 id="answer-title">{told}</h2>' in live

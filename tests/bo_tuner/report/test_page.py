@@ -280,7 +280,7 @@ def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
     limit = {"peak": {"kind": "worst_case", "metric": "peak", "upper": -1.0}}
     page_of(axis_run(constraints=limit), tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "do not use it." in text
+    assert "not within limits: do not use it" in text
 
 
 def test_a_study_without_contexts_and_limits_has_a_report(axis_run, tmp_path):

@@ -5,6 +5,7 @@ import shlex
 import signal
 
 import pytest
+from commands import rows
 from waiting import count_in
 
 from bo_tuner.trials import EvaluationState, TrialState
@@ -167,7 +168,7 @@ class TestEvaluations:
         command = tune(DRIVE="all:die")
         assert command.finish() == 1
         *lines, last = command.err.splitlines()
-        assert sum(line.startswith("trial ") for line in lines) == 3
+        assert len(rows(lines)) == 3
         assert last.startswith("error: 3 trials in a row were lost with their nodes: axis_drive")
         assert "resume it with: tune --resume" in last
         assert len(command.trials()) == 3

@@ -1,5 +1,7 @@
 """Lines and tables in a terminal of any width: nothing is cut off."""
 
+from pathlib import Path
+
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
@@ -18,6 +20,12 @@ def print_line(console: Console, text: str, indent: str) -> None:
     if console.is_terminal:
         text = wrapped(text, console.width, indent)
     console.print(text.replace(JOIN, " "), soft_wrap=True)
+
+
+def from_here(path: Path) -> Path:
+    """Return a path relative to where one is, if it is below; else as it is."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def print_table(console: Console, table: Table, *, heading: int = 1, remarks: bool = False) -> None:

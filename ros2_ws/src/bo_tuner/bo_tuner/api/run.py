@@ -12,7 +12,6 @@ from pathlib import Path
 from bo_tuner.api.earlier import EarlierRun, first_trials
 from bo_tuner.backends.recorded import OnRecord
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
@@ -174,7 +173,7 @@ class OpenRun:
             )
             verdict = run_verdict(replace(record, summary=summary))
             parameters = conclusion.recommendation.candidate.trial.parameters
-            notes = file_notes(self.study, verdict.unseen)
+            notes = verdict.file_notes(self.study)
             self._folder.write_parameters(self.study, parameters, notes)
             self._folder.write_json(SUMMARY, summary | verdict.to_summary())
         export_csv(self._folder.journal, self.path)

@@ -23,7 +23,6 @@ from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.time_plan import TimePlan
 from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
-from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
@@ -560,7 +559,7 @@ class Session:
     def _report(self, conclusion: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
         parameters = conclusion.recommendation.candidate.trial.parameters
-        notes = (*verdict.file_warnings, *file_notes(self._study, verdict.unseen))
+        notes = verdict.file_notes(self._study)
         path = folder.write_parameters(self._study, parameters, notes)
         summary |= verdict.to_summary()
         folder.write_json(SUMMARY, summary)

@@ -43,10 +43,9 @@ from bo_tuner.evidence.certificate.store import (
 )
 from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
-from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.junit import no_verdict_in_junit, verdict_in_junit
+from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import certified, run_verdict
-from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
@@ -55,13 +54,15 @@ from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
-from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.storage.run_folder import BEST, REPORT, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
-from bo_tuner.terminal import print_line
+from bo_tuner.terminal import from_here, print_line
 from bo_tuner.trials import Trial
 
+MOST_LINES, MOST_STEPS = 8, 2
+"""Lines below a verdict, and commands among them."""
 XML = b"<?xml"
 """How a file begins that `--junit` may replace."""
 DESCRIPTION = """\
@@ -258,7 +259,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         write_atomically(arguments.junit, no_verdict_in_junit(record.study))
     folder = RunFolder(record.path) if of_given is None else of_given.open_folder()
     # `latest` may be another run by then.
-    same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
+    same = [str(from_here(folder.path)) if item == str(arguments.run) else item for item in argv]
     again = f"continue with: {shlex.join(['validate', *same])}"
     with contextlib.closing(folder):
         certifier = Certifier(
@@ -326,7 +327,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         finally:
             if path is not None and record.result is not None:
                 # The verdict on it names the confidence of all certificates of the run.
-                write_deliverables(folder.path, show, show)
+                write_deliverables(folder.path, lambda _: None, show)
+                show(f"report: {from_here(folder.path / REPORT)}")
     notify(arguments.notify, folder.path, code, headline, show)
     return code
 
@@ -435,7 +437,7 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
         content = read_text(path)
         values = from_yaml(content)
     except (OSError, ValueError):
-        notes = file_notes(record.study, run_verdict(record).unseen)
+        notes = run_verdict(record).file_notes(record.study)
         path = folder.write_parameters(record.study, trial.parameters, notes)
         console.print(f"warning: {path}: missing or damaged; made from the journal", soft_wrap=True)
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -454,9 +456,13 @@ def _not_the_result(verdict: Verdict) -> str:
 
 
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
+    """Print the verdict, and at most `MOST_LINES` below it; the report has the others."""
     out, certificate = plain_console(), read_certificate(path, study)
-    print_verdict(out, study, verdict, certificate.parameters)
-    for line in certificate_lines(study, certificate):
-        print_line(out, line, "  ")
-    out.print(f"certificate: {path}", soft_wrap=True)
-    print_next_steps(out, verdict, path.parent.parent)
+    out.print(verdict.headline)
+    steps = next_steps(verdict, str(from_here(path.parent.parent)))[:MOST_STEPS]
+    # With the path, those of the commands and that of the report.
+    for line in certificate_lines(verdict, certificate, MOST_LINES - 2 - len(steps)):
+        print_line(out, f"  {line}", "    ")
+    out.print(f"certificate: {from_here(path)}", soft_wrap=True)
+    for step in steps:
+        print_line(out, f"next: {step.command}  ({step.purpose})", "    ")

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.evidence.certificate.store import evaluations_path, latest_certificate
-from bo_tuner.evidence.effects import file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
@@ -115,7 +114,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     if rollback is not None:
         _check_restorable(rollback, default)
     folder = record.path / DEPLOY
-    notes = file_notes(record.study, run_verdict(record).unseen)
+    notes = run_verdict(record).file_notes(record.study)
     files = {
         PARAMETERS: to_yaml(tuned, notes).encode(),
         DIFFERENCE: _table(differences(record.study, default, tuned)).encode(),

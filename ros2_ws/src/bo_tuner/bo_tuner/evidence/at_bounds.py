@@ -57,7 +57,7 @@ class AtBound:
 def at_bounds(study: Study, parameters: Mapping[str, Value]) -> tuple[AtBound, ...]:
     """Return the tuned parameters of a set that are at a bound, to the resolution of the search."""
     sides = study.search_space().at_bounds(parameters)
-    return tuple(_at_bound(study.parameters[name], side) for name, side in sides.items())
+    return tuple(at_bound(study.parameters[name], side) for name, side in sides.items())
 
 
 def wider_options(bounds: Iterable[AtBound]) -> str:
@@ -76,7 +76,8 @@ def _exact(value: int | float) -> str:
     return short if float(short) == value else repr(value)
 
 
-def _at_bound(item: Parameter, side: str) -> AtBound:
+def at_bound(item: Parameter, side: str) -> AtBound:
+    """Return a parameter at its bound on a side."""
     lower, upper = item.bounds or (math.nan, math.nan)
     bound, other = (upper, lower) if side == UPPER else (lower, upper)
     moved = _moved(item, bound, other)

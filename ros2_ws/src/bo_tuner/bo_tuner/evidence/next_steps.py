@@ -4,8 +4,11 @@ import shlex
 from dataclasses import dataclass
 
 from bo_tuner.evidence.at_bounds import wider_options
+from bo_tuner.evidence.infeasible_words import half_as_many_again, promising
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.storage.run_folder import STUDY
+
+LOOSER = "go on by a study with a looser limit, in a new run"
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,8 @@ class Step:
 def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     """Return the commands that come next, the most useful one first.
 
-    Wider bounds, where the result is at one, are a further run, and come last, unless nothing was
-    found feasible: then the range is what to change first.
+    Wider bounds are a further run, and come last: where the result is at one, or the models expect
+    feasible sets beyond it.
 
     Parameters
     ----------
@@ -40,12 +43,11 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         # The folder has the study, and no run to go on with.
         search = Step(f"tune --study {where}/{STUDY}", "search for values that keep the limits")
         return () if verdict.feasible else (search,)
-    options = wider_options(verdict.at_bounds)
+    beyond = () if verdict.infeasible is None else verdict.infeasible.beyond
+    options = wider_options((*verdict.at_bounds, *beyond))
     wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
     steps = _by_state(verdict, where)
-    if not options:
-        return steps
-    return (wider, *steps) if verdict.state is State.INFEASIBLE else (*steps, wider)
+    return (*steps, wider) if options else steps
 
 
 def to_use(run: str, trial: int) -> tuple[Step, ...]:
@@ -83,7 +85,12 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
             lost = Step(f"tune --resume {where}", "run the lost test runs again: completes it")
             return (lost, validate)
         case State.INFEASIBLE:
-            return (more, replay) if verdict.trial is not None else (more,)
+            loosened = () if verdict.infeasible is None else verdict.infeasible.loosened
+            looser = (Step(f"tune --from {where} --study FILE", LOOSER),) if loosened else ()
+            ways = (more, *looser) if promising(verdict.infeasible) else (*looser, more)
+            return (*ways, replay) if verdict.trial is not None else ways
+        case State.UNPROVEN:
+            return (more, validate, replay)
         case State.VALIDATED:
             return (both if verdict.default_preferred else validate, replay, more)
         case State.CERTIFIED if verdict.default_preferred:
@@ -102,7 +109,11 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
 def _more(verdict: Verdict, where: str) -> Step:
     """Return how to search on: a search that stands still would do so again when resumed."""
     if not verdict.standstill:
-        return Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+        trials = "N" if verdict.infeasible is None else half_as_many_again(verdict.infeasible)
+        return Step(
+            f"tune --resume {where} --trials {trials}",
+            f"continue the run to {trials} trials in all",
+        )
     if verdict.trial is None:
         return Step(
             f"tune --from {where} --start FILE",

@@ -49,6 +49,7 @@ from bo_tuner.trials import (
     evaluations_of,
 )
 from bo_tuner.tuning.effects import ParameterEffects
+from bo_tuner.tuning.prospects import Prospects
 from bo_tuner.tuning.validation import Validation
 
 
@@ -105,6 +106,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
         feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
+        checked = trial.number in summary["checked_trials"]  # type: ignore[operator]
+        prospects = summary.get("prospects")
         verdict = validated(
             record.study,
             trial.number,
@@ -113,6 +116,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             record.trials,
             record.evaluations,
             doubt="" if bool(summary["passed_check"]) else record.method.doubt(feasibility),
+            likely=record.method.is_likely(feasibility, checked=checked),
+            prospects=None if prospects is None else Prospects.from_mapping(prospects),  # type: ignore[arg-type]
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]

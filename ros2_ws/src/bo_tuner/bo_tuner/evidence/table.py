@@ -13,7 +13,7 @@ from bo_tuner.evidence.differences import CONFIDENCE
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.verdict import Quantity, Verdict
 from bo_tuner.study.study import Study
-from bo_tuner.terminal import print_line, print_table
+from bo_tuner.terminal import from_here, print_line, print_table
 from bo_tuner.trials import Value
 
 
@@ -44,7 +44,7 @@ def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
 
     Their purposes are aligned; on a narrow terminal each is below its command.
     """
-    steps = next_steps(verdict, str(run))
+    steps = next_steps(verdict, str(from_here(run)))
     if steps:
         console.print("next:")
     width = max((len(step.command) for step in steps), default=0)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.busy import by_the_clock
-from bo_tuner.evidence.in_reach import in_reach
+from bo_tuner.evidence.infeasible import Infeasible, infeasible
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.quantities import quantities
@@ -26,6 +26,7 @@ from bo_tuner.trials import (
     evaluations_of,
 )
 from bo_tuner.tuning.front import RULE
+from bo_tuner.tuning.prospects import Prospects
 from bo_tuner.tuning.validation import Validation
 
 FAILURES = "failed test runs"
@@ -45,7 +46,12 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
     if standstill and not kept_by(study, trials):
         reasons = (capitalized(standstill),)
         return Verdict(
-            state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons, standstill=True
+            state=State.INFEASIBLE,
+            trial=None,
+            evidence="",
+            reasons=reasons,
+            standstill=True,
+            infeasible=infeasible(study, trials),
         )
     done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
@@ -54,7 +60,13 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
         common = f": {why.pop()}" if len(why) == 1 else ""
         failed = "The only trial" if len(trials) == 1 else f"All {len(trials)} trials"
         reasons = (f"{failed} failed{common}",)
-        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
+        return Verdict(
+            state=State.INFEASIBLE,
+            trial=None,
+            evidence="",
+            reasons=reasons,
+            infeasible=infeasible(study, trials),
+        )
     evidence = f"{done} of {counted(planned, 'trial')}"
     if spent:
         of_all = "the only trial is" if done == 1 else f"all {done} trials are"
@@ -71,7 +83,9 @@ def validated(
     evaluations: Sequence[Evaluation],
     *,
     doubt: str,
+    likely: bool = False,
     outliers: Sequence[int] = (),
+    prospects: Prospects | None = None,
 ) -> Verdict:
     """Return the verdict of a run by its validation.
 
@@ -87,13 +101,20 @@ def validated(
         All that are on record.
     doubt
         Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
+    likely
+        Whether it is doubted only since it is not proven enough: it is likely within limits.
     outliers
         Numbers of the trials that are outliers of the objective, and so were no candidates.
+    prospects
+        What the models expect elsewhere where nothing was found feasible; None if not asked.
     """
     limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
-    reasons = (*([doubt] if doubt else []), *_problems(study, tuned, limits).values())
+    problems = _problems(study, tuned, limits)
+    reasons = (*([doubt] if doubt else []), *problems.values())
     lost = _lost(tuned, evaluations)
     state = State.INFEASIBLE if reasons else State.INCOMPLETE if lost else State.VALIDATED
+    if doubt and likely and not problems:
+        state = State.UNPROVEN
     same = is_default(study, tuned.parameters)
     of_default = _found_by_search(study, trials) | _problems(study, default, default_limits)
     known = default.draws > 0 and not default.lost
@@ -119,19 +140,27 @@ def validated(
         observed=sides,
         is_default=same,
         outliers=tuple(outliers),
-        at_bounds=at_bounds(study, tuned.parameters),
-        advice=_advice(study, tuned, trials, outliers) if state is State.INFEASIBLE else (),
+        # Around a set that is not feasible wider bounds promise nothing.
+        at_bounds=() if state is State.INFEASIBLE else at_bounds(study, tuned.parameters),
+        infeasible=_infeasible(study, tuned, trials, outliers, prospects)
+        if state is State.INFEASIBLE
+        else None,
         default_lost=default.lost,
     )
 
 
-def _advice(
-    study: Study, tuned: Validation, trials: Sequence[Trial], outliers: Sequence[int]
-) -> tuple[str, ...]:
-    """Return what is in reach of the trials that were candidates."""
-    violated = [name for name, sample in tuned.constraints.items() if not sample.agrees]
+def _infeasible(
+    study: Study,
+    tuned: Validation,
+    trials: Sequence[Trial],
+    outliers: Sequence[int],
+    prospects: Prospects | None,
+) -> Infeasible:
+    """Return why none of the trials that were candidates is feasible."""
+    samples = tuned.constraints.items()
+    refuted = [name for name, sample in samples if sample.count and not sample.agrees]
     candidates = [trial for trial in trials if trial.number not in outliers]
-    return in_reach(study, candidates, violated)
+    return infeasible(study, candidates, prospects, refuted, tuned.failures)
 
 
 def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:

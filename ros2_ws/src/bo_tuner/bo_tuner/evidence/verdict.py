@@ -12,14 +12,22 @@ from math import isfinite, isnan
 from bo_tuner.evidence.at_bounds import AtBound
 from bo_tuner.evidence.busy import HighLoad, load_in_words
 from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
+from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.infeasible import Infeasible
+from bo_tuner.evidence.infeasible_words import advice_in_words, reasons_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
+from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.tuning.effects import ParameterEffects
 
 PASS, FAIL = "PASS", "FAIL"
+
+UNPROVEN = (
+    "Nothing refutes best.yaml, but too little speaks for it: run more trials, or validate it."
+)
 
 _KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
 
@@ -30,6 +38,7 @@ class State(StrEnum):
     OPEN = "open"
     INCOMPLETE = "incomplete"
     INFEASIBLE = "infeasible"
+    UNPROVEN = "not proven"
     VALIDATED = "validated"
     CERTIFIED = "certified"
     REFUSED = "not certified"
@@ -183,8 +192,8 @@ class Verdict:
         Effects of each tuned parameter that the trials show.
     of_parameters
         What is to know of those that were not seen to move any metric, in sentences.
-    advice
-        What is in reach where nothing was found feasible, and what to change, in sentences.
+    infeasible
+        Why nothing was found feasible; None where something was, or nothing is known of it.
     standstill
         Whether the search ended as it could not go on; resumed, it would end there again.
     high_load
@@ -211,7 +220,7 @@ class Verdict:
     default_lost: int = 0
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
-    advice: tuple[str, ...] = ()
+    infeasible: Infeasible | None = None
     standstill: bool = False
     high_load: HighLoad | None = None
 
@@ -247,6 +256,8 @@ class Verdict:
         """The same of the default; None if it was not evaluated, or not in full."""
         if self.default_reasons is None:
             return None
+        if self.is_default and self.state is State.UNPROVEN:
+            return Standing.OPEN
         if not self.default_unrefuted:
             return Standing.VIOLATED
         certified = self.certificate != "" and self.default_certified
@@ -295,7 +306,7 @@ class Verdict:
         """The mark of the result: good only if it is shown to keep all limits."""
         if self.state is State.OPEN:
             return Status.OPEN
-        if self.state is State.INCOMPLETE:
+        if self.state in (State.INCOMPLETE, State.UNPROVEN):
             return Status.WARNING
         if not self.feasible:
             return Status.BAD
@@ -322,6 +333,8 @@ class Verdict:
                 if self.default_unrefuted and not self.is_default:
                     return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
+            case State.UNPROVEN:
+                return f"Not proven: {_uncapitalized(_standing_in_words(self._tuned_limits))}"
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
@@ -340,7 +353,7 @@ class Verdict:
         runs = max((limit.runs for limit in self._default_limits.values()), default=0)
         times = f"{over} times" if over > runs else f"{over}"
         beside = f" (default: {times})" if over and not self.is_default else ""
-        return f"{text[:1].lower()}{text[1:]}{beside}"
+        return f"{_uncapitalized(text)}{beside}"
 
     @property
     def trust(self) -> str:
@@ -360,7 +373,7 @@ class Verdict:
         if self.state is State.OPEN:
             return self.remarks
         if self.trial is None:
-            return (*(f"{reason}." for reason in self.reasons), *self.remarks)
+            return (*(f"{reason}." for reason in self.reasons), *self.advice, *self.remarks)
         subject = "The given values" if self.given else f"Trial {self.trial}"
         sentences = [f"{subject} against the default, in {self.evidence}."]
         if self.state is not State.INCOMPLETE:
@@ -368,6 +381,8 @@ class Verdict:
         if self.state is State.INFEASIBLE:
             sentences += self._not_to_be_used()
             sentences += self.advice
+        if self.state is State.UNPROVEN:
+            sentences.append(UNPROVEN)
         sentences.append(self.default_in_words)
         sentences += self._changes()
         sentences += [bound.sentence for bound in self.at_bounds]
@@ -376,9 +391,16 @@ class Verdict:
             sentences.append(self.choice)
         return (*sentences, *self.remarks)
 
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """Why nothing was found feasible, and what to do, in sentences."""
+        if self.infeasible is None:
+            return ()
+        return (*reasons_in_words(self.infeasible), *advice_in_words(self.infeasible))
+
     def _not_to_be_used(self) -> list[str]:
         """Return what to know of ``best.yaml`` where nothing was found feasible."""
-        do_not_use = "best.yaml holds this parameter set; do not use it."
+        do_not_use = "best.yaml holds this set, which is not within limits: do not use it."
         if not self.outliers:
             return [do_not_use]
         one = len(self.outliers) == 1
@@ -390,12 +412,16 @@ class Verdict:
             do_not_use,
         ]
 
-    @property
-    def file_warnings(self) -> tuple[str, ...]:
-        """What a file of the parameter set is to say ahead of its values, a line each."""
-        if self.state is not State.INFEASIBLE:
-            return ()
-        return (f"DO NOT USE: {self.headline}.", *(f"{reason}." for reason in self.reasons))
+    def file_notes(self, study: Study) -> tuple[str, ...]:
+        """Return what a file of the parameter set says ahead of its values, a line each."""
+        reasons = (f"{self.headline}.", *(f"{reason}." for reason in self.reasons))
+        notes = file_notes(study, self.unseen)
+        match self.state:
+            case State.INFEASIBLE:
+                return ("DO NOT USE: not within limits.", *reasons, *notes)
+            case State.UNPROVEN:
+                return (*reasons, *notes)
+        return notes
 
     @property
     def default_in_words(self) -> str:
@@ -482,6 +508,7 @@ class Verdict:
                 [asdict(q) | {"change": str(q.change)} for q in self.quantities]
             ),
             "at_bounds": [asdict(bound) for bound in self.at_bounds],
+            "infeasible": self.infeasible and without_nan(asdict(self.infeasible)),
             "unseen_parameters": [item.parameter for item in self.unseen],
         }
 
@@ -499,6 +526,10 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
         return 2 if quantity.constraint else 3
 
     return tuple(sorted(quantities, key=rank))
+
+
+def _uncapitalized(text: str) -> str:
+    return text[:1].lower() + text[1:]
 
 
 def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:

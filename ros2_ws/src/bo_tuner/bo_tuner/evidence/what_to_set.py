@@ -33,6 +33,8 @@ def what_to_set(study: Study, verdict: Verdict, parameters: Mapping[str, Value])
             if verdict.default_unrefuted and not verdict.is_default:
                 return f"Keep the default. {verdict.headline}"
             return f"{verdict.headline}: do not set {_values(study, parameters)}"
+        case State.UNPROVEN:
+            return f"{verdict.headline}. Likeliest so far: {_values(study, parameters)}"
         case State.REFUSED:
             return f"Do not set {_values(study, parameters)}. {verdict.headline}"
     remarks = [verdict.limits_in_words, *map(_objective, _objectives(verdict)), verdict.trust]

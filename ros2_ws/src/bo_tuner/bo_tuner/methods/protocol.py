@@ -13,6 +13,7 @@ import numpy as np
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.outlook import Outlook
 from bo_tuner.methods.recommendation import Recommendation
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.ranking import Candidate, Ranking
@@ -148,6 +149,18 @@ class Method(Protocol):
             Probability that it keeps all limits, by the models.
         """
         return f"By the models it keeps its limits with a probability of {feasibility:.3g}"
+
+    def is_likely(self, feasibility: float, *, checked: bool) -> bool:
+        """Return whether such an answer is likely within limits, though not proven enough.
+
+        Parameters
+        ----------
+        feasibility
+            Probability that it keeps all limits, by the models.
+        checked
+            Whether it was evaluated again before it became the answer.
+        """
+        return feasibility >= BELIEVED_FEASIBLE
 
     # The record.
 

@@ -6,7 +6,6 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from bo_tuner.evidence.certificate.draws import DRAWS
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.terminal import INDENT, print_line
 from bo_tuner.tuning.observer import RunObserver
@@ -53,8 +52,7 @@ class CertificateProgress(RunObserver):
             self._progress.remove_task(task)
         self._progress.add_task(phase, total=total, left=self._time_left())
         if self._progress.disable:
-            most = f"at most {total}" if phase == DRAWS else f"up to about {total} test runs"
-            self._print(f"{phase}: {most}")
+            self._print(f"{phase}: at most {total}")
 
     def advance(self) -> None:
         """Count a step."""

@@ -14,7 +14,7 @@ from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.monitoring.front import print_front
 from bo_tuner.plans import ON_REQUEST, Event, EventKind, Phase
 from bo_tuner.study.study import Study
-from bo_tuner.terminal import INDENT, print_line
+from bo_tuner.terminal import INDENT, from_here, print_line
 from bo_tuner.text import counted, printable
 from bo_tuner.trials import Value
 from bo_tuner.tuning.observer import RunObserver
@@ -99,12 +99,14 @@ class Display(RunObserver):
             print_front(
                 out, result.study, front, result.verdict.trial, result.parameters_file.parent
             )
-        out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
+        out.print(f"parameters: {from_here(result.parameters_file)}", soft_wrap=True)
         print_next_steps(out, result.verdict, result.parameters_file.parent)
 
     def no_result(self, verdict: Verdict, folder: Path) -> None:
         """Warn that the run in a folder has no result, with why and what to do next."""
-        self.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+        self.warn(verdict.headline)
+        for sentence in verdict.sentences:
+            self.warn(f"  {sentence}")
         print_next_steps(self._console, verdict, folder)
 
     def finish(self, code: int) -> None:

@@ -14,10 +14,11 @@ from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.monitoring.trial_table import INDENT, TrialTable, ending_in_words
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.limits import WITHIN, outcome_on_screen
 from bo_tuner.study.study import Study
-from bo_tuner.terminal import print_line
+from bo_tuner.terminal import from_here, print_line
 from bo_tuner.text import JOIN, counted, percent, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 
@@ -25,8 +26,6 @@ NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""
 
 BEST = "best so far"
-INDENT = " " * 16
-"""Of the lines that continue that of a trial."""
 
 
 class RunProgress(Display):
@@ -66,6 +65,7 @@ class RunProgress(Display):
         self._console = console
         self._progress = _TwoLines(console)
         self._lines = NowAndThen(clock)
+        self._table = TrialTable(study, console)
 
     def __enter__(self) -> Self:
         """Start the live display, which is empty before the first phase."""
@@ -77,10 +77,8 @@ class RunProgress(Display):
         self._progress.stop()
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
-        """Show the run folder, and the units of what the lines of the trials have."""
-        self.inform(f"run folder {folder}")
-        if units := units_in_words(self._study):
-            self.inform(units)
+        """Show the run folder."""
+        self.inform(f"run folder {from_here(folder)}")
         if warning := self._study.budget.warning:
             self.inform(warning)
 
@@ -110,14 +108,13 @@ class RunProgress(Display):
         """Count a trial, and show it and the incumbent."""
         self._progress.second_line = incumbent_in_words(incumbent, self._study)
         self._show(steps=1)
-        mark = ""
-        if incumbent is not None and incumbent.trial.number == trial.number:
-            mark = BEST if incumbent.believed_feasible else ""
-        self._print(
-            f"trial {trial.number:3d} {mark:{len(BEST)}}  {describe(trial, self._study)}", INDENT
-        )
+        best = incumbent is not None and incumbent.trial.number == trial.number
+        mark = BEST if incumbent is not None and best and incumbent.believed_feasible else ""
+        for line in self._table.lines(trial, mark):
+            self._console.print(line, soft_wrap=True)
+        self._lines.printed()
         for warning in trial.warnings:
-            self._print(f"           warning: {warning}", INDENT)
+            self._print(f"{INDENT}warning: {warning}", INDENT)
 
     def advise(self, advice: StopAdvice) -> None:
         """Show the advice to stop."""
@@ -211,18 +208,6 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
     )
 
 
-def units_in_words(study: Study) -> str:
-    """Return a line with the units of parameters and metrics in `describe`; empty without any."""
-    shown_metrics = [o.metric for o in study.objectives]
-    shown_metrics += [c.metric for c in study.worst_case_constraints]
-    named = [item for item in study.parameters.values() if item.is_tuned]
-    units = {item.title: item.unit for item in named}
-    metrics = [study.metrics[name] for name in shown_metrics]
-    units |= {metric.title: metric.unit for metric in metrics}
-    text = ", ".join(f"{name} {unit}" for name, unit in units.items() if unit)
-    return f"units: {text}" if text else ""
-
-
 def advice_in_words(advice: StopAdvice, study: Study) -> str:
     """Describe the advice to stop in a sentence."""
     metric = study.metrics[study.objective.metric]
@@ -254,15 +239,7 @@ def describe(trial: Trial, study: Study) -> str:
     tuned = [item for item in study.parameters.values() if item.is_tuned]
     where = "  ".join(_pair(item.title, trial.parameters[item.name]) for item in tuned)
     if trial.state is not TrialState.COMPLETE:
-        evaluation = trial.evaluations[-1]
-        context = ", ".join(
-            f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {shown(value)}"
-            for name, value in evaluation.context.items()
-        )
-        conditions = f"context {context or 'none'}; seed {evaluation.seed}"
-        if trial.state is TrialState.CUT_SHORT:
-            return f"{where}  {trial.reason} ({conditions})"
-        return f"{where}  {trial.ending.upper()}: {trial.reason} ({conditions})"
+        return f"{where}  {ending_in_words(trial)}"
     mean, title = trial.mean(study.objective.metric), study.metrics[study.objective.metric].title
     text = f"{where}  {trial.origin if mean is None else _pair(title, mean)}"
     for objective in study.further_objectives:

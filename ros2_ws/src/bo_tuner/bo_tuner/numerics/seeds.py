@@ -29,6 +29,7 @@ class Stream(IntEnum):
     FANTASIES = 15
     IDENTIFICATION = 16
     DRIFT = 17
+    PROSPECTS = 18
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

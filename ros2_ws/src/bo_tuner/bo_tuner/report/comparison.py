@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.evidence.infeasible_words import blocker_in_words
 from bo_tuner.evidence.verdict import Quantity, Status
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -72,9 +73,13 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
     """Return what there is to say of a run in a row of a table, by the heading of its column."""
     record, verdict = analysis.record, analysis.verdict
     method = method_in_words(record.algorithm)
+    headline, gains = verdict.headline, [q.gain_in_words for q in verdict.quantities if q.objective]
+    if verdict.infeasible is not None:
+        # What a set that breaks a limit gains in the objective is no gain.
+        headline, gains = f"{headline}: {blocker_in_words(verdict.infeasible)}", []
     return {
-        "verdict": MARKS[verdict.status] + verdict.headline,
-        "objective": "; ".join(q.gain_in_words for q in verdict.quantities if q.objective) or "–",
+        "verdict": MARKS[verdict.status] + headline,
+        "objective": "; ".join(gains) or "–",
         "trial": "–" if verdict.trial is None else str(verdict.trial),
         "evidence": verdict.evidence,
         "study": analysis.study.name,

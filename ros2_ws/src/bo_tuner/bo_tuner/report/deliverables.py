@@ -12,6 +12,7 @@ from bo_tuner.report.analysis import Known
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, REPORT, SUMMARY, write_json
+from bo_tuner.terminal import from_here
 from bo_tuner.tuning.summary import with_summary
 
 Tell = Callable[[str], None]
@@ -39,9 +40,9 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell, known: Known | None
             # the report. What is wrong with it is reported then.
             with contextlib.suppress(OSError):
                 (folder / DEPLOY).mkdir(exist_ok=True)
-        tell(f"report: {write_report(record, folder / REPORT, known)}")
+        tell(f"report: {from_here(write_report(record, folder / REPORT, known))}")
         if record.summary is not None:
-            tell(f"bundle: {write_bundle(record)}")
+            tell(f"bundle: {from_here(write_bundle(record))}")
     except (OutputError, RunRecordError) as error:
         warn(f"warning: {error}; the result is on record")
 

@@ -11,7 +11,7 @@ of less than 5 %. In a study without contexts all draws are in the only context.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
+from bo_tuner.text import shown_beside
 from bo_tuner.trials import Evaluation, Outcome, ParameterSet, Trial, TrialState, WorstCase
 
 WITHIN = "within limits"
@@ -235,6 +236,20 @@ def uncertain(study: Study, trial: Trial) -> tuple[str, ...]:
     )
 
 
+def held_against(constraint: Constraint, trial: Trial) -> float:
+    """Return the value of a complete trial that is compared with a limit; NaN without any.
+
+    The estimated worst case, or of a limit over the contexts the value that as many of the trial's
+    runs keep as must keep the limit.
+    """
+    if (worst := trial.worst_cases.get(constraint.name)) is not None:
+        return decisive(constraint, worst)
+    values = sorted(trial.observations(constraint.metric), key=lambda v: constraint.sign * v)
+    if not values:
+        return math.nan
+    return values[max(math.ceil(constraint.level * len(values) - 1e-9), 1) - 1]
+
+
 def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
     """Return the worst-case constraint that a trial violates most, or keeps with least to spare.
 
@@ -253,17 +268,27 @@ def outcome_in_words(study: Study, trial: Trial) -> str:
 
     For a trial without values it is the `Trial.ending`, such as ``failed`` or ``cut short``.
     """
-    return _outcome(study, trial, "violates {}", "may violate {}")
+    return _outcome(study, trial, "violates {}", "may violate {}", str)
 
 
 def outcome_on_screen(study: Study, trial: Trial) -> str:
-    """Return the same in the words of screens, which files and topics do not have."""
-    return _outcome(study, trial, f"{OVER} ({{}})", f"{MARGIN} ({{}})")
+    """Return the same in the words of screens: with the values, and what they are held against."""
+
+    def beside(name: str) -> str:
+        constraint = study.constraints[name]
+        value = shown_beside(held_against(constraint, trial), constraint.limit)
+        sign = ">" if constraint.sign > 0.0 else "<"
+        title = study.titled(constraint, study.metrics[constraint.metric].title)
+        return f"{title} {value} {sign} {constraint.limit:g}"
+
+    return _outcome(study, trial, f"{OVER} ({{}})", f"{MARGIN} ({{}})", beside)
 
 
-def _outcome(study: Study, trial: Trial, over: str, margin: str) -> str:
+def _outcome(
+    study: Study, trial: Trial, over: str, margin: str, named: Callable[[str], str]
+) -> str:
     if trial.state is not TrialState.COMPLETE:
         return trial.ending
     kinds = {over: violated(study, trial), margin: uncertain(study, trial)}
-    parts = [words.format(", ".join(names)) for words, names in kinds.items() if names]
+    parts = [words.format(", ".join(map(named, names))) for words, names in kinds.items() if names]
     return "; ".join(parts) or WITHIN

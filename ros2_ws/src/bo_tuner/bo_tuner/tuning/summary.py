@@ -29,6 +29,7 @@ from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.effects import ParameterEffects, effects_in
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import trials_are_over
+from bo_tuner.tuning.prospects import Prospects, prospects_in
 from bo_tuner.tuning.validation import Validation, ValidationPlan
 
 
@@ -44,12 +45,15 @@ class Conclusion:
         Validation of the hand-tuned parameter set and of the recommended one.
     effects
         Effects of each tuned parameter that the trials show.
+    prospects
+        What the models expect elsewhere; None where a feasible parameter set was found.
     """
 
     recommendation: Recommendation
     default: Validation
     tuned: Validation
     effects: tuple[ParameterEffects, ...]
+    prospects: Prospects | None = None
 
 
 def concluding(
@@ -86,7 +90,10 @@ def concluding(
     validation = ValidationPlan(study, [default, best.candidate.trial.parameters], spared)
     yield validation
     of_default, of_tuned = validation.results
-    return Conclusion(best, of_default, of_tuned, effects_in(study, trials))
+    prospects = None
+    if not (best.feasible and of_tuned.feasible):
+        prospects = prospects_in(study, method.ranking.models(study, trials))
+    return Conclusion(best, of_default, of_tuned, effects_in(study, trials), prospects)
 
 
 def conclude(
@@ -219,6 +226,7 @@ def summarize(
         "default": asdict(default),
         "tuned": asdict(tuned),
         "effects": [asdict(item) for item in conclusion.effects],
+        "prospects": conclusion.prospects and asdict(conclusion.prospects),
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
         "ended_on_request": finish == ON_REQUEST,

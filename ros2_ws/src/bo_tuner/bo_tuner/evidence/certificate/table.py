@@ -1,4 +1,4 @@
-"""The numbers of a certificate, row by row, and what the terminal says of it beside the verdict."""
+"""The numbers of a certificate, row by row, and what the terminal says of it below the verdict."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from functools import partial
 from math import isfinite, isnan, nan
 
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance, VariableTolerance
+from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.findings import (
     TAIL,
     ConstraintVerdict,
@@ -14,8 +14,7 @@ from bo_tuner.evidence.certificate.findings import (
     widest,
 )
 from bo_tuner.evidence.certificate.risk import Mean
-from bo_tuner.evidence.certificate.search_width import widths_in_words
-from bo_tuner.evidence.verdict import FAIL, PASS
+from bo_tuner.evidence.verdict import FAIL, PASS, Verdict
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import shown, shown_beside
@@ -63,26 +62,31 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
     return [*rows, Row("failed test runs", "", failed), Row("verdict", "", verdicts)]
 
 
-def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
-    """Yield lines on what the verdict leaves out: reasons, training and robustness."""
-    for constraint in certificate.tuned.constraints:
-        kept = "proven" if constraint.passed else "NOT proven"
-        yield f"{constraint.name}: {kept}: {constraint.reason}"
-    yield from certificate.tuned.assumptions
-    yield certificate.tuned.price
-    if searched := widths_in_words(certificate.search_widths):
-        yield f"search for the worst context: {searched}"
-    for gap in certificate.training_gaps:
-        observed = "" if isnan(gap.observed) else f"observed {shown(gap.observed)}, "
-        validated = f"{shown(gap.validated)} {gap.unit}".rstrip()
-        yield (
-            f"training and validation, {gap.name}: {observed}predicted "
-            f"{shown(gap.predicted)}, validated {validated} (gap {gap.in_words})"
-        )
-    for tolerance in certificate.context_tolerances:
-        yield from _context(study, tolerance)
-    for warning in certificate.warnings:
-        yield f"warning: {warning}"
+def certificate_lines(verdict: Verdict, certificate: Certificate, most: int) -> list[str]:
+    """Return what a terminal says of a certificate: of each limit, and what speaks against it.
+
+    Parameters
+    ----------
+    verdict, certificate
+        The certificate, and the verdict by it.
+    most
+        Largest number of lines; limits that are not proven come first.
+    """
+    others = [*earlier_in_words(certificate)][:1]
+    others += [q.gain_in_words for q in verdict.quantities if q.objective][:1]
+    others += [verdict.default_in_words] if certificate.default is not None else []
+    others += [f"warning: {warning}" for warning in certificate.warnings][:1]
+    limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
+    lines = [
+        f"{item.name}: {'proven' if item.passed else 'NOT proven'}: {item.reason}"
+        for item in limits
+    ]
+    if certificate.tuned.failures:
+        lines.insert(0, f"{certificate.tuned.failures} of {certificate.tuned.evaluations} failed")
+    room = most - len(others)
+    if len(lines) > room:
+        lines = [*lines[: room - 1], f"{len(lines) - room + 1} more are in the report"]
+    return [*lines, *others]
 
 
 def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) -> Iterator[Row]:
@@ -145,26 +149,6 @@ def _likeliest(worst: Worst) -> float:
 
 def _coordinate(name: str, worst: Worst) -> str:
     return shown(worst[0].context[name])
-
-
-def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
-    first = tolerance.variables[0]
-    unit = f" {tolerance.unit}" if tolerance.unit else ""
-    constraint = study.constraints[tolerance.constraint]
-    yield (
-        f"{study.titled(constraint, study.limited(constraint))} is most sensitive to {first.name}: "
-        f"at its nominal value the worst case would be {tolerance.relieved} by "
-        f"{first.relief.median:.2g}{unit} ({first.relief.low:.2g} to {first.relief.high:.2g})"
-    )
-    for variable in tolerance.variables:
-        yield f"{variable.name}: {_tolerated(variable)}"
-
-
-def _tolerated(variable: VariableTolerance) -> str:
-    unit = f" {variable.unit}" if variable.unit else ""
-    alone = f"from {variable.down.in_words} to {variable.up.in_words}"
-    worst = f"from {variable.worst_down.in_words} to {variable.worst_up.in_words}"
-    return f"may drift {alone}{unit} alone, {worst}{unit} with all others as in the worst context"
 
 
 def _mean(mean: Mean, limit: float | None = None) -> str:

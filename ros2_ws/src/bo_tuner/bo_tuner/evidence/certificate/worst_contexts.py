@@ -23,9 +23,6 @@ from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage
 
-EXPECTED_REPEATS = 25
-"""Evaluations in each context that may be the worst, in a clear case; for the progress display."""
-
 
 def most_places(study: Study, subject: Subject) -> int:
     """Return the largest number of contexts in which a subject is evaluated again and again."""
@@ -79,9 +76,8 @@ class WorstCasePlan(CertificatePlan):
         study = case.study
         self.phase = f"worst case of {subject.name}"
         searched = most_searched(study.context_space(), len(subject.suspected))
-        self.steps = (
-            len(study.worst_case_constraints) * searched
-            + most_places(study, subject) * EXPECTED_REPEATS
+        self.steps = len(study.worst_case_constraints) * searched + most_places(study, subject) * (
+            1 if study.is_noiseless else case.most
         )
 
     def _next(self, pending: Sequence[Run]) -> Run | None:

@@ -127,6 +127,10 @@ class PaperMethod(Method):
         """Return why an answer is doubtful."""
         return "It did not pass the check of the best candidates"
 
+    def is_likely(self, feasibility: float, *, checked: bool) -> bool:
+        """Return whether it is likely within limits, and no check has said otherwise."""
+        return not checked and super().is_likely(feasibility, checked=checked)
+
     def checked(
         self, study: Study, trials: Sequence[Trial], evaluations: Iterable[Evaluation]
     ) -> list[Trial]:

@@ -32,6 +32,7 @@ FILES = (
 )
 DO_NOT_USE = "not within limits: do not use it"
 """What is said of a parameter file, and of values, where nothing was found feasible."""
+NOT_TO_USE = (State.INFEASIBLE, State.REFUSED)
 MOST_LIMITS = 4
 """Limits that a tile has room for; the table has all."""
 
@@ -99,7 +100,7 @@ def answer(analysis: Analysis) -> Answer:
     result = analysis.answer
     parameters = {} if result is None else result.parameters
     remarks = set(verdict.remarks)
-    advice = verdict.advice if verdict.state is State.INFEASIBLE else ()
+    advice = verdict.advice
     apart = {*remarks, *advice}
     sentences = [line for line in verdict.sentences if line not in apart]
     if verdict.quantities:
@@ -126,7 +127,7 @@ def answer(analysis: Analysis) -> Answer:
         # The page may be opened from any folder. Commands do not reach a function.
         steps=() if record.backend == FUNCTION else next_steps(verdict, str(record.path.resolve())),
         files=[
-            (name, DO_NOT_USE if name == BEST and not verdict.feasible else what)
+            (name, DO_NOT_USE if name == BEST and verdict.state in NOT_TO_USE else what)
             for name, what in FILES
             if (record.path / name).exists()
         ],
@@ -211,6 +212,8 @@ def _trust(analysis: Analysis) -> Tile:
         return Tile("trust", "certificate not readable", "", ["run validate again"], Status.WARNING)
     if verdict.state is State.INFEASIBLE:
         return Tile("trust", "do not use it", "", [*verdict.reasons, verdict.evidence], Status.BAD)
+    if verdict.state is State.UNPROVEN:
+        return Tile("trust", "not proven", "", [*verdict.reasons, verdict.evidence], Status.WARNING)
     return Tile("trust", verdict.trust, "", [verdict.evidence, "validate certifies it"])
 
 

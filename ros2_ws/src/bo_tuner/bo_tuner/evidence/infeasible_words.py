@@ -1,0 +1,130 @@
+"""What screens and files say of a run without a feasible parameter set, from the facts."""
+
+from collections.abc import Iterator
+from math import ceil, floor, isnan, log10
+
+from bo_tuner.evidence.infeasible import Blocker, Infeasible, LimitReached, Loosened
+from bo_tuner.text import counted, percent, shown_beside
+
+SMALL = 0.05
+"""Chance below which more trials are not the first thing to try."""
+
+
+def blocker_in_words(facts: Infeasible) -> str:
+    """Return what stands in the way, without a full stop."""
+    names = " and ".join(facts.of(name).title for name in facts.blocking)
+    match facts.blocker:
+        case Blocker.DEATHS:
+            return f"{facts.died} of {counted(facts.trials, 'trial')} failed: {facts.death}"
+        case Blocker.LIMITS:
+            limits = "limit of" if len(facts.blocking) == 1 else "limits of"
+            return f"no trial keeps the {limits} {names}"
+        case Blocker.CONFLICT:
+            return f"the limits of {names} are in conflict: trials keep each, but none all of them"
+        case Blocker.MARGIN:
+            why = "the models are not sure enough of any"
+            if names:
+                why = f"fresh runs broke that of {names}"
+            if facts.fresh_deaths:
+                why = f"{facts.fresh_deaths} of the fresh runs failed"
+            return f"trials kept all limits in their own runs, but {why}"
+
+
+def reasons_in_words(facts: Infeasible) -> tuple[str, ...]:
+    """Return sentences on what blocks, on each limit, and on the trial that is nearest to all."""
+    blocks = [f"What blocks: {blocker_in_words(facts)}."]
+    if facts.died and facts.blocker is not Blocker.DEATHS:
+        blocks.append(f"{facts.died} of {counted(facts.trials, 'trial')} failed: {facts.death}.")
+    return (*blocks, *map(_of_limit, facts.limits), *_nearest(facts))
+
+
+def advice_in_words(facts: Infeasible) -> tuple[str, ...]:
+    """Return what to do, in sentences, the most promising first."""
+    steps = [] if isnan(facts.chance) else [_of_more_trials(facts)]
+    steps = [*steps, *_of_limits(facts)] if promising(facts) else [*_of_limits(facts), *steps]
+    if facts.blocker is Blocker.DEATHS:
+        steps.insert(0, "See why test runs fail first: replay and the logs of the nodes say more.")
+    steps += [
+        f"The models expect feasible parameter sets beyond the {bound.side} bound of "
+        f"{bound.title}: widen that range."
+        for bound in facts.beyond
+    ]
+    return tuple(steps)
+
+
+def promising(facts: Infeasible | None) -> bool:
+    """Return whether more trials are what to try first, as far as that is known."""
+    return facts is None or not facts.chance < SMALL
+
+
+def half_as_many_again(facts: Infeasible) -> int:
+    """Return how many trials in all a run may be continued to."""
+    return facts.trials + ceil(facts.trials / 2)
+
+
+def _of_limit(item: LimitReached) -> str:
+    broke = f"{item.broke} of {counted(item.trials, 'trial')} over the limit {_limit(item)}"
+    text = f"{item.title}: {broke}"
+    if item.best is not None:
+        text += f"; the best has {_value(item, item.best.value)} (trial {item.best.trial})"
+    if item.beside is not None and item.beside != item.best:
+        beside = f"{_value(item, item.beside.value)} (trial {item.beside.trial})"
+        text += f", of those within all other limits {beside}"
+    return f"{text}."
+
+
+def _nearest(facts: Infeasible) -> Iterator[str]:
+    nearest = facts.nearest
+    if nearest is None:
+        return
+    item = facts.of(nearest.limit)
+    farthest = "exceeds the most" if nearest.excess > 0.0 else "keeps with the least to spare"
+    yield (
+        f"Nearest to all limits at once by its own runs: trial {nearest.trial}, which {farthest} "
+        f"that of {item.title} ({_value(item, nearest.value)}, limit {_limit(item)})."
+    )
+
+
+def _of_more_trials(facts: Infeasible) -> str:
+    chance = percent(facts.chance)
+    if not promising(facts):
+        return (
+            f"More trials promise little: the models give no parameter set within the bounds more "
+            f"than {chance} to keep all limits."
+        )
+    return (
+        f"Run more trials: the models give the best parameter set within the bounds {chance} to "
+        "keep all limits."
+    )
+
+
+def _of_limits(facts: Infeasible) -> Iterator[str]:
+    if facts.loosened:
+        joined = " or " if facts.blocker is Blocker.CONFLICT else " and "
+        yield f"Loosen {joined.join(_loosened(facts, item) for item in facts.loosened)}."
+    elif facts.blocker is Blocker.MARGIN and facts.nearest is not None:
+        title = facts.of(facts.nearest.limit).title
+        yield f"Loosen the limit of {title}, which leaves the least to spare."
+
+
+def _loosened(facts: Infeasible, item: Loosened) -> str:
+    limit = facts.of(item.name)
+    side = "at least" if limit.upper else "at most"
+    value = f"{_outwards(item.value, limit.upper):.3g} {limit.unit}".rstrip()
+    return f"the limit of {limit.title} to {side} {value}"
+
+
+def _outwards(value: float, upper: bool) -> float:
+    """Round a number to three digits, so that a limit there is not tighter."""
+    if value == 0.0:
+        return value
+    step = 10.0 ** (floor(log10(abs(value))) - 2)
+    return step * (ceil(value / step) if upper else floor(value / step))
+
+
+def _value(item: LimitReached, value: float) -> str:
+    return f"{shown_beside(value, item.limit)} {item.unit}".rstrip()
+
+
+def _limit(item: LimitReached) -> str:
+    return f"{item.limit:g} {item.unit}".rstrip()
