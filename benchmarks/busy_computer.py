@@ -1,8 +1,8 @@
 """Return times of the controller, and `tune` with limits on them, beside other programs.
 
-Cuts of the default in process, by turns with times by the clock and with computing time (``measured``
-and ``cpu``); and, with ``--seeds``, whole runs of `tune` with computing time, whether the answer is
-feasible. The other programs compute in bursts, by three threads each.
+Cuts of the default in process, by turns with times by the clock (``measured``) and with computing
+time (``cpu``); with ``--seeds`` also whole runs of `tune` over ROS, which limits computing time.
+The other programs compute in bursts, by three threads each.
 """
 
 import argparse
