@@ -1,12 +1,13 @@
-"""`tune` beside other programs: whether the answer is feasible, and the solve time of the default.
+"""Return times of the controller, and `tune` with limits on them, beside other programs.
 
-The study `benchmark` limits computing time (``return_time: cpu``), over ROS and in process; beside
-it one run in process, without and beside most of them, limits time by the clock. The other programs compute in bursts
-by three threads each. Solve times are those of the default in its 25 test runs of the validation.
+Cuts of the default in process, by turns with times by the clock (``measured``) and with computing
+time (``cpu``); with ``--seeds`` also whole runs of `tune` over ROS, which limits computing time.
+The other programs compute in bursts, by three threads each.
 """
 
 import argparse
 import contextlib
+import os
 import random
 import signal
 import subprocess
@@ -15,18 +16,19 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
-import yaml
-from common import A_RESULT, provenance, result_parser, start_command, table, write_result
+from common import A_RESULT, provenance, result_parser, start_command, write_result
 
 from bo_tuner.lifetime import end_with_parent
+from bo_tuner.load import LoadMeter
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import load_study, study_to_yaml
-from bo_tuner.trials import DEFAULT, Stage
+from milling_plant.cut import MillingPlant
+from mpc_controller.controller import MpcController
 
 LOADS = (0, 4, 12)
 """Numbers of busy programs."""
@@ -34,6 +36,7 @@ BURST, PAUSE, THREADS = 0.3, 0.1, 3
 """Mean times [s] of a burst and of the pause after it, and its threads."""
 
 
+SOURCES, AT = ("measured", "cpu"), ("p50", "p99")
 LIMIT = 0.002
 """Of the study on the solve time [s]."""
 
@@ -77,85 +80,72 @@ def busy(count: int) -> Iterator[None]:
             program.wait()
 
 
-def tuned(backend: str, source: str, load: int, seed: int, trials: int) -> dict[str, Any]:
-    """Tune once beside other programs."""
-    study = yaml.safe_load(study_to_yaml(load_study("benchmark")))
-    for key in ("parameters", "inprocess_parameters"):
-        study["nodes"]["controller"][key] = {"return_time": source}
-    with tempfile.TemporaryDirectory() as name:
+def cuts(load: int, count: int) -> dict[str, Any]:
+    """Cut with the default by turns with either time, each so often, beside other programs."""
+    controller, plant = MpcController(), MillingPlant()
+    times: dict[str, list[dict[str, float]]] = {source: [] for source in SOURCES}
+    own = (os.getpid(),)
+    with busy(load):
+        meter = LoadMeter(own)
+        for seed in range(count):
+            plant.set_parameters({"seed": seed})
+            for source in SOURCES:
+                controller.set_parameters({"return_time": source})
+                plant.evaluate(controller)
+                result = controller.result()
+                times[source].append({name: float(result[f"return_time_{name}"]) for name in AT})
+        found = meter.load(own)
+    return {
+        "programs": load,
+        "load": asdict(found),
+        "cuts": count,
+        **{
+            source: {
+                **{name: median(cut[name] for cut in of_source) for name in AT},
+                "too_slow": sum(cut["p99"] > LIMIT for cut in of_source),
+            }
+            for source, of_source in times.items()
+        },
+    }
+
+
+def tuned(load: int, seed: int) -> dict[str, Any]:
+    """Run `tune` over ROS beside other programs."""
+    with tempfile.TemporaryDirectory() as name, busy(load):
         folder = Path(name)
-        (folder / "study.yaml").write_text(yaml.safe_dump(study, sort_keys=False))
-        options = ("--backend", backend, "--trials", str(trials), "--seed", str(seed))
-        begin = time.monotonic()
-        with busy(load):
-            process = start_command(folder, "tune", "--study", "study.yaml", "--quiet", *options)
-            code = process.wait()
+        process = start_command(folder, "tune", "--quiet", "--seed", str(seed))
+        code = process.wait()
         if code not in A_RESULT:
             raise SystemExit(f"error: tune ended with {code}: {(folder / 'output').read_text()}")
         record = read_run(folder / "runs" / "latest")
-        of_default = [
-            e.outcome
-            for e in record.evaluations
-            if e.stage is Stage.VALIDATION and e.whose == DEFAULT and e.outcome.complete
-        ]
-        complete = [e for e in record.evaluations if e.outcome.complete]
-        loads = [e.outcome.load for e in record.evaluations if e.outcome.load is not None]
-        summary = record.summary or {}
-        return {
-            "backend": backend,
-            "source": source,
-            "programs": load,
-            "seed": seed,
-            "feasible": bool(summary["feasible"]),
-            "too_slow": sum(e.outcome.metrics["return_time"] > LIMIT for e in complete),
-            "of": len(complete),
-            "seconds": time.monotonic() - begin,
-            "p50": median(float(o.details["controller.return_time_p50"]) for o in of_default),
-            "p99": median(o.metrics["return_time"] for o in of_default),
-            "runs": len(of_default),
-            "machine": _median([item.machine for item in loads]),
-            "nodes": _median([item.nodes for item in loads]),
-        }
-
-
-def _median(shares: list[float | None]) -> float | None:
-    known = [share for share in shares if share is not None]
-    return median(known) if known else None
+    complete = [e.outcome for e in record.evaluations if e.outcome.complete]
+    return {
+        "programs": load,
+        "seed": seed,
+        "feasible": code == A_RESULT[0],
+        "runs": len(complete),
+        "too_slow": sum(outcome.metrics["return_time"] > LIMIT for outcome in complete),
+    }
 
 
 def main() -> None:
     """Measure and report."""
     parser = result_parser(__doc__, "busy_computer.json")
-    parser.add_argument("--seeds", type=int, default=10, help="in process (default: %(default)s)")
-    parser.add_argument("--trials", type=int, default=10, help="(default: %(default)s)")
-    parser.add_argument(
-        "--minutes", type=float, default=60.0, help="begin no run after (default: %(default)s)"
-    )
+    parser.add_argument("--cuts", type=int, default=25, help="(default: %(default)s)")
+    parser.add_argument("--seeds", type=int, default=0, help="runs of tune (default: none)")
     parser.add_argument("--burst", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.burst is not None:
         burst(arguments.burst)
-    about = provenance() | {"seeds": list(range(1, arguments.seeds + 1))}
-    plan = [
-        ("inprocess", "cpu", LOADS[seed % len(LOADS)], seed)
-        for seed in range(1, arguments.seeds + 1)
-    ]
-    # One without and beside most of the programs, by the clock, and the nodes over ROS.
-    for backend, source in (("inprocess", "measured"), ("ros", "cpu")):
-        plan += [(backend, source, load, 1) for load in (LOADS[0], LOADS[-1])]
-    runs = []
-    end = time.monotonic() + 60.0 * arguments.minutes
-    for item in plan:
-        if time.monotonic() > end:
-            break
-        runs.append(tuned(*item, arguments.trials))
-        print(runs[-1], flush=True)
-        write_result(
-            arguments.result,
-            {"provenance": about, "trials": arguments.trials, "runs": runs},
-        )
-    columns = ("backend", "source", "programs", "seed", "feasible", "p50", "p99", "too_slow", "of")
-    print(table(columns, [[run[name] for name in columns] for run in runs]))
+    about = provenance()
+    result: dict[str, Any] = {"provenance": about, "cuts": [], "tuned": []}
+    for load in LOADS:
+        result["cuts"].append(cuts(load, arguments.cuts))
+        print(result["cuts"][-1], flush=True)
+    for seed in range(1, arguments.seeds + 1):
+        result["tuned"].append(tuned(LOADS[seed % len(LOADS)], seed))
+        print(result["tuned"][-1], flush=True)
+    write_result(arguments.result, result)
 
 
 if __name__ == "__main__":

@@ -44,6 +44,7 @@ SECTIONS = {
     "library": ("From Python", cost.library),
     "workers": ("Several workers", cost.workers),
     "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),
+    "busy_computer": ("Beside other programs", cost.busy),
     "recording": ("Cost of recording", cost.recording),
     "unchanged_system": ("A system that knows nothing of the tuner", cost.unchanged),
     "node_starts": ("A node that starts with its values", cost.node_starts),

@@ -176,6 +176,44 @@ def unchanged(result: Result) -> list[str]:
     ]
 
 
+def busy(result: Result) -> list[str]:
+    """Tell how return times of the controller change beside other programs."""
+    words = {"measured": "by the clock", "cpu": "computing time"}
+    quiet = result["cuts"][0]
+    rows = [
+        [
+            str(item["programs"]),
+            f"{100.0 * item['load']['nodes']:.0f} %",
+            text,
+            *(f"{item[source][at] / quiet[source][at]:.2f}" for at in ("p50", "p99")),
+            f"{item[source]['too_slow']} of {item['cuts']}",
+        ]
+        for item in result["cuts"]
+        for source, text in words.items()
+        if item["load"]["nodes"] is not None
+    ]
+    parts = [
+        f"{quiet['cuts']} cuts of the default in process, beside so many programs that compute in "
+        "bursts of three threads each, either time by turns; medians over the cuts, as ratios to "
+        "those without such a program. *Waited*: share of the time in which the process wanted a "
+        "processor; without programs of its own it is that of others on the machine. The limit is "
+        "the study's 2 ms on the 99 % quantile.",
+        markdown(["programs", "waited", "time", "p50", "p99", "cuts over the limit"], rows),
+        "What is left in the p99 of computing time are caches that others have emptied: a step "
+        "right after another program had the core computes for longer, and a cut of 270 steps has "
+        "several of these.",
+    ]
+    if tuned := result["tuned"]:
+        feasible = sum(item["feasible"] for item in tuned)
+        over = sum(item["too_slow"] for item in tuned)
+        runs = sum(item["runs"] for item in tuned)
+        parts.append(
+            f"`tune` beside 0, 4 and 12 of them by turns, {len(tuned)} seeds: feasible {feasible} "
+            f"times; {over} of {runs} test runs over the limit."
+        )
+    return parts
+
+
 def node_starts(result: Result) -> list[str]:
     """Tell what a start of a node with other values takes."""
     words = {

@@ -157,6 +157,9 @@ class Bringup:
             return presence.wait_for_nodes(timeout)
         except LostError as loss:
             running = self._started.processes
+            if any(item.exit_reason is not None for item in running.values()):
+                # That is what it says already.
+                raise
             of_absent = [running[key] for key in presence.absent() if key in running]
             said = (f"{item.name} runs, {item.said}" for item in of_absent or running.values())
             raise LostError("; ".join([str(loss), *said])) from loss
