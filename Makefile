@@ -98,7 +98,7 @@ site: setup $(VENV)/.site-tools
 # Each is built from its source distribution, so that this is known to be whole.
 dist: $(VENV)/.dist-tools
 	@rm -rf dist
-	@for package in $(PACKAGES); do $(BIN)/python -m build --outdir dist ros2_ws/src/$$package >$(VENV)/dist.log 2>&1 \
+	@for package in $(PACKAGES); do $(BIN)/python -m build --no-isolation --outdir dist ros2_ws/src/$$package >$(VENV)/dist.log 2>&1 \
 		|| { tail -n 20 $(VENV)/dist.log >&2; exit 1; }; done
 	$(BIN)/twine check --strict dist/*
 

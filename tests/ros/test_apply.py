@@ -73,6 +73,12 @@ def make_study(**sections):
     return study_from_mapping(mapping | sections)
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """There is no other tuner to be discovered, but where a test says so."""
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 0.1)
+
+
 def no_end():
     """Nobody asks for the end."""
 
@@ -296,11 +302,11 @@ def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys, monkeypat
 
 @pytest.mark.parametrize("rollback", [False, True])
 def test_two_controllers(record, now, start_node, peer, capsys, monkeypatch, rollback):
-    monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 5.0)
     before = now()
     if rollback:
         assert apply(capsys, record, "--yes")[0] == 0
         before = now()
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 5.0)
     twin = start_node("mpc_controller")
     service = "mpc_controller/set_parameters_atomically"
     peer.spin_until(lambda: peer.node.count_services(service) == 2, "both")

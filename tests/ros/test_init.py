@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
-from commands import environment, run
+from commands import environment
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from in_process import call
 from node_threads import at_work
@@ -36,7 +36,7 @@ from bo_tuner.backends.ros.messages import (
     number_fields,
 )
 from bo_tuner.backends.ros.survey import _ends, _look
-from bo_tuner.cli import init
+from bo_tuner.cli import check, init, tune
 from bo_tuner.cli.chooser import numbers
 from bo_tuner.errors import StudyError
 from bo_tuner.study.fields import parsed_field
@@ -53,19 +53,32 @@ def servo():
 
 @pytest.fixture
 def quick(monkeypatch):
-    """What runs in this process is discovered at once."""
-    monkeypatch.setattr("bo_tuner.backends.ros.graph.LOOK_AROUND", 0.1)
+    """What runs in this process is discovered at once, and nothing there changes by itself."""
+    for name, seconds in (
+        ("graph.LOOK_AROUND", 0.1),
+        ("bringup.LOOK_AROUND", 0.1),
+        ("survey.CHANGES", 0.1),
+    ):
+        monkeypatch.setattr(f"bo_tuner.backends.ros.{name}", seconds)
 
 
-def test_no_node_is_told_in_a_line(empty_domain, tmp_path):
-    code, out, err = run("init", folder=tmp_path)
+@pytest.fixture
+def run(quick, tmp_path, capsys, monkeypatch):
+    """Function that runs a command in this process, in the folder of the test."""
+    commands = {"init": init, "check": check, "tune": tune}
+    monkeypatch.chdir(tmp_path)
+    return lambda command, *arguments: call(commands[command], capsys, *arguments)
+
+
+def test_no_node_is_told_in_a_line(empty_domain, run, tmp_path):
+    code, out, err = run("init")
     assert (code, out) == (2, "")
     assert err.startswith("error: no node with parameters found in 5 s in domain ")
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
+def test_an_idle_node_is_told_in_a_line(empty_domain, run, tmp_path):
     """The items of an array are known from messages only."""
 
     def idle(context):
@@ -75,7 +88,7 @@ def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
         return node
 
     with at_work(idle):
-        code, out, err = run("init", folder=tmp_path)
+        code, out, err = run("init")
     assert code == 2
     assert out == (
         "note: left out: /joint_states: silent for 1 s, so the items of its arrays are unknown\n"
@@ -85,8 +98,8 @@ def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
-    code, out, err = run("init", folder=tmp_path)
+def test_without_a_terminal_the_suggestions_are_taken(servo, run, tmp_path):
+    code, out, err = run("init")
     assert (code, err) == (0, "")
     assert "check study.yaml" in out
     study = load_study(tmp_path / "study.yaml")
@@ -108,11 +121,10 @@ def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
     assert "- call: {service: /servo/reset}" in text
 
 
-def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
+def test_with_options_it_writes_a_study_that_passes_the_check(servo, run, tmp_path):
     code, _, err = run(
         *("init", "servo.yaml", "--nodes", "/servo", "--parameters", "servo:gain"),
         *("--signals", "/setpoint", "/joint_states:position[motor]"),
-        folder=tmp_path,
     )
     assert (code, err) == (0, "")
     study = load_study(tmp_path / "servo.yaml")
@@ -120,7 +132,7 @@ def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
         ["gain"],
         ["setpoint", "position_motor"],
     )
-    code, out, err = run("check", "servo.yaml", "--no-sensitivity", folder=tmp_path)
+    code, out, err = run("check", "servo.yaml", "--no-sensitivity")
     assert (code, err) == (0, "")
     assert "the nodes match the study: 1 parameter and 2 signals" in out
 
@@ -185,7 +197,7 @@ class Lidar(Node):
         self.create_timer(0.02, lambda: state.publish(joints))
 
 
-def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tmp_path):
+def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, run, tmp_path):
     """As by a study; of an array that the run is to publish, with all items before it."""
     names = (
         "/scan:ranges[17]",
@@ -194,14 +206,14 @@ def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tm
         "/currents:data[2]",
     )
     with at_work(Lidar):
-        code, _, err = run("init", "--signals", *names, folder=tmp_path)
+        code, _, err = run("init", "--signals", *names)
         assert (code, err) == (0, "")
         for name, problem in (
             ("/scan:ranges[360]", "a message has 360 items in ranges, none for [360]"),
             ("/scan:rangs[0]", "sensor_msgs/msg/LaserScan has no field 'rangs'; did you mean"),
             ("/scan:ranges[", "expected a field such as data, "),
         ):
-            code, _, err = run("init", "no.yaml", "--signals", name, folder=tmp_path)
+            code, _, err = run("init", "no.yaml", "--signals", name)
             assert code == 2
             assert err.splitlines()[-1].startswith(f"error: --signals: {name}: {problem}")
     study = load_study(tmp_path / "study.yaml")
@@ -209,11 +221,11 @@ def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tm
     assert study.run.before[0].publish.message == {"data": [0.0, 0.0, 0.0]}
 
 
-def test_a_trajectory_starts_a_run(empty_domain, tmp_path):
+def test_a_trajectory_starts_a_run(empty_domain, run, tmp_path):
     with at_work(Lidar):
-        code, out, err = run("init", folder=tmp_path)
+        code, out, err = run("init")
         assert (code, err) == (0, "")
-        code, out, err = run("check", "study.yaml", folder=tmp_path)
+        code, out, err = run("check", "study.yaml")
     study = load_study(tmp_path / "study.yaml")
     (start,) = study.run.start
     assert start.publish.topic == "/joint_trajectory"
@@ -224,7 +236,7 @@ def test_a_trajectory_starts_a_run(empty_domain, tmp_path):
     assert not any(signal.topic == "/scan" for signal in study.signals.values())
 
 
-def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, tmp_path):
+def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, run, tmp_path):
     arguments = ("--ros-args", "-r", "__ns:=/left")
 
     def moved(context):
@@ -238,13 +250,13 @@ def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, tmp_path)
         return node
 
     with at_work(moved):
-        code, out, err = run("init", *arguments, folder=tmp_path)
+        code, out, err = run("init", *arguments)
         assert (code, err) == (0, "")
         text = (tmp_path / "study.yaml").read_text()
         command = re.search("Then: (check .*)\n", text)[1]
         assert command in out
         check, *options = shlex.split(command)
-        code, out, err = run(check, "--no-sensitivity", *options, folder=tmp_path)
+        code, out, err = run(check, "--no-sensitivity", *options)
         assert (code, err) == (0, "")
     assert "\n#       tune --study study.yaml --attach --ros-args -r __ns:=/left\n" in text
     mass = "mass: {node: pid, distribution: uniform, bounds: [1.6, 2.4], nominal: 2.0, unit: kg}"
@@ -277,7 +289,7 @@ def test_an_action_is_offered(servo, quick, tmp_path, capsys):
     assert step in (tmp_path / "study.yaml").read_text()
 
 
-def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path):
+def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, run, tmp_path):
     """Uncommented, its lines are a part of the study."""
 
     def other(context):
@@ -286,10 +298,7 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
         return node
 
     with at_work(other):
-        code, out, err = run(
-            *("init", "--parameters", "servo:gain", "--signals", "/setpoint"),
-            folder=tmp_path,
-        )
+        code, out, err = run(*("init", "--parameters", "servo:gain", "--signals", "/setpoint"))
     assert (code, err) == (0, "")
     assert "study.yaml: 1 parameter and 1 signal; 20 trials, at most " in out
     text = (tmp_path / "study.yaml").read_text()
@@ -298,15 +307,17 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
     assert parse_study(offered).parameters["offset"].node == "other"
 
 
-def test_a_text_that_is_named_is_not_offered(servo, tmp_path):
-    code, _, err = run("init", "--parameters", "serial", folder=tmp_path)
+def test_a_text_that_is_named_is_not_offered(servo, run):
+    code, _, err = run("init", "--parameters", "serial")
     assert code == 2
     assert err == "error: --parameters: serial of servo is not offered: read-only\n"
 
 
-def test_a_node_that_runs_twice_is_named(servo, tmp_path):
+def test_a_node_that_runs_twice_is_named(servo, run, tmp_path, monkeypatch):
+    write_servo(tmp_path)
+    monkeypatch.setattr("bo_tuner.backends.ros.graph.LOOK_AROUND", 1.0)
     with at_work(lambda context: Node("servo", context=context)):
-        code, _, err = run("check", "servo.yaml", folder=write_servo(tmp_path))
+        code, _, err = run("check", "servo.yaml")
     assert code == 2
     assert "servo runs more than once in ROS domain " in err
 
@@ -316,11 +327,11 @@ def write_servo(folder):
     return folder
 
 
-def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):
+def test_beside_a_tuner_values_are_those_of_a_trial(servo, run, tmp_path):
     domain = int(os.environ["ROS_DOMAIN_ID"])
     claim = DomainClaim("/", domain)
     try:
-        code, out, err = run("init", folder=tmp_path)
+        code, out, err = run("init")
     finally:
         claim.release()
     assert (code, out) == (2, "")
@@ -373,10 +384,10 @@ def test_on_a_terminal_it_asks(servo, tmp_path):
     assert list(load_study(tmp_path / "asked.yaml").parameters) == ["count", "limited"]
 
 
-def test_a_file_that_is_there_is_not_overwritten(tmp_path):
+def test_a_file_that_is_there_is_not_overwritten(run, tmp_path):
     mine = tmp_path / "mine.yaml"
     mine.write_text("mine")
-    code, out, err = run("init", "mine.yaml", folder=tmp_path)
+    code, out, err = run("init", "mine.yaml")
     assert (code, out) == (2, "")
     assert err == ("error: mine.yaml: already exists and is not overwritten; give another name\n")
     assert mine.read_text() == "mine"
@@ -395,8 +406,8 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path):
         (("tune", "--nodes", "pid"), "unrecognized arguments: --nodes pid"),
     ],
 )
-def test_options_that_do_not_fit(tmp_path, arguments, expected):
-    code, _, err = run(*arguments, folder=tmp_path)
+def test_options_that_do_not_fit(run, arguments, expected):
+    code, _, err = run(*arguments)
     assert code == 2
     assert expected in err
     assert err.count("\n") == 1

@@ -39,14 +39,15 @@ def command(node):
 
 
 def position(**changes):
-    """The study of the example, with changes of `run` and `nodes`; nodes may be slow here.
+    """The study of the example, with short runs and changes of `run` and `nodes`.
 
-    A controller that gets no processor for a moment lets the motor run on: that ends no run.
+    Nodes may be slow here: a controller that gets no processor for a moment lets the motor run on,
+    which ends no run.
     """
     mapping = study_to_mapping(load_study(str(UNCHANGED / "study.yaml")))
     for signal_of in mapping["signals"].values():
         signal_of["largest_gap"] = 5.0
-    mapping["run"] = mapping["run"] | changes.get("run", {})
+    mapping["run"] = mapping["run"] | {"end": {"after": 0.5}} | changes.get("run", {})
     del mapping["run"]["abort_when"]
     mapping["nodes"] = changes.get("nodes", mapping["nodes"])
     return study_from_mapping(mapping)
@@ -220,7 +221,7 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
         "pid": {"node": "pid", "command": command("pid")},
         "motor": {"node": "motor", "command": command("motor")},
     }
-    made = backend(position(nodes=nodes))
+    made = backend(position(nodes=nodes, run={"end": {"after": 2.0}}))
     pid = made._started.processes["pid"].pid
     renewed.clear()
     in_run(made, partial(os.kill, pid, signal.SIGKILL))
