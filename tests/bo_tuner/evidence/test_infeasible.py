@@ -17,6 +17,7 @@ from bo_tuner.evidence.infeasible import (
 from bo_tuner.evidence.infeasible_words import advice_in_words, blocker_in_words, reasons_in_words
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.study.limit_kinds.chance import Chance
 from bo_tuner.trials import EvaluationState, Outcome, TrialState, WorstCase
 from bo_tuner.tuning.prospects import Beyond, Prospects
 
@@ -126,6 +127,13 @@ class TestFacts:
         trial = make_trial(0, {"gain": 0.5}, [float(k) for k in range(20, 10, -1)])
         (often,) = infeasible(make_study(constraints=limit), [trial]).limits
         assert often.best == Reached(0, 19.0)
+
+    def test_of_a_mean_the_mean_counts(self, make_study, make_trial, monkeypatch):
+        monkeypatch.setattr(Chance, "on_runs", False)
+        limit = {"often": {"kind": "chance", "metric": "error", "upper": 1.0, "probability": 0.9}}
+        trial = make_trial(0, {"gain": 0.5}, [1.0, 2.0, 6.0])
+        (often,) = infeasible(make_study(constraints=limit), [trial]).limits
+        assert often.best == Reached(0, 3.0)
 
     def test_a_bound_that_cannot_be_moved_is_not_proposed(self, facts):
         """The gain of the study is within 0 and 1; below 0 its sign would change."""
