@@ -17,6 +17,7 @@ from bo_tuner.evidence.infeasible import (
 from bo_tuner.evidence.infeasible_words import advice_in_words, blocker_in_words, reasons_in_words
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.study.limit_kinds.chance import Chance
 from bo_tuner.trials import EvaluationState, Outcome, TrialState, WorstCase
 from bo_tuner.tuning.prospects import Beyond, Prospects
 
@@ -54,18 +55,26 @@ class TestFacts:
         peak, slow = found.limits
         assert (peak.broke, peak.trials, slow.broke) == (3, 3, 1)
         assert (peak.best, peak.beside) == (Reached(0, 1.2), Reached(1, 1.5))
-        assert found.loosened == (Loosened("peak", 1.5),)
+        assert found.loosened == ((Loosened("peak", 1.5),),)
 
     def test_two_in_conflict(self, facts):
-        """Each is kept by a trial, but none keeps both: either of them may be loosened."""
+        """Trials keep each, but none keeps both: either may be loosened, the nearer one first."""
         found = facts((0.5, 4.0), (2.0, 0.5), (0.6, 3.0))
         assert (found.blocker, found.blocking) == (Blocker.CONFLICT, ("peak", "slow"))
-        assert found.loosened == (Loosened("peak", 2.0), Loosened("slow", 3.0))
+        assert found.loosened == ((Loosened("peak", 2.0),), (Loosened("slow", 3.0),))
+
+    def test_a_little_of_both_comes_before_much_of_one(self, facts):
+        found = facts((0.5, 4.0), (2.0, 0.5), (1.1, 1.2))
+        assert found.blocker is Blocker.CONFLICT
+        assert found.loosened == (
+            (Loosened("peak", 1.1), Loosened("slow", 1.2)),
+            (Loosened("peak", 2.0),),
+        )
 
     def test_two_that_no_trial_keeps_are_loosened_together(self, facts):
         found = facts((1.2, 3.0), (1.5, 1.6), (9.0, 1.1))
         assert (found.blocker, found.blocking) == (Blocker.LIMITS, ("peak", "slow"))
-        assert found.loosened == (Loosened("peak", 1.5), Loosened("slow", 1.6))
+        assert found.loosened == ((Loosened("peak", 1.5), Loosened("slow", 1.6)),)
 
     def test_the_nearest_is_so_to_all_limits_at_once(self, facts):
         """Trial 0 is the nearest to one limit, and 300 % beyond the other."""
@@ -75,7 +84,7 @@ class TestFacts:
         limits = {"peak": {"kind": "worst_case", "metric": "peak", "lower": 4.0}}
         found = facts((2.0,), (3.0,), constraints=limits)
         assert found.nearest == Nearest(1, "peak", 3.0, 0.25)
-        assert found.loosened == (Loosened("peak", 3.0),)
+        assert found.loosened == ((Loosened("peak", 3.0),),)
 
     def test_deaths(self, facts):
         found = facts((), (), (0.5, 2.0))
@@ -119,6 +128,13 @@ class TestFacts:
         (often,) = infeasible(make_study(constraints=limit), [trial]).limits
         assert often.best == Reached(0, 19.0)
 
+    def test_of_a_mean_the_mean_counts(self, make_study, make_trial, monkeypatch):
+        monkeypatch.setattr(Chance, "on_runs", False)
+        limit = {"often": {"kind": "chance", "metric": "error", "upper": 1.0, "probability": 0.9}}
+        trial = make_trial(0, {"gain": 0.5}, [1.0, 2.0, 6.0])
+        (often,) = infeasible(make_study(constraints=limit), [trial]).limits
+        assert often.best == Reached(0, 3.0)
+
     def test_a_bound_that_cannot_be_moved_is_not_proposed(self, facts):
         """The gain of the study is within 0 and 1; below 0 its sign would change."""
         beyond = (Beyond("gain", "lower", 0.9), Beyond("gain", "upper", 0.8))
@@ -144,7 +160,7 @@ def by_hand(study):
         blocker=Blocker.LIMITS,
         blocking=("real_time",),
         nearest=Nearest(9, "real_time", 2.3071, 0.15355),
-        loosened=(Loosened("real_time", 2.3071),),
+        loosened=((Loosened("real_time", 2.3071),),),
         chance=0.12,
         beyond=(at_bound(study.parameters["gain"], "upper"),),
     )  # fmt: skip
@@ -178,13 +194,16 @@ class TestWords:
             by_hand(make_study()),
             blocker=Blocker.CONFLICT,
             blocking=("real_time", "distance"),
-            loosened=(Loosened("real_time", 2.3071), Loosened("distance", 0.1239)),
+            loosened=(
+                (Loosened("real_time", 2.0123), Loosened("distance", 0.1239)),
+                (Loosened("real_time", 2.3071),),
+            ),
         )
         assert "solve time and lowest distance are in conflict" in blocker_in_words(facts)
         # Rounded so that the limit is not tighter than the value.
         assert (
-            "Loosen the limit of solve time to at least 2.31 ms or the limit of lowest distance to "
-            "at most 0.123 m."
+            "Loosen the limit of solve time to at least 2.02 ms and the limit of lowest distance "
+            "to at most 0.123 m, or the limit of solve time to at least 2.31 ms."
         ) in advice_in_words(facts)
 
     def test_a_death(self, make_study):

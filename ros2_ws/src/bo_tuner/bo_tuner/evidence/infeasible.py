@@ -18,6 +18,9 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.prospects import Prospects
 
+WAYS = 2
+"""Ways to loosen limits that are kept."""
+
 
 class Blocker(StrEnum):
     """What stands in the way."""
@@ -112,8 +115,8 @@ class Infeasible:
     nearest
         The trial that is nearest to all limits at once; None without a complete one.
     loosened
-        What each of the limits would have to be so that one trial keeps all of them by its own
-        runs: any one of them in a conflict, else all of them.
+        Ways to loosen limits, the smallest change first: with each of them one trial keeps all
+        limits by its own runs.
     chance
         Largest probability with which a parameter set within the bounds keeps all limits by the
         models; NaN if they were not asked.
@@ -130,7 +133,7 @@ class Infeasible:
     blocker: Blocker
     blocking: tuple[str, ...]
     nearest: Nearest | None
-    loosened: tuple[Loosened, ...]
+    loosened: tuple[tuple[Loosened, ...], ...]
     chance: float = math.nan
     beyond: tuple[AtBound, ...] = ()
     fresh_deaths: int = 0
@@ -186,7 +189,7 @@ def infeasible(
         blocker=blocker,
         blocking=blocking,
         nearest=nearest,
-        loosened=_loosened(blocker, reached, judged, nearest),
+        loosened=() if blocker is Blocker.MARGIN else _loosened(study, reached, judged, nearest),
         chance=math.nan if prospects is None else prospects.chance,
         beyond=() if prospects is None else _beyond(study, prospects),
         fresh_deaths=fresh_deaths,
@@ -260,23 +263,25 @@ def _blocking(
 
 
 def _loosened(
-    blocker: Blocker,
+    study: Study,
     limits: Sequence[LimitReached],
     judged: Sequence[_Judged],
     nearest: Nearest | None,
-) -> tuple[Loosened, ...]:
-    if blocker is Blocker.MARGIN or nearest is None:
+) -> tuple[tuple[Loosened, ...], ...]:
+    """Return the ways of one limit alone, and that of all limits that the nearest trial broke."""
+    if nearest is None:
         return ()
-    alone = tuple(
-        Loosened(item.name, item.beside.value)
-        for item in limits
-        if item.beside is not None and item.broke
-    )
-    if alone and (blocker is Blocker.CONFLICT or len(alone) == 1):
-        return alone
     (of_nearest,) = (item for item in judged if item.trial == nearest.trial)
-    broken = (item.name for item in limits if item.name in of_nearest.broken)
-    return tuple(Loosened(name, of_nearest.values[name]) for name in broken)
+    names = [item.name for item in limits if item.name in of_nearest.broken]
+    ways = [tuple(Loosened(name, of_nearest.values[name]) for name in names)]
+    for item in limits:
+        if item.broke and item.beside is not None:
+            ways.append((Loosened(item.name, item.beside.value),))
+
+    def change(way: tuple[Loosened, ...]) -> float:
+        return max(study.constraints[item.name].excess(item.value) for item in way)
+
+    return tuple(sorted(dict.fromkeys(ways), key=change)[:WAYS])
 
 
 def _beyond(study: Study, prospects: Prospects) -> tuple[AtBound, ...]:

@@ -89,8 +89,8 @@ def _of_more_trials(facts: Infeasible) -> str:
     chance = percent(facts.chance)
     if not promising(facts):
         return (
-            f"More trials promise little: the models give no parameter set within the bounds more "
-            f"than {chance} to keep all limits."
+            "More trials promise little: the models give the best parameter set within the bounds "
+            f"{chance} to keep all limits."
         )
     return (
         f"Run more trials: the models give the best parameter set within the bounds {chance} to "
@@ -100,8 +100,8 @@ def _of_more_trials(facts: Infeasible) -> str:
 
 def _of_limits(facts: Infeasible) -> Iterator[str]:
     if facts.loosened:
-        joined = " or " if facts.blocker is Blocker.CONFLICT else " and "
-        yield f"Loosen {joined.join(_loosened(facts, item) for item in facts.loosened)}."
+        ways = (" and ".join(_loosened(facts, item) for item in way) for way in facts.loosened)
+        yield f"Loosen {', or '.join(ways)}."
     elif facts.blocker is Blocker.MARGIN and facts.nearest is not None:
         title = facts.of(facts.nearest.limit).title
         yield f"Loosen the limit of {title}, which leaves the least to spare."

@@ -85,10 +85,12 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
             lost = Step(f"tune --resume {where}", "run the lost test runs again: completes it")
             return (lost, validate)
         case State.INFEASIBLE:
-            loosened = () if verdict.infeasible is None else verdict.infeasible.loosened
-            looser = (Step(f"tune --from {where} --study FILE", LOOSER),) if loosened else ()
-            ways = (more, *looser) if promising(verdict.infeasible) else (*looser, more)
-            return (*ways, replay) if verdict.trial is not None else ways
+            facts = verdict.infeasible
+            # A search that stands still says itself what would help.
+            loosened = facts is not None and facts.loosened and not verdict.standstill
+            looser = (Step(f"tune --from {where} --study FILE", LOOSER),) * bool(loosened)
+            steps = (more, *looser) if promising(verdict.infeasible) else (*looser, more)
+            return (*steps, replay) if verdict.trial is not None else steps
         case State.UNPROVEN:
             return (more, validate, replay)
         case State.VALIDATED:

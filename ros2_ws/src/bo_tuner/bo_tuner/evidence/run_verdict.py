@@ -106,7 +106,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
         feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
-        checked = trial.number in summary["checked_trials"]  # type: ignore[operator]
+        checked = trial.number in summary.get("checked_trials", ())  # type: ignore[operator]
         prospects = summary.get("prospects")
         verdict = validated(
             record.study,

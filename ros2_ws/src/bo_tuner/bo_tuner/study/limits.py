@@ -239,14 +239,16 @@ def uncertain(study: Study, trial: Trial) -> tuple[str, ...]:
 def held_against(constraint: Constraint, trial: Trial) -> float:
     """Return the value of a complete trial that is compared with a limit; NaN without any.
 
-    The estimated worst case, or of a limit over the contexts the value that as many of the trial's
-    runs keep as must keep the limit.
+    The estimated worst case; of a limit over the contexts the mean of the trial's runs, or the
+    value that as many of them keep as must keep the limit.
     """
     if (worst := trial.worst_cases.get(constraint.name)) is not None:
         return decisive(constraint, worst)
     values = sorted(trial.observations(constraint.metric), key=lambda v: constraint.sign * v)
     if not values:
         return math.nan
+    if not constraint.rule.on_runs:
+        return sum(values) / len(values)
     return values[max(math.ceil(constraint.level * len(values) - 1e-9), 1) - 1]
 
 
