@@ -69,7 +69,9 @@ def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsy
     held.parent.mkdir(exist_ok=True)
     held.write_text(json.dumps({"plant": {"noise_variance": 0.5}, "controller": {}}))
     try:
-        code, _, err = call(command, capsys, record.path, "1", "--backend", "ros", "--attach")
+        code, _, err = call(
+            command, capsys, record.path, "--trial", "1", "--backend", "ros", "--attach"
+        )
     finally:
         held.unlink()
     assert code == 2

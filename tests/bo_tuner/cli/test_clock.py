@@ -1,4 +1,4 @@
-"""A run in process and all that is made of it, on a machine whose clock stands beyond 2038.
+"""A run in process and all that is made of it, on a machine whose clock stands beyond 2106.
 
 The clock is that of Python, moved before anything else is imported; files have the real times.
 """
@@ -7,7 +7,6 @@ import json
 import subprocess
 import sys
 
-import pytest
 from axis import node, write_study
 from commands import environment, python_path, several
 
@@ -36,21 +35,20 @@ class Moved(datetime.datetime):
 datetime.datetime = Moved
 """
 # 32 bits of seconds end in January 2038, without a sign in February 2106.
-AHEAD = {"2040s": 20 * 31_557_600, "2110s": 90 * 31_557_600}
+AHEAD = 90 * 31_557_600
 
 
-@pytest.mark.parametrize("ahead", AHEAD.values(), ids=AHEAD)
-def test_a_study_beyond_2038(tmp_path, make_study, ahead):
+def test_a_study_beyond_both_ends_of_32_bits(tmp_path, make_study):
     site = tmp_path / "site"
     site.mkdir()
-    (site / "sitecustomize.py").write_text(SITE.format(ahead=ahead))
+    (site / "sitecustomize.py").write_text(SITE.format(ahead=AHEAD))
     clock = {"PYTHONPATH": python_path(site, tmp_path)}
     now = "import datetime; print(datetime.datetime.now().year)"
     done = subprocess.run(
         [sys.executable, "-c", now], env=environment() | clock, capture_output=True, text=True
     )
     year = done.stdout.strip()
-    assert int(year) > 2040
+    assert int(year) > 2110
 
     write_study(tmp_path, make_study(nodes=node("late_axis")))
     commands = [

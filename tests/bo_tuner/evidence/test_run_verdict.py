@@ -191,7 +191,7 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
     number = other.number
     refused = [step.command for step in next_steps(verdict, "run")]
-    assert refused == [f"validate run --trial {number}", f"replay run {number}"]
+    assert refused == [f"validate run --trial {number}", f"replay run --trial {number}"]
     opened = dataclasses.replace(verdict, apply_refuses=False)
     commands = [step.command for step in next_steps(opened, "run")]
     assert commands[0] == f"apply run --trial {number}"
@@ -213,7 +213,7 @@ def test_apply_waits_for_the_result_of_a_run_that_has_none(run, monkeypatch):
     verdict = certified(going_on, trial, run.path / "certificates" / "0001.json")
     assert verdict.certificate == PASS
     commands = [step.command for step in next_steps(verdict, "run")]
-    assert commands == ["tune --resume run", f"replay run {trial.number}"]
+    assert commands == ["tune --resume run", f"replay run --trial {trial.number}"]
     assert "apply waits for the result of the run, which has not ended." in verdict.remarks
 
 

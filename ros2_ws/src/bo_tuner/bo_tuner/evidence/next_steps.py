@@ -65,7 +65,6 @@ def to_use(run: str, trial: int) -> tuple[Step, ...]:
 def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     # Without it the commands are about the result of the run.
     trial = "" if verdict.is_result else f" --trial {verdict.trial}"
-    replayed = "" if verdict.is_result else f" {verdict.trial}"
     report = Step(f"report {where}", "write the report again")
     again = Step(f"tune --resume {where}", "continue the run")
     more = _more(verdict, where)
@@ -75,7 +74,7 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
         f"validate {where}{trial} --until-pass 3",
         "certify it again, and after a FAIL the next best candidates",
     )
-    replay = Step(f"replay {where}{replayed}", "repeat its worst test run and compare")
+    replay = Step(f"replay {where}{trial}", "repeat its worst test run and compare")
     apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
     match verdict.state:
