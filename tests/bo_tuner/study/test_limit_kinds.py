@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
-from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS, OnMean
+from bo_tuner.study.limit_kinds.on_mean import OnMean
 from bo_tuner.study.limit_kinds.registry import KINDS
 
 CONFIDENCE = 0.95
+LEAST = runs_to_see(CONFIDENCE)
 
 
 class MeanOverContexts(OnMean):
@@ -103,11 +105,11 @@ def test_its_words_name_the_limit_and_what_was_found(rule):
 def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
     monkeypatch.setitem(KINDS, "mean", MeanOverContexts)
     rule = Constraint(name="c", kind="mean", metric="m", upper=1.0).rule
-    for count in (LEAST_RUNS - 2, LEAST_RUNS):
+    for count in (LEAST - 2, LEAST):
         runs = runs_of(rule, spread_around(0.5, count))
-        assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST_RUNS)
-        said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST_RUNS)
-        if count < LEAST_RUNS:
+        assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST)
+        said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST)
+        if count < LEAST:
             assert said == f"too few draws ({count}) to bound the mean over contexts and noise"
         else:
             assert said.startswith("mean over contexts and noise at most 0.6")

@@ -12,7 +12,7 @@ from bo_tuner.evidence.certificate.certification import Certification, most_eval
 from bo_tuner.evidence.certificate.decisions import decide_draws
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Refutation
-from bo_tuner.evidence.certificate.independent_search import CANDIDATES, CARRIED, worst_of_all
+from bo_tuner.evidence.certificate.independent_search import CARRIED, most_candidates, worst_of_all
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.study.context_space import ContextSpace
@@ -157,7 +157,8 @@ class TestWhatIsLookedAtAgain:
         assert found.repeated[0][0].context == SPIKE
         assert len(found.repeated) == 1
         assert verdict.constraints[0].worst[0].mean.value == pytest.approx(1.2, abs=0.05)
-        assert most.repeated == (1 + CANDIDATES + CARRIED) * 60
+        places = most_candidates(make_study(**PLANE).context_space()) + CARRIED
+        assert most.repeated == (1 + places) * 60
 
     def test_the_worst_by_all_runs(self, make_study, function_backend):
         """A single earlier run there, of which nobody took note."""

@@ -16,7 +16,6 @@ from bo_tuner.evidence.certificate.judgement import judge, most_draws_needed
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.sequential import draws_needed
-from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 DRAWS_NEEDED = draws_needed_without_event(0.04, 0.05)
@@ -166,12 +165,12 @@ class TestWorstCase:
         """That bound decides nothing there, in whatever context has the fewest runs."""
         limit = {"kind": "worst_case", "metric": "peak", "upper": LIMIT, "probability": 0.5}
         study = make_study(constraints={"peak": limit})
-        runs = [[0.5, 0.6] * 20, [0.5, 0.6] * 4]
+        runs = [normal(60, 0.55, 0.05).tolist(), normal(8, 0.55, 0.05).tolist()]
         (found,) = judge(study, evidence([0.5] * 30, runs), 0.95).constraints
         assert all(math.isfinite(context.mean.upper) for context in found.worst)
         (on_mean,) = judge(make_study(), evidence([0.5] * 29 + [1.1], runs), 0.95).constraints
         bounded = {w.evaluations: math.isfinite(w.mean.upper) for w in on_mean.worst}
-        assert bounded == {40: True, 8: False}
+        assert bounded == {60: True, 8: False}
 
     def test_few_runs_that_agree_do_not_show_a_mean(self, make_study):
         """A run in ten is 20, the others 0: a mean of 2 that five runs show as 0 in most cases."""
@@ -187,36 +186,6 @@ class TestWorstCase:
         # What equal runs seemed to show is not shown once one differs.
         found = judge(make_study(), evidence(draws, [[*[0.0] * 40, 20.0]]), 0.95)
         assert not found.passed
-
-    def test_runs_in_other_contexts_tell_of_the_noise_where_it_is_alike(self, make_study):
-        rng = np.random.default_rng(2)
-        many, few = (rng.permutation(normal(n, 0.5, 0.05)).tolist() for n in (24, 8))
-        study = make_study()
-        assert judge(study, evidence([0.5] * 22, [few]), 0.95).passed
-        assert not judge(study, evidence([0.5] * 21, [few]), 0.95).passed
-        assert judge(study, evidence([0.5], [many, few]), 0.95).passed
-        # Those that are equal tell of no noise, and others nothing of where there is none.
-        assert not judge(study, evidence([0.5] * 30, [many, [0.5] * 6]), 0.95).passed
-        # Single runs beyond the limit are possible: each context needs its own.
-        assert not judge(study, evidence([0.5] * 29 + [1.1], [many, few]), 0.95).passed
-
-    def test_a_context_is_open_again_where_the_next_shows_runs_beyond_the_limit(
-        self, make_study, function_backend
-    ):
-        """From the last corner on, runs beyond the limit are known: the worst gets its 30 runs."""
-        rng = np.random.default_rng(5)
-
-        def function(load, **_):
-            return {"error": 1.0, "peak": (0.8 if load < 1.01 else 0.1) + 0.12 * rng.normal()}
-
-        study = make_study()
-        (found,) = collect(study, function_backend(study, function), 300, tuned=0.5)
-        everything = [e.outcome.metrics["peak"] for e in found.evaluations]
-        assert max(everything) > LIMIT
-        verdict = judge(study, found, 0.95)
-        assert all(w.evaluations >= LEAST_RUNS for w in verdict.constraints[0].worst)
-        assert verdict.constraints[0].worst
-        assert verdict.passed
 
     @pytest.mark.slow
     @pytest.mark.parametrize("probability", [None, 0.85])
@@ -413,17 +382,17 @@ class TestRange:
         return dataclasses.replace(study, metrics=metrics)
 
     def test_bets_decide(self, make_study):
-        """Thirty runs at 0.5 exclude rare ones at 3, not at 300, whatever the noise is."""
-        runs = evidence([0.5] * 40, [[0.4, 0.6] * 15])
+        """Sixty runs at 0.5 exclude rare ones at 3, not at 300, whatever the noise is."""
+        runs = evidence([0.5] * 40, [normal(60, 0.5, 0.1).tolist()])
         for high, passed in ((3.0, True), (300.0, False)):
             found = judge(self.study(make_study, high), runs, 0.95)
             assert found.passed is passed
             (worst,) = found.constraints[0].worst
             assert (worst.mean.upper <= LIMIT) is passed
-            assert found.constraints[0].assumptions == ()
+            assert found.constraints[0].assumption == ""
         told = judge(make_study(), runs, 0.95)
         assert told.passed
-        assert "give the metric a range" in told.constraints[0].assumptions[0]
+        assert "give the metric a range" in told.constraints[0].assumption
 
     def test_a_lower_limit_is_the_mirror_image(self, make_study):
         limit = {"kind": "worst_case", "metric": "peak", "lower": -LIMIT}
@@ -440,7 +409,7 @@ class TestRange:
     def test_skewed_runs_show_less_than_symmetric_ones(self, make_study):
         """Both with a mean of 0.8 and a deviation of 0.25, and some runs beyond the limit."""
         rng = np.random.default_rng(3)
-        quantiles = (np.arange(40) + 0.5) / 40
+        quantiles = (np.arange(60) + 0.5) / 60
         skewed = stats.lognorm.ppf(quantiles, 1.2)
         both = []
         for values in (stats.norm.ppf(quantiles), skewed):

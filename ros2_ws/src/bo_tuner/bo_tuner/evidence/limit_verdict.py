@@ -6,6 +6,7 @@ limit permits. *Kept* is only what is shown, and it stands with what the limit p
 
 from dataclasses import dataclass
 
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
@@ -30,6 +31,10 @@ class LimitVerdict:
         What was counted, in words; empty for a certificate, which has more to say.
     words
         What was found, in words that follow those of the limit.
+    refuted
+        Whether the runs show that the limit is not kept; else a violated one is not proven.
+    condition
+        What it rests on that runs do not prove, in words that follow *if*; else empty.
     """
 
     standing: Standing
@@ -39,6 +44,8 @@ class LimitVerdict:
     asked: str
     evidence: str
     words: str
+    refuted: bool = False
+    condition: str = ""
 
     @property
     def exceeds(self) -> bool:
@@ -91,22 +98,27 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
         how_often,
         evidence,
         words,
+        refuted=sample.count > 0 and not sample.agrees,
     )
 
 
-def by_certificate(
-    study: Study, constraint: Constraint, *, passed: bool, draws: int, violations: int
-) -> LimitVerdict:
-    """Return what a certificate says of a limit."""
+def by_certificate(study: Study, found: ConstraintVerdict, draws: int) -> LimitVerdict:
+    """Return what a certificate of so many draws says of a limit."""
+    constraint, condition = study.constraints[found.name], found.condition if found.passed else ""
     how_often = asked(study, constraint)
+    words = f"{'' if found.passed else 'NOT '}proven to be kept {how_often}"
+    if condition:
+        words = f"shown to stay within it {how_often}, if {condition}"
     return LimitVerdict(
-        Standing.SHOWN if passed else Standing.VIOLATED,
+        Standing.SHOWN if found.passed else Standing.VIOLATED,
         draws,
-        violations,
+        found.violations,
         constraint.rule.permitted(draws),
         how_often,
         "",
-        f"{'' if passed else 'NOT '}proven to be kept {how_often}",
+        words,
+        refuted=found.refuted,
+        condition=condition,
     )
 
 

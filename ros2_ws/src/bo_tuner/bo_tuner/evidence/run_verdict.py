@@ -8,6 +8,7 @@ from pathlib import Path
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.biases import biases_in_words
+from bo_tuner.evidence.certificate.claim import claimed
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
@@ -18,7 +19,7 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
-from bo_tuner.evidence.declarations import contradicted, drifts
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
 from bo_tuner.evidence.effects import effects_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
@@ -131,6 +132,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
                 *biases_in_words(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
                 *seen_in_words(record.study.metrics, seen),
                 *drifts(record.study, alike),
+                *two_kinds(record.study, alike),
             ),
             effects=effects,
             of_parameters=effects_in_words(record.study, effects),
@@ -240,6 +242,8 @@ def _certified(
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
+        claim=claimed(study, tuned),
+        default_claim="" if default is None else claimed(study, default),
         standstill=by_validation is not None and by_validation.standstill,
     )
 
@@ -346,16 +350,7 @@ def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: fl
 
 def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerdict]:
     """Return what a certificate says of each limit of a parameter set, by its name."""
-    return {
-        finding.name: by_certificate(
-            study,
-            study.constraints[finding.name],
-            passed=finding.passed,
-            draws=draws,
-            violations=finding.violations,
-        )
-        for finding in findings.constraints
-    }
+    return {finding.name: by_certificate(study, finding, draws) for finding in findings.constraints}
 
 
 def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:

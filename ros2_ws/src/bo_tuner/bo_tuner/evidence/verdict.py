@@ -20,6 +20,9 @@ from bo_tuner.tuning.effects import ParameterEffects
 
 PASS, FAIL = "PASS", "FAIL"
 
+NO = "NO"
+"""That a parameter set does not keep all limits, in a table."""
+
 _KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
 
 
@@ -184,6 +187,8 @@ class Verdict:
         What is to know of those that were not seen to move any metric, in sentences.
     advice
         What is in reach where nothing was found feasible, and what to change, in sentences.
+    claim, default_claim
+        What a certificate that passed claims of the tuned parameter set and of the default.
     standstill
         Whether the search ended as it could not go on; resumed, it would end there again.
     """
@@ -209,6 +214,8 @@ class Verdict:
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    claim: str = ""
+    default_claim: str = ""
     standstill: bool = False
 
     @property
@@ -321,7 +328,7 @@ class Verdict:
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
-                return f"{PASS}: the tuned parameter set is proven to stay within all limits"
+                return f"{PASS}: the tuned parameter set is {self.claim}"
             case State.REFUSED:
                 return f"{FAIL}: the tuned parameter set is not proven to stay within all limits"
 
@@ -329,7 +336,7 @@ class Verdict:
     def limits_in_words(self) -> str:
         """What was found of the limits of a result that may be used, beside the default."""
         if self.state is State.CERTIFIED:
-            return "proven to stay within all limits"
+            return self.claim
         text = _standing_in_words(self._tuned_limits)
         over = sum(limit.violations for limit in self._default_limits.values())
         # Several limits may be broken in a run.
@@ -396,10 +403,12 @@ class Verdict:
             return f"The default was not run in full: {runs} lost or disturbed by others."
         if self.default_reasons:
             reasons = "; ".join(self.default_reasons)
-            return f"The default is not proven to stay within all limits: {reasons}."
+            proven = _keeps_in_words(Standing.VIOLATED, self._default_limits) != NO
+            verb = "is not proven to" if proven else "does not"
+            return f"The default {verb} stay within all limits: {reasons}."
         if self.certificate and self.default_certified:
-            too = ", too" if self.feasible else ""
-            return f"The default is proven to stay within all limits{too}."
+            same = self.feasible and self.default_claim == self.claim
+            return f"The default is {self.default_claim}{', too' if same else ''}."
         return f"The default by the same evidence: {_standing_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:
@@ -436,9 +445,12 @@ class Verdict:
     @property
     def keeps_in_words(self) -> tuple[str, str]:
         """Whether default and tuned parameter set keep all limits; a dash for one not evaluated."""
-        words = {Standing.SHOWN: "yes", Standing.OPEN: "not proven", Standing.VIOLATED: "NO"}
-        default = self.default_standing
-        return "–" if default is None else words[default], words[self.standing]
+        if self.default_standing is None:
+            return "–", _keeps_in_words(self.standing, self._tuned_limits)
+        return (
+            _keeps_in_words(self.default_standing, self._default_limits),
+            _keeps_in_words(self.standing, self._tuned_limits),
+        )
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:
@@ -488,6 +500,15 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
         return 2 if quantity.constraint else 3
 
     return tuple(sorted(quantities, key=rank))
+
+
+def _keeps_in_words(standing: Standing, limits: Mapping[str, LimitVerdict]) -> str:
+    """Return whether limits are kept: a violated one is not proven where no runs refute it."""
+    if standing is Standing.SHOWN:
+        conditional = any(limit.condition for limit in limits.values())
+        return "yes, with an assumption" if conditional else "yes"
+    refuted = not limits or any(limit.refuted for limit in limits.values())
+    return NO if standing is Standing.VIOLATED and refuted else "not proven"
 
 
 def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:

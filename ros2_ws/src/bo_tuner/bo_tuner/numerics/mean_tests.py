@@ -4,13 +4,14 @@ For a metric with a declared range, bets on its values show it, exactly, whateve
 Without a range two tests must both show it: the t mixture of `sequential`, which is exact for
 normal noise, and the same mixture with the statistic of a shifted log-normal law that is more
 skewed than the sample (`numerics.skewed_means`). Neither covers rare values far beyond all that was
-seen; no test without a range can.
+seen; no test without a range can. So nothing is shown by fewer values than show a second kind of
+them that is not rarer than `two_kinds.RARE`, and nothing once there is one.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, log
+from math import expm1, inf, log
 from typing import Protocol
 
 import numpy as np
@@ -20,12 +21,10 @@ from bo_tuner.numerics import skewed_means
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
+from bo_tuner.numerics.two_kinds import gap, runs_to_see
 
 GROWTH = 1.05
 """Factor between the numbers of values at which a skewed law is fitted: each fit takes time."""
-
-FEWEST = 5
-"""Number of values at the first fit."""
 
 HALVINGS = 60
 """Steps of a bisection for a bound."""
@@ -39,16 +38,8 @@ reaches it. Monotone in the mean."""
 class MeanTest(Protocol):
     """Shows that the expectation of values is small."""
 
-    def of(self, values: Array, least: int) -> Reaches:
-        """Return the test of what the values have shown after any of them.
-
-        Parameters
-        ----------
-        values
-            Shape (n,), n > 0, in their order.
-        least
-            Number of values from which on the evidence counts.
-        """
+    def of(self, values: Array) -> Reaches:
+        """Return the test of what values (n,), n > 0, in their order have shown after any."""
 
     def fewest(self, limit: float, confidence: float) -> int:
         """Return how many values show a limit at least, however far within it they are."""
@@ -67,8 +58,7 @@ class Betting:
     low: float
     high: float
 
-    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
-        # `least` plays no part: the range bounds rare values, so all evidence counts.
+    def of(self, values: Array) -> Reaches:  # noqa: D102
         return lambda mean, enough: bool((log_wealth(values, mean, self.high) >= enough).any())
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
@@ -85,17 +75,19 @@ class Betting:
 class NormalOrSkewed:
     """For values without a known range: normal ones, and log-normal ones with any shift."""
 
-    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
-        # A fit takes time, and most decisions need none.
-        fits = lru_cache(maxsize=None)(lambda n: skewed_means.fit(values[:n]))
+    def of(self, values: Array) -> Reaches:  # noqa: D102
+        mixed = gap(values) is not None
 
         def skewed(mean: float, n: int) -> float:
-            fitted = fits(n)
+            fitted = _fit(values[:n].tobytes())
             if fitted is None:
                 return float(log_mean_evidence(values[:n], mean)[-1])
             return log_t_evidence(fitted.statistic(mean), n)
 
         def reaches(mean: float, enough: float) -> bool:
+            least = runs_to_see(-expm1(-enough))
+            if mixed or len(values) < least:
+                return False
             normal = log_mean_evidence(values, mean)[least - 1 :]
             return bool((normal >= enough).any()) and any(
                 skewed(mean, n) >= enough for n in reversed(_fitted_numbers(least, len(values)))
@@ -104,12 +96,10 @@ class NormalOrSkewed:
         return reaches
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
-        return FEWEST
+        return runs_to_see(confidence)
 
 
-def is_mean_shown(
-    values: ArrayLike, limit: float, confidence: float, test: MeanTest, least: int = 1
-) -> bool:
+def is_mean_shown(values: ArrayLike, limit: float, confidence: float, test: MeanTest) -> bool:
     """Return whether values show with `confidence` that their expectation is within `limit`.
 
     Evidence after fewer values counts as well, unless the mean of all of them is beyond the limit.
@@ -124,25 +114,22 @@ def is_mean_shown(
         Between 0 and 1.
     test
         The test, by what is known of the values.
-    least
-        Number of values from which on the evidence counts.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample) or float(sample.mean()) > limit:
         return False
-    return test.of(sample, least)(limit, log(1.0 / (1.0 - confidence)))
+    return test.of(sample)(limit, log(1.0 / (1.0 - confidence)))
 
 
-def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int = 1) -> float:
+def mean_bound(values: ArrayLike, confidence: float, test: MeanTest) -> float:
     """Return the upper confidence bound of the expectation, infinite where there is none yet.
 
-    It is not below the mean of the values, whatever earlier ones have shown. `values` (n,) are in
-    their order, and `least` is the number from which on the evidence of `test` counts.
+    It is not below the mean of the values (n,), in their order, whatever earlier ones have shown.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample):
         return inf
-    reaches, enough = test.of(sample, least), log(1.0 / (1.0 - confidence))
+    reaches, enough = test.of(sample), log(1.0 / (1.0 - confidence))
     low = float(sample.mean())
     spread = max(float(sample.std()), 1e-9 * max(abs(low), 1.0))
     high = low + 1e6 * spread
@@ -159,11 +146,16 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int 
     return high
 
 
+@lru_cache(maxsize=1024)
+def _fit(values: bytes) -> skewed_means.LogNormalFit | None:
+    """Return the fit to values, which takes time: the same ones are asked for after each run."""
+    return skewed_means.fit(np.frombuffer(values))
+
+
 def _fitted_numbers(least: int, most: int) -> list[int]:
     """Return the numbers of values that a law is fitted to, each `GROWTH` times the one before."""
-    sizes, n = [], FEWEST
+    sizes, n = [], least
     while n <= most:
-        if n >= least:
-            sizes.append(n)
+        sizes.append(n)
         n = max(n + 1, round(n * GROWTH))
     return sizes

@@ -66,8 +66,7 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
 def certificate_lines(study: Study, certificate: Certificate) -> Iterator[str]:
     """Yield lines on what the verdict leaves out: reasons, training and robustness."""
     for constraint in certificate.tuned.constraints:
-        kept = "proven" if constraint.passed else "NOT proven"
-        yield f"{constraint.name}: {kept}: {constraint.reason}"
+        yield f"{constraint.name}: {constraint.proof}: {constraint.reason}"
     yield from certificate.tuned.assumptions
     yield certificate.tuned.price
     if searched := widths_in_words(certificate.search_widths):
@@ -129,7 +128,7 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     yield row(
         f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        ("proven" if c.passed else "NOT proven" for c in both),
+        (c.proof.partition(",")[0] for c in both),
     )
 
 

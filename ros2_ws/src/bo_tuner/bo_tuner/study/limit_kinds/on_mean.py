@@ -16,20 +16,17 @@ from bo_tuner.numerics.mean_tests import (
     mean_bound,
 )
 from bo_tuner.numerics.sequential import is_mean_refuted, is_shown
+from bo_tuner.numerics.two_kinds import RARE, gap
 from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 from bo_tuner.study.limit_kinds.on_runs import COINCIDENCE
 
-LEAST_RUNS = 30
-"""Least number of runs behind a mean that counts as shown. The bound of a mean takes the noise for
-normal: a few runs that agree do not exclude rare large values."""
-
 TAIL = (
-    "the noise is taken for normal or log-normal; of such laws with a mean just beyond the limit "
-    "about 1 in 100 passes within five certificates, of rare large values that no run has shown "
-    "far more: give the metric a range, or limit single runs (probability)"
+    f"the noise is normal or log-normal, without a second kind of runs in less than "
+    f"{100.0 * RARE:g} % of them; to be sure give the metric a range, or limit single runs "
+    "(probability)"
 )
 """Assumption of a certificate of a mean if its metric has no range; the level is measured by
-benchmarks/repeated_certificates.py."""
+benchmarks/repeated_certificates.py and benchmarks/false_passes.py."""
 
 
 class OnMean(LimitKind):
@@ -67,21 +64,22 @@ class OnMean(LimitKind):
     ) -> int:
         return self._test(declared).fewest(self.limited.sign * self.limited.limit, confidence)
 
-    def assumption(self, declared: tuple[float, float] | None) -> str:  # noqa: D102
-        return TAIL if declared is None else ""
+    def assumption(  # noqa: D102
+        self, declared: tuple[float, float] | None
+    ) -> tuple[str, str]:
+        kinds = f"no rare runs are far beyond the {self.limited.metric} of the others"
+        return (TAIL, kinds) if declared is None else ("", "")
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
         sign, test = self.limited.sign, self._test(runs.declared)
-        limit, least = sign * self.limited.limit, self.runs_behind_bound(runs)
-        shown = is_mean_shown(sign * runs.values, limit, confidence, test, least)
+        shown = is_mean_shown(sign * runs.values, sign * self.limited.limit, confidence, test)
         # A declared range bounds rare values; without it the runs must exclude them.
         return shown and (runs.declared is not None or self._excludes_rare(runs, confidence))
 
     def bound(self, runs: Runs, confidence: float) -> float:
         """Return the confidence bound of the mean on the side of the limit."""
         sign, test = self.limited.sign, self._test(runs.declared)
-        least = self.runs_behind_bound(runs)
-        return sign * mean_bound(sign * runs.values, confidence, test, least)
+        return sign * mean_bound(sign * runs.values, confidence, test)
 
     def _test(self, declared: tuple[float, float] | None) -> MeanTest:
         """Return the test that a mean is within an upper limit; a lower limit is mirrored."""
@@ -95,24 +93,12 @@ class OnMean(LimitKind):
         return is_mean_refuted(sign * runs.values, sign * self.limited.limit, confidence)
 
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
-        """Return whether the runs refute it: otherwise further runs can move the mean anywhere."""
-        return self.is_refuted(runs, confidence)
+        """Return whether they refute it, or need a range: else more can move the mean anywhere."""
+        return self.is_refuted(runs, confidence) or self.needs_range(runs)
 
-    def runs_behind_bound(self, runs: Runs) -> int:
-        """Return the number of runs from which on the mean has a bound.
-
-        Once any run of the parameter set is beyond the limit, they are `LEAST_RUNS` in the context,
-        or more, so that one of them differs from the first. Before that, runs elsewhere count as
-        well: all of the parameter set or, if those in this context are equal, those in contexts in
-        which they are equal, too.
-        """
-        values = runs.values
-        if self.limited.violations(runs.farthest):
-            return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
-        if not _are_equal(values):
-            return max(1, LEAST_RUNS + len(values) - max(runs.known, len(values)))
-        alike = sum(len(v) for v in runs.elsewhere if _are_equal(v))
-        return max(1, LEAST_RUNS + len(values) - alike)
+    def needs_range(self, runs: Runs) -> bool:
+        """Return whether runs without a range are of two kinds: no test then bounds their mean."""
+        return runs.declared is None and gap(runs.values) is not None
 
     def together(self, runs: Runs) -> float:
         """Return the mean of the values; NaN of none."""
@@ -134,10 +120,11 @@ class OnMean(LimitKind):
     def said_of_draws(  # noqa: D102
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
     ) -> str:
-        values, least = runs.values, self.runs_behind_bound(runs)
-        if len(values) < max(least, 2):
-            return f"too few draws ({len(values)}) to bound the mean over contexts and noise"
+        if self.needs_range(runs):
+            return self._mixed("draws")
         bound = self.bound(runs, confidence)
+        if not np.isfinite(bound):
+            return f"too few draws ({len(runs.values)}) to bound the mean over contexts and noise"
         return f"mean over contexts and noise {self._bounded(bound, unit, passed=passed)}"
 
     def said_of_contexts(  # noqa: D102
@@ -162,6 +149,8 @@ class OnMean(LimitKind):
                 f"{by.evaluations} test runs show that it is not kept"
             )
         where = place_of(top, worst)
+        if mixed := [w for w in worst if w.needs_range]:
+            return self._mixed(f"test runs {place_of(mixed[0], worst)}".rstrip())
         if not np.isfinite(bound):
             return f"too few test runs ({top.evaluations}) {where}to bound the mean over noise"
         if not passed and not self.limited.violations(bound):
@@ -181,6 +170,12 @@ class OnMean(LimitKind):
     @property
     def decisive(self) -> str:  # noqa: D102
         return "The mean in the worst context that was found"
+
+    def _mixed(self, runs: str) -> str:
+        return (
+            f"the {runs} are of two kinds, so that only a range bounds their mean: give "
+            f"metrics.{self.limited.metric} a range, or limit single runs (probability)"
+        )
 
     def _bounded(self, bound: float, unit: str, *, passed: bool) -> str:
         """Return the bound of a mean beside the limit."""

@@ -84,10 +84,6 @@ class OnRuns(LimitKind):
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:  # noqa: D102
         return is_hopeless(runs.events, most, self.allowed, confidence)
 
-    def runs_behind_bound(self, runs: Runs) -> int:
-        """Return 1: the bound of the mean is for information only, and needs no least number."""
-        return 1
-
     def together(self, runs: Runs) -> float:
         """Return the share of runs beyond the limit or failed."""
         return float(np.mean(runs.events))
