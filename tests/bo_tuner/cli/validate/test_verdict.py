@@ -232,9 +232,10 @@ class TestKey:
     def test_a_quick_look_does_not(self, here, folder):
         code, _, err = here(folder, "--draws", "100", "--confidence", "0.001")
         assert code == 0
-        assert (
-            "warning: not sufficient for apply: made with 100 draws, the study requires 1000" in err
-        )
+        said = "warning: apply will refuse a PASS: made with 100 draws, the study requires 1000"
+        assert said in err
+        # Before the runs.
+        assert err.index(said) < err.index("draws", err.index(said) + len(said))
         assert "the study requires 1000" in self.problem(folder)
 
     def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):

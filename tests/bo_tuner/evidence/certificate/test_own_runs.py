@@ -164,7 +164,7 @@ def test_two_kinds_of_runs_need_a_range(make_study, function_backend):
 def test_a_mean_without_a_range_takes_the_runs_that_show_a_rare_kind(make_study, function_backend):
     study = make_study(constraints={"peak": ON_MEAN})
     _, verdict = certified(study, function_backend, lambda _, rng: 0.1 + 0.01 * rng.normal())
-    assert set(by_context(verdict).values()) == {runs_to_see(0.95)}
+    assert set(by_context(verdict).values()) == {runs_to_see(0.975)}
 
 
 def test_the_price(make_study, function_backend):

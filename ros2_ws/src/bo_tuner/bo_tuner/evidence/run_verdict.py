@@ -31,7 +31,7 @@ from bo_tuner.evidence.validated import (
     open_verdict,
     validated,
 )
-from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.verdict import WITHIN, State, Verdict
 from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
@@ -243,7 +243,7 @@ def _certified(
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
         claim=claimed(study, tuned),
-        default_claim="" if default is None else claimed(study, default),
+        default_claim=WITHIN if default is None else claimed(study, default),
         standstill=by_validation is not None and by_validation.standstill,
     )
 

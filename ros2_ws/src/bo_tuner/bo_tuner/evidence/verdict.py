@@ -20,6 +20,9 @@ from bo_tuner.tuning.effects import ParameterEffects
 
 PASS, FAIL = "PASS", "FAIL"
 
+WITHIN = "proven to stay within all limits"
+"""What a certificate that passed claims without any reservation."""
+
 NO = "NO"
 """That a parameter set does not keep all limits, in a table."""
 
@@ -214,8 +217,8 @@ class Verdict:
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
-    claim: str = ""
-    default_claim: str = ""
+    claim: str = WITHIN
+    default_claim: str = WITHIN
     standstill: bool = False
 
     @property

@@ -1,17 +1,20 @@
 """How a certificate shows that a mean over noise is within a limit: by what is known of the noise.
 
 For a metric with a declared range, bets on its values show it, exactly, whatever the noise is.
-Without a range two tests must both show it: the t mixture of `sequential`, which is exact for
-normal noise, and the same mixture with the statistic of a shifted log-normal law that is more
-skewed than the sample (`numerics.skewed_means`). Neither covers rare values far beyond all that was
-seen; no test without a range can. So nothing is shown by fewer values than show a second kind of
-them that is not rarer than `two_kinds.RARE`, and nothing once there is one.
+Without a range three tests must all show it: the t mixture of `sequential`, which is exact for
+normal noise, the same mixture with the statistic of a shifted log-normal law that is more skewed
+than the sample (`numerics.skewed_means`), and bets as if the largest value that is known were the
+end of the range. None of them covers rare values beyond all that were seen; no test without a
+range can. So nothing is shown by fewer values than show a second kind that is not rarer than
+`two_kinds.RARE`. A law of two kinds passes wrongly if none of the second is among so many values,
+or if the bets are wrong: each has half of the error probability. Nothing is shown either once the
+values are of two kinds.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import expm1, inf, log
+from math import exp, inf, log
 from typing import Protocol
 
 import numpy as np
@@ -73,10 +76,18 @@ class Betting:
 
 @dataclass(frozen=True)
 class NormalOrSkewed:
-    """For values without a known range: normal ones, and log-normal ones with any shift."""
+    """For values without a known range: normal, log-normal with any shift, or of two kinds.
+
+    Attributes
+    ----------
+    farthest
+        Largest value that is known from elsewhere.
+    """
+
+    farthest: float = -inf
 
     def of(self, values: Array) -> Reaches:  # noqa: D102
-        mixed = gap(values) is not None
+        mixed, high = gap(values) is not None, max(self.farthest, float(values.max()))
 
         def skewed(mean: float, n: int) -> float:
             fitted = _fit(values[:n].tobytes())
@@ -85,8 +96,10 @@ class NormalOrSkewed:
             return log_t_evidence(fitted.statistic(mean), n)
 
         def reaches(mean: float, enough: float) -> bool:
-            least = runs_to_see(-expm1(-enough))
+            least = _fewest(exp(-enough))
             if mixed or len(values) < least:
+                return False
+            if not (log_wealth(values, mean, high)[least - 1 :] >= enough + log(2.0)).any():
                 return False
             normal = log_mean_evidence(values, mean)[least - 1 :]
             return bool((normal >= enough).any()) and any(
@@ -96,7 +109,7 @@ class NormalOrSkewed:
         return reaches
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
-        return runs_to_see(confidence)
+        return _fewest(1.0 - confidence)
 
 
 def is_mean_shown(values: ArrayLike, limit: float, confidence: float, test: MeanTest) -> bool:
@@ -144,6 +157,11 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest) -> float:
         else:
             low = middle
     return high
+
+
+def _fewest(error: float) -> int:
+    """Return how many values show a rare kind, with half of the probability of an error."""
+    return runs_to_see(1.0 - 0.5 * error)
 
 
 @lru_cache(maxsize=1024)

@@ -8,10 +8,8 @@ from collections.abc import Iterator
 
 from bo_tuner import text
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings
+from bo_tuner.evidence.verdict import WITHIN
 from bo_tuner.study.study import Study
-
-WITHIN = "proven to stay within all limits"
-"""The claim without any reservation."""
 
 
 def claimed(study: Study, findings: Findings) -> str:

@@ -71,13 +71,13 @@ from bo_tuner.trials import Evaluation
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     """Return the smallest number of draws for a PASS, and the constraint that requires it.
 
-    With fewer, even a sample without any violation cannot show a limit on single runs. One in every
-    context takes as many runs in each, of which there are at most as many as draws.
+    With fewer, even a sample far within a limit cannot show it. One in every context takes as many
+    runs in each, of which there are at most as many as draws.
     """
     needed = {
-        c.name: c.rule.runs_needed(confidence)
+        c.name: c.rule.fewest(declared_range(study, c), confidence)
         for c in study.constraints.values()
-        if c.rule.on_runs and not is_exact(study, c)
+        if not is_exact(study, c)
     }
     if not needed:
         return 1, ""

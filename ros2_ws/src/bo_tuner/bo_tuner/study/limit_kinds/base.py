@@ -153,10 +153,6 @@ class LimitKind(ABC):
         """Return whether `violations` in `count` independent runs show that the limit is kept."""
 
     @abstractmethod
-    def runs_needed(self, confidence: float) -> int:
-        """Return how many runs a certificate takes at least, if none violates the limit."""
-
-    @abstractmethod
     def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
         """Return the least number of runs in a context that show it, by the range of the metric."""
 

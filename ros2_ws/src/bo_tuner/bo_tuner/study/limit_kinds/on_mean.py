@@ -15,7 +15,7 @@ from bo_tuner.numerics.mean_tests import (
     is_mean_shown,
     mean_bound,
 )
-from bo_tuner.numerics.sequential import is_mean_refuted, is_shown
+from bo_tuner.numerics.sequential import is_mean_refuted
 from bo_tuner.numerics.two_kinds import RARE, gap
 from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 from bo_tuner.study.limit_kinds.on_runs import COINCIDENCE
@@ -56,9 +56,6 @@ class OnMean(LimitKind):
         """Return False: a number of violations does not bound the mean."""
         return False
 
-    def runs_needed(self, confidence: float) -> int:  # noqa: D102
-        return 1
-
     def fewest(  # noqa: D102
         self, declared: tuple[float, float] | None, confidence: float
     ) -> int:
@@ -71,20 +68,20 @@ class OnMean(LimitKind):
         return (TAIL, kinds) if declared is None else ("", "")
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
-        sign, test = self.limited.sign, self._test(runs.declared)
-        shown = is_mean_shown(sign * runs.values, sign * self.limited.limit, confidence, test)
-        # A declared range bounds rare values; without it the runs must exclude them.
-        return shown and (runs.declared is not None or self._excludes_rare(runs, confidence))
+        sign, test = self.limited.sign, self._test(runs.declared, runs.farthest)
+        return is_mean_shown(sign * runs.values, sign * self.limited.limit, confidence, test)
 
     def bound(self, runs: Runs, confidence: float) -> float:
         """Return the confidence bound of the mean on the side of the limit."""
-        sign, test = self.limited.sign, self._test(runs.declared)
+        sign, test = self.limited.sign, self._test(runs.declared, runs.farthest)
         return sign * mean_bound(sign * runs.values, confidence, test)
 
-    def _test(self, declared: tuple[float, float] | None) -> MeanTest:
+    def _test(self, declared: tuple[float, float] | None, farthest: float = math.nan) -> MeanTest:
         """Return the test that a mean is within an upper limit; a lower limit is mirrored."""
         if declared is None:
-            return NormalOrSkewed()
+            return NormalOrSkewed(
+                -math.inf if math.isnan(farthest) else self.limited.sign * farthest
+            )
         low, high = declared
         return Betting(low, high) if self.limited.sign > 0.0 else Betting(-high, -low)
 
@@ -153,11 +150,6 @@ class OnMean(LimitKind):
             return self._mixed(f"test runs {place_of(mixed[0], worst)}".rstrip())
         if not np.isfinite(bound):
             return f"too few test runs ({top.evaluations}) {where}to bound the mean over noise"
-        if not passed and not self.limited.violations(bound):
-            return (
-                f"{sum(w.evaluations for w in worst)} test runs in the worst contexts say too "
-                "little about the noise to show that the mean over it is within the limit"
-            )
         return f"mean over noise {where}{self._bounded(bound, unit, passed=passed)}"
 
     def said_together(self, both: str, together: float) -> str:  # noqa: D102
@@ -184,23 +176,6 @@ class OnMean(LimitKind):
             says = "at most" if self.limited.sign > 0.0 else "at least"
         limit = f"limit {self.limited.limit:g} {unit}".rstrip()
         return f"{says} {text.shown_beside(bound, self.limited.limit)}, {limit}"
-
-    def _excludes_rare(self, runs: Runs, confidence: float) -> bool:
-        """Return whether runs in a context exclude that rare values take its mean beyond the limit.
-
-        Equal runs say nothing of values that do not occur among them. If other runs have the worst
-        known value, the mean is beyond the limit only if they have at least the probability
-        that is tested here.
-        """
-        values, worst = runs.values, runs.farthest
-        if not _are_equal(values) or not self.limited.violations(worst):
-            return True
-        rare = float((self.limited.limit - values[0]) / (worst - values[0]))
-        return is_shown([False] * len(values), rare, confidence)
-
-
-def _are_equal(values: Array) -> bool:
-    return len(values) > 0 and float(np.ptp(values)) == 0.0
 
 
 def _lowest_mean(values: Array) -> float:

@@ -67,13 +67,10 @@ class OnRuns(LimitKind):
         """
         return float(bdtr(violations, count, self.allowed)) <= 1.0 - confidence
 
-    def runs_needed(self, confidence: float) -> int:  # noqa: D102
-        return draws_needed(self.allowed, confidence)
-
     def fewest(  # noqa: D102
         self, declared: tuple[float, float] | None, confidence: float
     ) -> int:
-        return self.runs_needed(confidence)
+        return draws_needed(self.allowed, confidence)
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
         return is_shown(runs.events, self.allowed, confidence)
@@ -103,7 +100,7 @@ class OnRuns(LimitKind):
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
     ) -> str:
         events = runs.events
-        needed, draws = self.runs_needed(confidence), len(events)
+        needed, draws = draws_needed(self.allowed, confidence), len(events)
         rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
         bound = float(probability_bounds(events, confidence)[-1]) if draws else 1.0
         return (
