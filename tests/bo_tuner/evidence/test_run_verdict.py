@@ -183,7 +183,7 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     verdict = certified(run, other, run.path / "certificates" / "0001.json")
     assert verdict.certificate == PASS
     assert not verdict.is_result
-    assert verdict.keeps_in_words == ("not proven", "yes, with an assumption")
+    assert verdict.keeps_in_words == ("not proven", "yes")
     assert verdict.evidence == (
         "120 fresh draws of context and noise, and the default in the 120 draws of the validation"
     )

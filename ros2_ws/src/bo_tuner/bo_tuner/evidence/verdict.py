@@ -16,6 +16,7 @@ from bo_tuner.evidence.observed import Observed
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
 from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.effects import ParameterEffects
 
 PASS, FAIL = "PASS", "FAIL"
@@ -23,10 +24,8 @@ PASS, FAIL = "PASS", "FAIL"
 WITHIN = "proven to stay within all limits"
 """What a certificate that passed claims without any reservation."""
 
-NO = "NO"
-"""That a parameter set does not keep all limits, in a table."""
-
-_KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
+YES, NO = "yes", "NO"
+"""Whether a parameter set keeps all limits, in a table; else that is not proven."""
 
 
 class State(StrEnum):
@@ -474,8 +473,8 @@ class Verdict:
             "trial": self.trial,
             "evidence": self.evidence,
             "keeps_limits": {
-                "default": _KEEPS.get(self.default_standing),
-                "tuned": _KEEPS[self.standing],
+                side: {YES: True, NO: False}.get(words)
+                for side, words in zip((DEFAULT, TUNED), self.keeps_in_words, strict=True)
             },
             "reasons": {
                 "default": list(self.default_reasons or ()),
@@ -508,8 +507,7 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
 def _keeps_in_words(standing: Standing, limits: Mapping[str, LimitVerdict]) -> str:
     """Return whether limits are kept: a violated one is not proven where no runs refute it."""
     if standing is Standing.SHOWN:
-        conditional = any(limit.condition for limit in limits.values())
-        return "yes, with an assumption" if conditional else "yes"
+        return YES
     refuted = not limits or any(limit.refuted for limit in limits.values())
     return NO if standing is Standing.VIOLATED and refuted else "not proven"
 
