@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from bo_tuner.evidence.differences import Change
-from bo_tuner.evidence.limit_verdict import LimitVerdict
+from bo_tuner.evidence.limit_verdict import by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
 from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.validated import validated
@@ -90,9 +90,7 @@ def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
         )
         for mean, worst in ((1.0, 3.0), (2.0, 2.5))
     )
-    kept = LimitVerdict(
-        Standing.SHOWN, 30, 0, None, "in every context", "", "proven to be kept in every context"
-    )
+    kept = by_certificate(study, study.constraints["cap"], passed=True, draws=30, violations=0)
     found = quantities(study, default, tuned, {}, {"cap": kept}, {})
     verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", quantities=found)
     assert [q.change for q in found if q.objective] == [Change.WORSE]

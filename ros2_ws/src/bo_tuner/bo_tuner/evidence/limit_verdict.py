@@ -6,7 +6,6 @@ limit permits. *Kept* is only what is shown, and it stands with what the limit p
 
 from dataclasses import dataclass
 
-from bo_tuner.evidence.certificate.findings import ConstraintVerdict
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
@@ -102,23 +101,31 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
     )
 
 
-def by_certificate(study: Study, found: ConstraintVerdict, draws: int) -> LimitVerdict:
-    """Return what a certificate of so many draws says of a limit."""
-    constraint, condition = study.constraints[found.name], found.condition if found.passed else ""
+def by_certificate(
+    study: Study,
+    constraint: Constraint,
+    *,
+    passed: bool,
+    draws: int,
+    violations: int,
+    refuted: bool = False,
+    condition: str = "",
+) -> LimitVerdict:
+    """Return what a certificate says of a limit."""
     how_often = asked(study, constraint)
-    words = f"{'' if found.passed else 'NOT '}proven to be kept {how_often}"
-    if condition:
+    words = f"{'' if passed else 'NOT '}proven to be kept {how_often}"
+    if passed and condition:
         words = f"shown to stay within it {how_often}, if {condition}"
     return LimitVerdict(
-        Standing.SHOWN if found.passed else Standing.VIOLATED,
+        Standing.SHOWN if passed else Standing.VIOLATED,
         draws,
-        found.violations,
+        violations,
         constraint.rule.permitted(draws),
         how_often,
         "",
         words,
-        refuted=found.refuted,
-        condition=condition,
+        refuted=refuted,
+        condition=condition if passed else "",
     )
 
 

@@ -350,7 +350,18 @@ def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: fl
 
 def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerdict]:
     """Return what a certificate says of each limit of a parameter set, by its name."""
-    return {finding.name: by_certificate(study, finding, draws) for finding in findings.constraints}
+    return {
+        finding.name: by_certificate(
+            study,
+            study.constraints[finding.name],
+            passed=finding.passed,
+            draws=draws,
+            violations=finding.violations,
+            refuted=finding.refuted,
+            condition=finding.condition,
+        )
+        for finding in findings.constraints
+    }
 
 
 def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:

@@ -55,7 +55,7 @@ def _smallest(x: Array) -> tuple[float, float]:
     low, high = low[gaps], high[gaps]
     if not len(low):
         return 0.0, nan
-    below = 1.0 + np.flatnonzero(gaps)
+    below = np.flatnonzero(gaps).astype(np.float64) + 1.0
     middle = 0.5 * (low + high)
     top, bottom = x[-1] + half, x[0] - half
     upper = _log_share((top - high) / (top - middle), len(x) - below)

@@ -26,7 +26,7 @@ from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import Context
+from bo_tuner.trials import Context, Value
 
 Values = Sequence[float | None]
 """A metric in some contexts, None where the evaluation failed."""
@@ -299,7 +299,7 @@ def _every_context(
     It is only an order: each of them takes its runs.
     """
     every = [space.to_dict(space.to_contexts(group)[0]) for group in space.combinations()]
-    largest = {}
+    largest: dict[tuple[Value, ...], float] = {}
     for context, value in drawn:
         key = tuple(context.values())
         largest[key] = max(value, largest.get(key, -np.inf))

@@ -205,7 +205,7 @@ def draws_of(
     if draws > maxima.DRAWS:
         raise StudyError(f"expected at most {maxima.DRAWS}, found {draws}", DRAWS_KEY)
     if draws < max(needed, FEWEST_DRAWS):
-        why = f" to show {constraint}, even if all are within it" if constraint else ""
+        why = f" to show {constraint}, even if none violates it" if constraint else ""
         raise StudyError(
             f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", DRAWS_KEY
         )
