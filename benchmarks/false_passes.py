@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from common import provenance, result_parser, table, write_result
+from common import provenance, read_result, result_parser, table, write_result
 from repeated_certificates import after
 from threadpoolctl import threadpool_limits
 
@@ -220,15 +220,15 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; all unless given")
     parser.add_argument("--samples", type=int, default=100)
     arguments = parser.parse_args()
-    result: dict[str, Any] = {"provenance": provenance(), "cases": {}}
-    rows = []
+    known = read_result(arguments.result) or {}
+    result: dict[str, Any] = {"provenance": provenance(), "cases": known.get("cases", {})}
     with threadpool_limits(1):
         for name in arguments.cases or CASES:
             runs = [certify(CASES[name], seed) for seed in range(1, arguments.samples + 1)]
-            rows.append(row(name, runs))
-            print(table(["", "first", "in five", "runs", "fewest"], rows[-1:]), flush=True)
+            print(table(["", "first", "in five", "runs", "fewest"], [row(name, runs)]), flush=True)
             result["cases"][name] = {"title": CASES[name].title, "runs": runs}
-    write_result(arguments.result, result)
+            # Each case takes minutes, and those of another call stay.
+            write_result(arguments.result, result)
 
 
 if __name__ == "__main__":

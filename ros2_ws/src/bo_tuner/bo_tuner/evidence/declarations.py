@@ -76,8 +76,8 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
     study
         The study.
     runs
-        Of alike parameter sets, by the name of these. Those with other discrete contexts may differ
-        by them, and are not compared.
+        Draws by the name of their parameter set. Those with other discrete contexts may differ by
+        them, and are not compared.
     """
     space = study.context_space()
     for name, made in runs.items():
@@ -101,7 +101,7 @@ def _in_words(study: Study, metric: str, name: str, values: Array, between: floa
         f"Runs of the {name} parameter set are of two kinds: {study.metrics[metric].title} of "
         f"{counted(int(above.sum()), 'run')} is near {shown(float(np.median(values[above])))}, of "
         f"the other {int((~above).sum())} near {shown(float(np.median(values[~above])))}."
-        + f" The limit on its mean takes a range (metrics.{metric}.range)."
+        + f" If a single context has both, the limit on the mean takes metrics.{metric}.range."
         * asks
     )
 

@@ -115,7 +115,7 @@ def make_certificate(
             *_busy(study, findings, backend),
             *_rounded(findings, held),
             *drifts(study, {name: item.drawn for name, item in evidence.items()}),
-            *two_kinds(study, {name: item.evaluations for name, item in evidence.items()}),
+            *two_kinds(study, {name: item.drawn for name, item in evidence.items()}),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
