@@ -23,10 +23,15 @@ class TestVerdict:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         code, out, err = run("validate", folder, "--draws", 120, folder=runs)
         assert code == 0, err
-        assert out.startswith("PASS: the tuned parameter set is proven to stay within all limits\n")
+        assert out.splitlines()[0] == (
+            "PASS: the tuned parameter set is shown to stay within all limits in the contexts "
+            "searched, error in 96 % of the runs, if no rare runs are far beyond the peak of the "
+            "others"
+        )
         assert f"certificate: {folder}/certificates/0001.json" in out
         # What it takes at most, then one line for each phase, since this is no terminal.
-        most, *phases = err.splitlines()
+        warning, most, *phases = err.splitlines()
+        assert "apply will refuse a PASS" in warning
         phases = [line for line in phases if not line.startswith("probably ")]
         told = re.fullmatch(
             r"at most (\d+) test runs \((\d+) draws, (\d+) to search for the worst contexts, "
@@ -39,7 +44,7 @@ class TestVerdict:
         assert parts[0] == 120
         assert certificate(folder)["tuned"]["evaluations"] <= total
         assert [line.split(":")[0] for line in phases] == [
-            "draws", "worst case of tuned", "more draws", "warning", "report", "bundle",
+            "draws", "worst case of tuned", "report", "bundle",
         ]  # fmt: skip
         assert phases[0] == "draws: at most 120"
         assert phases[1].endswith(" test runs")
@@ -47,8 +52,7 @@ class TestVerdict:
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
         assert (found["draws"], found["confidence"]) == (120, 0.95)
         assert (found["attempt"], found["default"]) == (1, None)
-        # The error is far within its limit, so all runs count beside the draws.
-        assert 30 <= found["drawn"] <= NEEDED <= found["tuned"]["evaluations"]
+        assert found["drawn"] == NEEDED < found["tuned"]["evaluations"]
         assert found["bound_confidence"] == pytest.approx(0.96)
         summary = json.loads((folder / "summary.json").read_text())
         assert found["trial"] == summary["trial"]
@@ -141,7 +145,7 @@ class TestVerdict:
         assert sum(line.split()[:1] == ["gain"] for line in out.splitlines()) == 1
         assert out.count("keeps all limits") == 1
         assert "…" not in out
-        assert "peak: proven: " in out
+        assert "peak: shown, if " in out
 
     def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
         monkeypatch.setattr(now_and_then, "PERIOD", 0.0)
