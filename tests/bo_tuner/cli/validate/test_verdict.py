@@ -23,7 +23,8 @@ class TestVerdict:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         code, out, err = run("validate", folder, "--draws", 120, folder=runs)
         assert code == 0, err
-        assert out.splitlines()[0] == (
+        # The screen may be narrower.
+        assert " ".join(out.split()).startswith(
             "PASS: the tuned parameter set is shown to stay within all limits in the contexts "
             "searched, error in 96 % of the runs, if no rare runs are far beyond the peak of the "
             "others"
@@ -81,7 +82,7 @@ class TestVerdict:
         # The summary has the verdict by this certificate.
         earlier = json.loads(before["summary.json"])
         assert summary["verdict"]["state"] == "certified"
-        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert " ".join(out.split()).startswith(summary["verdict"]["headline"])
         assert summary | {"verdict": None} == earlier | {"verdict": None}
 
     def test_the_numbers(self, here, folder):
@@ -223,7 +224,7 @@ class TestResumeOfACertifiedRun:
         assert out.splitlines()[0].startswith(f"{words}: the tuned parameter set is ")
         assert "not certified yet" not in out
         summary = json.loads((folder / "summary.json").read_text())
-        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert " ".join(out.split()).startswith(summary["verdict"]["headline"])
 
 
 class TestKey:

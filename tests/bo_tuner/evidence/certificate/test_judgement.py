@@ -422,7 +422,7 @@ class TestRange:
     def test_skewed_runs_show_less_than_symmetric_ones(self, make_study):
         """Both with a mean of 0.92 and a deviation of 0.2, and some runs beyond the limit."""
         rng = np.random.default_rng(3)
-        quantiles = (np.arange(MANY) + 0.5) / MANY
+        quantiles = (np.arange(120) + 0.5) / 120
         skewed = stats.lognorm.ppf(quantiles, 1.2)
         both = []
         for values in (stats.norm.ppf(quantiles), skewed):
