@@ -29,6 +29,7 @@ What the tuner finds, beside the paper and beside other optimizers, is in `docs/
 
 SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
+    "false_passes": ("Limits that are broken, and passes", answers.false_passes),
     "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
     "safe_search": ("Limits broken by a safe search", answers.safety),
     "simulation_prior": (

@@ -1,8 +1,8 @@
 """The page: whole, on its own, true to the journal, and harmless."""
 
 import base64
-import gzip
 import dataclasses
+import gzip
 import hashlib
 import itertools
 import json
