@@ -143,7 +143,7 @@ def trial_html(
     template: str = "trial.html",
     *,
     served: bool = False,
-    **more: object,
+    **more: Any,
 ) -> str:
     """Return the HTML of the page of a trial; a `template` that extends it may need more."""
     return fill(
@@ -222,7 +222,7 @@ def render(
     template: str = "report.html",
     *,
     served: bool = False,
-    **more: object,
+    **more: Any,
 ) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any.
 
