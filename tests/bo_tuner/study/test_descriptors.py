@@ -7,7 +7,7 @@ import pytest
 
 from bo_tuner.cli.check import evaluations_at_most
 from bo_tuner.cli.test_runs import plot
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.evidence.certificate.certification import most_evaluations
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
@@ -99,6 +99,19 @@ def test_what_is_wrong_whatever_the_node_says_is_said_before_it_is_asked(right, 
     """A node that has to be waited for, or is locked by another tuner, hides no misspelt key."""
     with pytest.raises(StudyError, match=re.escape(complaint)):
         parse_study(TEXT.replace(right, wrong), describe=lambda nodes: pytest.fail("asked"))
+
+
+def test_of_a_node_that_the_study_starts_the_file_has_to_say_it():
+    """It need not run, and nobody can be asked for the array of an item."""
+
+    def nobody(nodes):
+        raise BackendError("/pid: no such node")
+
+    text = TEXT.replace("pid: {node: pid}", "pid: {node: pid, command: python3 pid.py}", 1)
+    with pytest.raises(StudyError, match=r"a study that starts pid has to say .*gains\[1\]"):
+        parse_study(text, describe=nobody)
+    with pytest.raises(BackendError):
+        parse_study(TEXT, describe=nobody)
 
 
 def test_asking_what_is_open_changes_nothing():

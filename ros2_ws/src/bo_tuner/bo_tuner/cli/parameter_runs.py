@@ -121,7 +121,7 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
             f"the default {shown(default)}"
         )
     if whole_range:
-        for proposal in proposals(study, [item.parameter for item in unseen]):
+        for proposal in proposals(study, [item.effects for item in judged.values()]):
             say(proposal)
     else:
         # A parameter that acts may act too little in a small step: nothing else follows from it.

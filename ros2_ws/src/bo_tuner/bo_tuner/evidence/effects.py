@@ -33,7 +33,7 @@ def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tu
         Its parameters; there is nothing to say of those that move one.
     """
     sentences = [f"{not_seen(study, item)}." for item in parameters if item.unseen]
-    sentences += proposals(study, [item.parameter for item in parameters if item.unseen])
+    sentences += proposals(study, parameters)
     if open_ := [
         study.parameters[item.parameter].title
         for item in parameters
@@ -44,12 +44,14 @@ def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tu
     return tuple(sentences)
 
 
-def proposals(study: Study, parameters: Iterable[str]) -> list[str]:
+def proposals(study: Study, parameters: Sequence[ParameterEffects]) -> list[str]:
     """Return what to do about parameters that do nothing, a sentence for each node."""
-    by_node: dict[str, list[str]] = {}
-    for name in parameters:
-        by_node.setdefault(study.parameters[name].node, []).append(name)
-    return [_proposal(study, key, names) for key, names in by_node.items()]
+    unseen: dict[str, list[str]] = {}
+    seen: dict[str, list[str]] = {}
+    for item in parameters:
+        of_kind = unseen if item.unseen else seen if item.seen else {}
+        of_kind.setdefault(study.parameters[item.parameter].node, []).append(item.parameter)
+    return [_proposal(study, key, names, seen.get(key, [])) for key, names in unseen.items()]
 
 
 def file_notes(study: Study, parameters: Iterable[ParameterEffects]) -> tuple[str, ...]:
@@ -83,13 +85,19 @@ def _visible(study: Study, effects: Sequence[Effect]) -> str:
     return f"any effect on {listed(exact[:NAMED])} would have been seen"
 
 
-def _proposal(study: Study, key: str, names: Sequence[str]) -> str:
-    """Return what may be the matter with parameters of a node."""
+def _proposal(study: Study, key: str, names: Sequence[str], seen: Sequence[str]) -> str:
+    """Return what may be the matter with parameters of a node, others of which were seen to act."""
     them, node = "it" if len(names) == 1 else "them", study.nodes[key].node
     if all(_is_set_at_start(study, name) for name in names):
         return (
             f"{node} is started with {listed(names)} (at_start), so it may ignore what it is "
             f"started with, or the runs do not depend on {them}: leave {them} fixed."
+        )
+    live = [name for name in seen if not _is_set_at_start(study, name)]
+    if live:
+        return (
+            f"{node} takes other values while it runs, as {listed(live[:NAMED])} moved a metric: "
+            f"the runs do not depend on {listed(names)}, so leave {them} fixed."
         )
     return (
         f"{node} may read {listed(names)} only while it starts: with at_start: true under "

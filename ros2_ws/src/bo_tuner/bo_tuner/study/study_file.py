@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -317,7 +317,20 @@ def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Desc
         if not isinstance(spec, dict) or not isinstance(spec.get("node"), str):
             return
         names[key] = checks.node_name(spec["node"], "nodes", key, "node")
-    complete(mapping, describe(names))
+    try:
+        described = describe(names)
+    except BackendError as error:
+        started = [key for key in nodes if build(NodeSpec, specs[key], name=key).is_started]
+        if not started:
+            raise
+        key, open_ = started[0], nodes[started[0]]
+        raise StudyError(
+            f"{error}; a study that starts {key} has to say type, bounds and default of "
+            f"{', '.join(open_)}, and of an item of an array the array, under nodes.{key}."
+            "parameters; or start the node first, and it is asked",
+            ("parameters", open_[0]),
+        ) from None
+    complete(mapping, described)
 
 
 def is_path(text: str) -> bool:
