@@ -93,6 +93,7 @@ def page() -> str:
         "name: my_study",
         "```",
     ]
+    told: set[tuple[str, str]] = set()
     for title, cls in _sections():
         lines += [
             "",
@@ -107,6 +108,11 @@ def page() -> str:
         for field in _keys(cls):
             kind = _kind(_field(cls, field, definitions))
             text = texts.get(field.name, "").replace("|", "\\|").replace("``", "`")
+            # A long text of a key that several kinds have is told with the first of them.
+            if (key := (field.name, text)) in told:
+                text = "As above."
+            elif len(text.split()) > 6:
+                told.add(key)
             lines.append(f"| `{field.name}` | {kind} | {_default(field)} | {text} |")
     return "\n".join(lines) + "\n"
 
@@ -289,12 +295,14 @@ def _kind(schema: Schema) -> str:
     if "const" in schema:
         return f"`{schema['const']}`"
     if "anyOf" in schema:
-        return " or ".join(dict.fromkeys(_kind(item) for item in schema["anyOf"]))
+        kinds = list(dict.fromkeys(_kind(item) for item in schema["anyOf"]))
+        # An integer is a number, too.
+        return " or ".join(kind for kind in kinds if kind != "integer" or "number" not in kinds)
     if schema.get("type") == "array":
         items = schema.get("items") or schema["prefixItems"][0]
         size = f" of {schema['maxItems']}" if "maxItems" in schema else ""
         return f"list{size}: {_kind(items)}"
-    words = {"string": "text", "object": "mapping", "boolean": "true or false"}
+    words = {"string": "text", "object": "mapping"}
     return str(words.get(schema.get("type", ""), schema.get("type", "any")))
 
 
