@@ -5,8 +5,8 @@
 
 Each script writes a file in benchmarks/results, with the commit, seeds and machine that it was
 obtained with, from which its section of the page is made; a file that is missing is left out. A
-script by itself has further options: see its --help. Scripts that have no section, of choices of the
-algorithm and of long runs, are started by themselves.
+script by itself has further options: see its --help. Scripts without a section, such as those of
+choices of the algorithm and of long runs, are started by themselves.
 """
 
 import argparse
@@ -23,8 +23,8 @@ PAGE = BENCHMARKS.parent / "docs" / "performance.md"
 INTRODUCTION = """\
 # Performance
 
-Written by `make performance` from files in `benchmarks/results/`, where those of further scripts are,
-too. `make performance ARGS="recording"` measures again. What the tuner finds, beside the paper and
+Written by `make performance` from files in `benchmarks/results/`, where those of further scripts
+are, too. `make performance ARGS="recording"` measures again. What the tuner finds, beside the paper and
 other optimizers, is in `docs/results.md`.
 """
 

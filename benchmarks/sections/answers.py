@@ -1,6 +1,7 @@
 """Sections on what answers are worth: certificates, safe searches, simulations, drift."""
 
 import statistics
+from collections.abc import Iterable, Sequence
 
 from sections.layout import Result
 
@@ -12,16 +13,12 @@ def certificates(result: Result) -> list[str]:
     rows = [
         [
             case["title"],
-            "answers" if which == "answer" else "just infeasible",
-            f"{found['passed']} of {found['certified']}",
-            "{:.0%} to {:.0%}".format(*found["interval"]),
-            f"{found['median_evaluations']:g}",
-            found["most_evaluations"],
-            f"{found['median_of_least']:.1f}" if which == "answer" else "",
+            *(f"{found['passed']} of {found['certified']}" for found in (answer, infeasible)),
+            *(f"{answer['median_evaluations']:g}", answer["most_evaluations"]),
+            f"{answer['median_of_least']:.1f}",
         ]
         for case in result["cases"].values()
-        for which in ("answer", "infeasible")
-        if (found := case[which])
+        for answer, infeasible in [(case["answer"], case["infeasible"])]
     ]
     runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
     wrong = [run for run in runs if not run["feasible"]]
@@ -35,16 +32,14 @@ def certificates(result: Result) -> list[str]:
     return [
         "Answers of `boundary` from the recorded campaigns, certified by the study's default "
         "certificate, and beside each a parameter set that is just infeasible, found by bisection. "
-        "The interval is that of Clopper and Pearson, 95 %. Of the answers, "
-        f"{len(runs) - len(wrong)} are truly feasible, and {passed} of these pass{failed}. *Times "
-        "the least*: the median number of evaluations as a multiple of the fewest that show all "
-        "limits.",
+        f"Of the answers, {len(runs) - len(wrong)} are truly feasible, and {passed} of these "
+        f"pass{failed}. Evaluations are those of the answers; *times the least*: their median as a "
+        "multiple of the fewest that show all limits.",
         markdown(
             [
                 "problem",
-                "parameter sets",
-                "PASS",
-                "interval",
+                "PASS of answers",
+                "PASS of just infeasible",
                 "evaluations, median",
                 "largest",
                 "times the least",
@@ -124,8 +119,6 @@ def identification(result: Result) -> list[str]:
                 f"{min(ratios):.3f} to {max(ratios):.3f}" if ratios else "",
             ]
         )
-    found = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["drift"]]
-    stiffer = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["stiffness"]]
     return [
         f"The context of a hidden axis, inferred from {result['runs']} of its runs. *Within*: the "
         "axis is within the bounds written. *Feasible*: a result tuned in these bounds, at the "
@@ -134,9 +127,22 @@ def identification(result: Result) -> list[str]:
         markdown(
             ["plant", "within", "misfit said", "feasible", "feasible if known", "objective"], rows
         ),
-        "Drift: the share of comparisons with 60 baseline runs in which it is found within 20 "
-        "runs, at 5 % false alarms over all metrics, and the median number of runs. One metric is "
-        "shifted, in standard deviations of a run; below, the axis becomes stiffer.",
-        markdown(["metrics", "shift", "found", "runs"], found),
-        markdown(["stiffness", "runs at most", "found", "runs"], stiffer),
+        "Drift: the share of comparisons with 60 baseline runs in which it is found, at 5 % false "
+        "alarms over all metrics, and the median number of runs. One metric is shifted, in "
+        "standard deviations of a run, with 20 runs at most; below, the axis becomes stiffer.",
+        markdown(
+            ["shift", "found with 1 metric", "with 3 metrics"],
+            _shares((shift, metrics, *found) for metrics, shift, *found in result["drift"]),
+        ),
+        markdown(
+            ["stiffness", "found by 20 runs at most", "by 40 at most"], _shares(result["stiffness"])
+        ),
     ]
+
+
+def _shares(cases: Iterable[Sequence[float]]) -> list[list[str]]:
+    """Return a row for each change, with the share found and the runs in each of its cases."""
+    rows: dict[float, list[str]] = {}
+    for change, _, share, runs in cases:
+        rows.setdefault(change, [f"{change:g}"]).append(f"{share:.1%}, {runs:g} runs")
+    return list(rows.values())
