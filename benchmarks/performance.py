@@ -24,8 +24,8 @@ INTRODUCTION = """\
 # Performance
 
 Written by `make performance` from files in `benchmarks/results/`, where those of further scripts
-are, too. `make performance ARGS="recording"` measures again. What the tuner finds, beside the paper and
-other optimizers, is in `docs/results.md`.
+are, too. `make performance ARGS="recording"` measures again. What the tuner finds, beside the
+paper and other optimizers, is in `docs/results.md`.
 """
 
 SECTIONS = {
