@@ -53,8 +53,6 @@ OTHERS = {
 }  # fmt: skip
 
 MESSAGES_OF_OTHERS = {
-    "No space left on device",
-    "database or disk is full",
     "librcl_action.so: cannot open shared object file",
     "Failed to get logging directory",
     "Expected RMW implementation identifier of 'rmw_cyclonedds_cpp'",

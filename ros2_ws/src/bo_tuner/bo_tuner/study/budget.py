@@ -30,9 +30,8 @@ class CertificateRequirement:
         Confidence over all certificates of a run together, between 0 and 1; each bound has a
         higher one.
     distribution_free : bool
-        Whether a PASS rests on nothing but counts of runs and declared ranges of metrics: on no
-        model of the metric over the contexts, and no assumption on the noise. It takes more runs.
-        Each limit on a mean needs a metric with a `range`.
+        Whether a PASS rests on nothing but counts of runs and declared ranges of metrics. It takes
+        more runs. Each limit on a mean needs a metric with a `range`.
     """
 
     draws: int = 1000
@@ -69,9 +68,8 @@ class Budget:
         Evaluations that run at once, each on nodes or objects of its own in a process of its own.
         Unless given, 1.
     cut_short : bool
-        Whether a run of a trial ends as soon as its outcome is decided: a limited metric that only
-        grows during a run is farther beyond its limit than noise explains, or the objective beyond
-        the best one.
+        Whether a run of a trial ends as soon as its outcome is decided, by a metric that only
+        grows.
     """
 
     trials: int
