@@ -47,8 +47,9 @@ def made_findings(study, parameters, violations, passed):
             extreme=0.9,
             tail=0.8,
             worst=(replace(WORST, shown=passed),) * (searched and item.rule.in_every_context),
-            modelled=(),
-            assumptions=(),
+            assumption="",
+            condition="",
+            refuted=not passed,
             passed=passed,
             reason="" if passed else "<b>not</b> shown",
         )

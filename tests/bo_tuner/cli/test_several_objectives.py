@@ -165,7 +165,7 @@ def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):
 def test_any_point_can_be_certified(runs):
     other = runs.front[0]["trial"]
     folder = runs.folder
-    code, _, err = run("validate", "runs/latest", "--trial", other, "--draws", 60, folder=folder)
+    code, _, err = run("validate", "runs/latest", "--trial", other, "--draws", 80, folder=folder)
     assert code == 0, err
     code, _, err = run("apply", "runs/latest", "--trial", 99, "--yes", folder=folder)
     assert (code, "no trial 99" in err) == (2, True)

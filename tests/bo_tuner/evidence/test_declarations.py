@@ -1,11 +1,12 @@
 """What runs contradict: a range, a scale, and that they are alike."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bo_tuner.evidence.declarations import contradicted, drifts
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
 from bo_tuner.metrics.collect import judged
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
@@ -75,3 +76,27 @@ def test_equal_runs_and_rounding_are_no_drift(make_study):
     study = make_study()
     assert [*drifts(study, {"tuned": runs(study, 0.3 + 1e-16 * np.arange(40.0))})] == []
     assert [*drifts(study, {"tuned": [], "default": runs(study, [0.5])})] == []
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_two_kinds_are_named(make_study, declared):
+    metrics = {"error": NODE, "peak": NODE | ({"range": [0.0, 9.0]} if declared else {})}
+    study, rng = make_study(metrics=metrics), np.random.default_rng(4)
+    peaks = np.where(np.arange(30) % 3, 0.5, 2.0) + 0.02 * rng.standard_normal(30)
+    (said,) = two_kinds(study, {"tuned": runs(study, peaks)})
+    assert said.startswith("Runs of the tuned parameter set are of two kinds: peak of 10 runs is ")
+    low = float(re.search(r"of the other 20 near ([\d.]+\d)", said)[1])
+    assert low == pytest.approx(0.5, abs=0.02)
+    assert ("takes metrics.peak.range" in said) is not declared
+    assert [*two_kinds(study, {"tuned": runs(study, rng.normal(0.5, 0.1, 40))})] == []
+
+
+def test_values_of_discrete_contexts_are_no_kinds(make_study):
+    """The peak is 0.5 in one room and 2 in the other."""
+    rooms = {"node": "axis", "distribution": "discrete", "values": ["office", "yard"]}
+    study, rng = make_study(contexts={"room": rooms}), np.random.default_rng(5)
+    known = runs(study, np.tile([0.5, 2.0], 20) + 0.02 * rng.standard_normal(40))
+    by_room = [replace(e, context={"room": rooms["values"][e.index % 2]}) for e in known]
+    assert [*two_kinds(study, {"tuned": by_room})] == []
+    together = [replace(e, context={"room": "yard"}) for e in known]
+    assert len([*two_kinds(study, {"tuned": together})]) == 1

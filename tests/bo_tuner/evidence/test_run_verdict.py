@@ -21,12 +21,12 @@ from bo_tuner.trials import Stage, WorstCase
 
 
 def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
-    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, repeated=40)
+    certify(run, [(1.0, 0.5)] * 120, [(1.0, 0.5)] * 120, repeated=120)
     with monkeypatch.context() as patch:
         patch.setattr("bo_tuner.evidence.run_verdict.certificate_problem", lambda *_: "")
         commands = [step.command for step in next_steps(run_verdict(run), "run")]
         assert commands[0] == "apply run"
-    # 40 draws are fewer than the study asks for.
+    # 120 draws are fewer than the study asks for.
     verdict = run_verdict(run)
     assert verdict.certificate == PASS
     assert "the study requires" in verdict.remarks[-1]
@@ -77,11 +77,11 @@ def test_a_drift_between_the_trials_and_the_validation_is_named(run):
 @pytest.mark.parametrize("certificate", [None, "tuned", "both"])
 def test_a_better_default_is_preferred(run, certificate):
     """The error is the objective; the peak is lower, and kept by both."""
-    draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(40)]
+    draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(120)]
              for error, peak in ((1.0, 0.6), (2.0, 0.5))]  # fmt: skip
     run = made(run, *draws, True)
     if certificate:
-        certify(run, *draws, with_default=certificate == "both", repeated=40)
+        certify(run, *draws, with_default=certificate == "both", repeated=120)
     verdict = run_verdict(run)
     assert verdict.feasible
     assert verdict.default_unrefuted
@@ -175,17 +175,17 @@ def another_trial(run):
 
 def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     """It knows of the default what the validation found, and its next steps name the trial."""
-    draws = [(1.0, 0.5)] * 40
-    run = made(run, draws, [(1.0, 0.9)] * 40, True)
+    draws = [(1.0, 0.5)] * 120
+    run = made(run, draws, [(1.0, 0.9)] * 120, True)
     other = another_trial(run)
     made_of = dataclasses.replace(run, summary=dict(run.summary) | {"trial": other.number})
-    certify(made_of, draws, draws, with_default=False, repeated=40)
+    certify(made_of, draws, draws, with_default=False, repeated=120)
     verdict = certified(run, other, run.path / "certificates" / "0001.json")
     assert verdict.certificate == PASS
     assert not verdict.is_result
     assert verdict.keeps_in_words == ("not proven", "yes")
     assert verdict.evidence == (
-        "40 fresh draws of context and noise, and the default in the 40 draws of the validation"
+        "120 fresh draws of context and noise, and the default in the 120 draws of the validation"
     )
     # The draws of the validation are of another parameter set, so there are no pairs.
     assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
@@ -206,8 +206,8 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
 
 def test_apply_waits_for_the_result_of_a_run_that_has_none(run, monkeypatch):
     monkeypatch.setattr("bo_tuner.evidence.run_verdict.certificate_problem", lambda *_: "")
-    draws = [(1.0, 0.5)] * 40
-    certify(run, draws, draws, with_default=False, repeated=40)
+    draws = [(1.0, 0.5)] * 120
+    certify(run, draws, draws, with_default=False, repeated=120)
     trial = run.trials[run.summary["trial"]]
     going_on = dataclasses.replace(run, summary=None)
     verdict = certified(going_on, trial, run.path / "certificates" / "0001.json")
@@ -225,29 +225,29 @@ def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     known = sum(
         dict(e.parameters) == dict(trial.parameters) and e.outcome.complete for e in run.evaluations
     )
-    found = certify(run, draws, [(1.2, 0.6)] * 40, with_default=False, repeated=40)
+    found = certify(run, draws, [(1.2, 0.6)] * 120, with_default=False, repeated=120)
     verdict = run_verdict(run)
     (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
     assert f"largest of {known + found.tuned.evaluations} test runs on record 1.4" in worst.remark
     # Both columns are of the draws that both have, those of the validation.
     assert (error.default, error.tuned, error.difference.mean) == pytest.approx((1.0, 1.0, 0.0))
-    assert verdict.observed[1].values("peak") == [0.6] * 40
+    assert verdict.observed[1].values("peak") == [0.6] * 120
 
 
 def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
-    """None of 40 draws is beyond the limit, but 10 of 40 runs in the worst context are."""
-    run, values = run_of_single_runs, [(1.0, 0.7)] * 40
+    """None of 120 draws is beyond the limit, but 30 of 120 runs in the worst context are."""
+    run, values = run_of_single_runs, [(1.0, 0.7)] * 120
     run = made(run, values, values, True)
     trial = run.trials[run.summary["trial"]]
-    there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(40)]
+    there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(120)]
     worst = evaluations(1, trial.parameters, there, Stage.CHECK_WORST)
     evidence = {
         "tuned": Evidence(
             trial.parameters, evaluations(1, trial.parameters, values), repeated=(worst,)
         )
     }
-    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "inprocess", None)
+    found = make_certificate(run, trial, evidence, 120, 0.95, 1, "inprocess", None)
     write_certificate(run.path, found, evidence)
     (quantity,) = [q for q in run_verdict(run).quantities if q.limit_verdict is not None]
     bound = found.tuned.constraints[0].worst[0].violation_bound
@@ -264,10 +264,10 @@ def test_what_a_device_holds_in_fewer_digits_is_named(run):
     details = {f"holds {item.node}.{item.parameter}": repr(held), "holds axis.load": "0.125"}
     drawn = tuple(
         dataclasses.replace(e, outcome=dataclasses.replace(e.outcome, details=details))
-        for e in evaluations(1, trial.parameters, [(1.0, 0.7)] * 40)
+        for e in evaluations(1, trial.parameters, [(1.0, 0.7)] * 120)
     )
     evidence = {"tuned": Evidence(trial.parameters, drawn)}
-    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "ros", None)
+    found = make_certificate(run, trial, evidence, 120, 0.95, 1, "ros", None)
     content = json.loads(write_certificate(run.path, found, evidence).read_text())
     assert held != told
     assert content["held"] == {name: held}
@@ -283,7 +283,7 @@ def run_of_single_runs(run):
 
 
 def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
-    draws = [(1.0, 0.5)] * 40
+    draws = [(1.0, 0.5)] * 120
     certify(run, draws, draws)
     certify(run, draws, draws)
     first = run.path / "certificates" / "0001.json"

@@ -101,8 +101,7 @@ def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
         )
         for mean, worst in ((1.0, 3.0), (2.0, 2.5))
     )
-    constraint = study.constraints["cap"]
-    kept = by_certificate(study, constraint, passed=True, draws=30, violations=0)
+    kept = by_certificate(study, study.constraints["cap"], passed=True, draws=30, violations=0)
     found = quantities(study, default, tuned, {}, {"cap": kept}, {})
     verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", quantities=found)
     assert [q.change for q in found if q.objective] == [Change.WORSE]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu
+from scipy.stats import beta, mannwhitneyu
 
 from bo_tuner.numerics.rank_drift import RankTest
 
@@ -63,3 +63,17 @@ def test_a_large_shift_is_found_before_the_end():
     assert after is not None
     assert after < 12
     assert RankTest(60, 20, 0.05).found_after(old, np.full(20, np.inf)) == after
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95])
+def test_the_rate_of_one_baseline(share):
+    """With one fresh run: the length of the intervals beyond extreme values of uniform ones.
+
+    Of n uniform values any j of the n + 1 intervals have the length Beta(j, n + 1 - j).
+    """
+    test = RankTest(59, 1, 0.1)
+    ranks = np.arange(60.0)
+    extreme = int((np.abs(test.scaled(ranks[:, None])) >= test.bound).sum())
+    assert 0 < extreme <= 6
+    rate = beta.ppf(share, extreme, 60 - extreme)
+    assert test.rate(share) == pytest.approx(rate, rel=0.15)

@@ -112,10 +112,10 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     # A few draws refute, but never show what is to hold in every context.
     shown = certificate is not None
     both = list(verdict.keeps_in_words)
-    assert both == [
-        ("yes" if shown else "not proven") if unrefuted else "NO"
-        for unrefuted in (verdict.default_unrefuted, verdict.feasible)
-    ]
+    for words, unrefuted in zip(both, (verdict.default_unrefuted, verdict.feasible), strict=True):
+        # What is not shown need not be refuted.
+        possible = {"yes" if shown else "not proven"} if unrefuted else {"NO", "not proven"}
+        assert words in possible
     assert shown or "kept" not in verdict.headline
     assert shown or verdict.status is not Status.GOOD
 
@@ -316,14 +316,15 @@ def test_a_certificate_that_cannot_be_read_does_not_hide_a_later_one(run):
 def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run):
     run = made(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, True)
     on_mean = "by the mean over noise in every context"
+    kinds = "no rare runs are far beyond the peak of the others"
     for words, peak, status in (
         ("0 of 40 test runs above the limit", None, Status.OPEN),
-        (f"proven to be kept {on_mean}", 0.5, Status.GOOD),
+        (f"shown to stay within it {on_mean}, if {kinds}", 0.5, Status.GOOD),
         (f"NOT proven to be kept {on_mean}", 2.0, Status.BAD),
     ):
         if peak is not None:
-            tuned_draws = [(1.0, peak + 0.001 * k) for k in range(40)]
-            certify(run, [(1.0, 0.5)] * 40, tuned_draws, repeated=40)
+            tuned_draws = [(1.0, peak + 0.001 * k) for k in range(120)]
+            certify(run, [(1.0, 0.5)] * 120, tuned_draws, repeated=120)
         analysis = Analysis(run)
         (tile,) = [t for t in answer(analysis).tiles if "limit 1: " in t.remarks[0]]
         assert tile.remarks[0].endswith(f"limit 1: {words}")

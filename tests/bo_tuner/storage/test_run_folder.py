@@ -157,7 +157,8 @@ class TestParameterFile:
         defaults = study.search_space().defaults
         _, content = self.write(tmp_path, study, defaults | {"control_horizon": 7})
         values = content["/**/mpc_controller"]["ros__parameters"]
-        assert values == defaults | {"control_horizon": 7}
+        constants = study.nodes["controller"].parameters
+        assert values == defaults | {"control_horizon": 7} | constants
         assert isinstance(values["control_horizon"], int)
 
     def test_constants_of_the_study_belong_to_it(self, tmp_path, make_study):

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
+from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
-from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS, OnMean
+from bo_tuner.study.limit_kinds.on_mean import OnMean
 from bo_tuner.study.limit_kinds.registry import KINDS
 
 CONFIDENCE = 0.95
+LEAST = runs_to_see(0.5 * (1.0 + CONFIDENCE))
 
 
 class MeanOverContexts(OnMean):
@@ -35,12 +38,13 @@ def rule(request, monkeypatch):
 def runs_of(rule, values):
     values = np.array(values)
     events = rule.limited.violations(values).tolist()
-    return Runs(events, values, rule.limited.farthest(values), (values,))
+    return Runs(events, values, rule.limited.farthest(values))
 
 
 def spread_around(mean, count=200):
     """Values with this mean and the standard deviation 0.1."""
-    return mean + 0.1 * np.tile([-1.0, 1.0], count // 2)
+    quantiles = norm.ppf((np.random.default_rng(3).permutation(count) + 0.5) / count)
+    return mean + 0.1 * quantiles / quantiles.std()
 
 
 def test_runs_far_within_the_limit_show_it(rule):
@@ -91,7 +95,7 @@ def test_only_what_draws_estimate_is_judged_by_the_estimate(rule):
 
 
 def test_its_words_name_the_limit_and_what_was_found(rule):
-    beyond = runs_of(rule, spread_around(1.5, 40))
+    beyond = runs_of(rule, spread_around(1.5, 90))
     said = rule.said_of_draws(beyond, "N", CONFIDENCE, passed=False)
     assert "allowed 0.1" in said or "limit 1 N" in said
     assert "may be" in said
@@ -103,12 +107,12 @@ def test_its_words_name_the_limit_and_what_was_found(rule):
 def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
     monkeypatch.setitem(KINDS, "mean", MeanOverContexts)
     rule = Constraint(name="c", kind="mean", metric="m", upper=1.0).rule
-    for count in (LEAST_RUNS - 2, LEAST_RUNS):
+    for count in (LEAST - 2, LEAST):
         runs = runs_of(rule, spread_around(0.5, count))
-        assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST_RUNS)
-        said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST_RUNS)
-        if count < LEAST_RUNS:
+        assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST)
+        said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST)
+        if count < LEAST:
             assert said == f"too few draws ({count}) to bound the mean over contexts and noise"
         else:
-            assert said.startswith("mean over contexts and noise at most 0.6")
+            assert said.startswith("mean over contexts and noise at most 0.5")
             assert said.endswith(", limit 1 N")

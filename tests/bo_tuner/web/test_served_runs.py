@@ -13,6 +13,7 @@ import pytest
 from pages import ServedRuns
 from report_runs import run_axis, with_ends
 
+from bo_tuner.report import library
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.storage.record import read_run
@@ -60,6 +61,18 @@ class TestServed:
             assert served.ask(path, token=False)[0] == 403, path
         assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
         assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
+
+    def test_pages_are_light_and_lead_to_one_library_that_a_browser_keeps(self, served):
+        """The list has no figure, and needs no library."""
+        listing, report = served.ask("/runs")[2], served.ask("/runs/first")[2]
+        sources = [re.findall(r'<script src="([^"]+)"', page) for page in (listing, report)]
+        assert sources == [[], [library.address()]]
+        assert len(listing.encode()) < 150_000
+        assert 'id="library"' not in report
+        status, headers, text = served.ask(library.address())
+        assert (status, text) == (200, library.text())
+        assert "immutable" in headers["Cache-Control"]
+        assert served.ask(library.address(), token=False)[0] == 403
 
     def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
         """Which the page asks for from time to time."""

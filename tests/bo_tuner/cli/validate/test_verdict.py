@@ -24,11 +24,17 @@ class TestVerdict:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         code, out, err = run("validate", folder, "--draws", 120, folder=runs)
         assert code == 0, err
-        assert out.startswith("PASS: the tuned parameter set is proven to stay within all limits\n")
+        # The screen may be narrower.
+        assert " ".join(out.split()).startswith(
+            "PASS: the tuned parameter set is shown to stay within all limits in the contexts "
+            "searched, error in 96 % of the runs, if no rare runs are far beyond the peak of the "
+            "others"
+        )
         assert f"certificate: {folder}/certificates/0001.json" in out
         assert len(out.splitlines()) <= 1 + MOST_LINES
         # What it takes at most, then one line for each phase, since this is no terminal.
-        most, *phases = err.splitlines()
+        warning, most, *phases = err.splitlines()
+        assert "apply will refuse a PASS" in warning
         phases = [line for line in phases if not line.startswith("probably ")]
         told = re.fullmatch(
             r"at most (\d+) test runs \((\d+) draws, (\d+) to search for the worst contexts, "
@@ -41,7 +47,7 @@ class TestVerdict:
         assert parts[0] == 120
         assert certificate(folder)["tuned"]["evaluations"] <= total
         assert [line.split(":")[0] for line in phases] == [
-            "draws", "worst case of tuned", "more draws", "warning", "report",
+            "draws", "worst case of tuned", "report", "bundle",
         ]  # fmt: skip
         assert phases[0] == "draws: at most 120"
         # No phase has more steps than it said.
@@ -50,8 +56,7 @@ class TestVerdict:
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
         assert (found["draws"], found["confidence"]) == (120, 0.95)
         assert (found["attempt"], found["default"]) == (1, None)
-        # The error is far within its limit, so all runs count beside the draws.
-        assert 30 <= found["drawn"] <= NEEDED <= found["tuned"]["evaluations"]
+        assert found["drawn"] == NEEDED < found["tuned"]["evaluations"]
         assert found["bound_confidence"] == pytest.approx(0.96)
         summary = json.loads((folder / "summary.json").read_text())
         assert found["trial"] == summary["trial"]
@@ -80,7 +85,7 @@ class TestVerdict:
         # The summary has the verdict by this certificate.
         earlier = json.loads(before["summary.json"])
         assert summary["verdict"]["state"] == "certified"
-        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert " ".join(out.split()).startswith(summary["verdict"]["headline"])
         assert summary | {"verdict": None} == earlier | {"verdict": None}
 
     def test_the_numbers(self, here, folder):
@@ -138,7 +143,7 @@ class TestVerdict:
         code, out, err = here(folder, "--draws", "150", "--with-default")
         assert code == 0, err
         assert len(out.splitlines()) <= 1 + MOST_LINES
-        assert "peak: proven: " in out
+        assert "peak: shown, if " in out
         assert "The default is " in out
 
     def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
@@ -219,7 +224,7 @@ class TestResumeOfACertifiedRun:
         assert out.splitlines()[0].startswith(f"{words}: the tuned parameter set is ")
         assert "not certified yet" not in out
         summary = json.loads((folder / "summary.json").read_text())
-        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert " ".join(out.split()).startswith(summary["verdict"]["headline"])
 
 
 class TestKey:
@@ -232,9 +237,10 @@ class TestKey:
     def test_a_quick_look_does_not(self, here, folder):
         code, _, err = here(folder, "--draws", "100", "--confidence", "0.001")
         assert code == 0
-        assert (
-            "warning: not sufficient for apply: made with 100 draws, the study requires 1000" in err
-        )
+        said = "warning: apply will refuse a PASS: made with 100 draws, the study requires 1000"
+        assert said in err
+        # Before the runs.
+        assert err.index(said) < err.index("draws", err.index(said) + len(said))
         assert "the study requires 1000" in self.problem(folder)
 
     def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):

@@ -12,11 +12,11 @@ from bo_tuner.evidence.certificate.certification import (
     MostEvaluations,
     most_evaluations,
 )
-from bo_tuner.evidence.certificate.economy import LEAST_DRAWS
+from bo_tuner.evidence.certificate.draws import LEAST_DRAWS
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
+from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
@@ -65,21 +65,21 @@ class TestEvaluations:
 
     @pytest.mark.parametrize("height", [0.9, 1.2])
     def test_a_peak_that_draws_do_not_meet(self, make_study, function_backend, height):
-        """A corner with 0.1 % of the draws: 40 draws keep the limit, the search tells."""
+        """A corner with 0.1 % of the draws: 80 draws keep the limit, the search tells."""
         study = make_study(**PLANE)
 
         def function(load, wear, **_):
             distance = math.hypot(load - 1.0, wear)
             return {"error": 1.0, "peak": height * math.exp(-0.5 * (distance / 0.12) ** 2)}
 
-        (found,) = collect(study, function_backend(study, function), 40, tuned=0.5)
+        (found,) = collect(study, function_backend(study, function), 80, tuned=0.5)
         verdict = judge(study, found, 0.95)
         (constraint,) = verdict.constraints
         assert constraint.violations == 0
         worst = constraint.worst[0]
         assert worst.context == {"load": pytest.approx(1.0), "wear": pytest.approx(0.0, abs=1e-9)}
         assert worst.mean.value == pytest.approx(height, rel=1e-3)
-        assert worst.evaluations <= LEAST_RUNS
+        assert worst.evaluations <= runs_to_see(0.975)
         assert verdict.passed is (height < LIMIT)
 
     @pytest.mark.parametrize("height", [0.2, 0.99, 2.0])
@@ -93,17 +93,16 @@ class TestEvaluations:
 
         backend = function_backend(study, function)
         subject = Subject("tuned", {"gain": 0.5}, ({"load": 0.9, "wear": 0.9},))
-        most = most_evaluations(study, [subject], 60)
-        # Four corners, a design of twelve, one suspected, four rounds of five; five contexts.
-        assert most == MostEvaluations(60, 4 + 12 + 1 + 20, 5 * 60)
-        assert most.total == 60 + 37 + 300
-        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
+        most = most_evaluations(study, [subject], 80)
+        # Four corners, a design of twelve, one suspected, four rounds of five; nine contexts.
+        assert most == MostEvaluations(80, 4 + 12 + 1 + 20, 9 * 80)
+        assert most.total == 80 + 37 + 720
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 80)
         assert len(found.drawn) <= most.drawn
         assert len(found.search) <= most.searched
         assert sum(map(len, found.repeated)) <= most.repeated
         assert len(backend.calls) == len(found.evaluations)
-        clear = height != 0.99
-        assert clear is (len(found.evaluations) < 110)
+        assert (height == 2.0) is (len(found.evaluations) < 110)
 
     def test_the_most_without_contexts_and_with_two_subjects(self, make_study):
         study = make_study(contexts={})
@@ -134,7 +133,7 @@ class TestEvaluations:
         )
         subject = Subject("tuned", {"gain": 0.5}, suspected)
         backend = function_backend(study, function)
-        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 80)
         repeated = [here[0].context for here in found.repeated]
         for context in suspected:
             assert any(other == pytest.approx(context) for other in repeated)
@@ -158,6 +157,6 @@ class TestEvaluations:
     def test_nothing_varies(self, make_study, function_backend):
         study = make_study(contexts={})
         backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
-        (found,) = collect(study, backend, LEAST_RUNS, tuned=0.5)
+        (found,) = collect(study, backend, runs_to_see(0.975), tuned=0.5)
         assert judge(study, found, 0.95).passed
         assert len(found.repeated) == 1

@@ -12,7 +12,7 @@ from bo_tuner.evidence.certificate.certification import Certification, most_eval
 from bo_tuner.evidence.certificate.decisions import decide_draws
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Refutation
-from bo_tuner.evidence.certificate.independent_search import CANDIDATES, CARRIED, worst_of_all
+from bo_tuner.evidence.certificate.independent_search import CARRIED, most_candidates, worst_of_all
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.study.context_space import ContextSpace
@@ -55,6 +55,10 @@ def judged(study, drawn, repeated=(), before=()):
     return judge(study, found, 0.95)
 
 
+MANY = 120
+"""Runs in a context at most."""
+
+
 class TestDraws:
     """At most 4 % of the draws may violate the limit."""
 
@@ -87,10 +91,10 @@ class TestDraws:
 
 
 class TestRunsInAContext:
-    @pytest.mark.parametrize(("fresh", "passed"), [(40, False), (161, True)])
+    @pytest.mark.parametrize(("fresh", "passed"), [(120, False), (161, True)])
     def test_of_a_mean(self, make_study, fresh, passed):
         """32 runs with a mean of 1.5, and n with 0.9: together 1 for n = 160."""
-        values = np.resize([0.88, 0.92], fresh)
+        values = np.linspace(0.88, 0.92, fresh)
         before = runs([1.4, 1.6] * 16, Stage.CHECK_WORST)
         found = judged(make_study(), [0.5] * 30, values, before)
         assert judged(make_study(), [0.5] * 30, values).passed
@@ -144,8 +148,8 @@ class TestWhatIsLookedAtAgain:
 
         subject = Subject("tuned", PARAMETERS, earlier=earlier)
         backend = function_backend(study, function)
-        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], 60)
-        return found, judge(study, found, 0.95), most_evaluations(study, [subject], 60)
+        (found,) = Certification(study, Driver(backend), confidence=0.95).collect([subject], MANY)
+        return found, judge(study, found, 0.95), most_evaluations(study, [subject], MANY)
 
     def test_where_it_failed(self, make_study, function_backend):
         found, verdict, _ = self.collect(make_study, function_backend, NOTHING)
@@ -157,7 +161,8 @@ class TestWhatIsLookedAtAgain:
         assert found.repeated[0][0].context == SPIKE
         assert len(found.repeated) == 1
         assert verdict.constraints[0].worst[0].mean.value == pytest.approx(1.2, abs=0.05)
-        assert most.repeated == (1 + CANDIDATES + CARRIED) * 60
+        places = most_candidates(make_study(**PLANE).context_space()) + CARRIED
+        assert most.repeated == (1 + places) * MANY
 
     def test_the_worst_by_all_runs(self, make_study, function_backend):
         """A single earlier run there, of which nobody took note."""
@@ -182,7 +187,7 @@ def test_the_worst_of_all_are_few_and_apart():
 class TestOfARun:
     def test_its_certificates_and_its_own_runs(self, run):
         """One that failed in the context of its draws, and one of another parameter set."""
-        certify(run, [(1.0, 0.5)] * 40, [(1.0, 1.5 + 0.01 * k) for k in range(40)], repeated=40)
+        certify(run, [(1.0, 0.5)] * 120, [(1.0, 1.5 + 0.01 * k) for k in range(120)], repeated=120)
         trial = run.trials[run.summary["trial"]]
         found = earlier_evidence(run, trial.parameters, "inprocess")
         (refuted,) = found.refutations
@@ -191,14 +196,14 @@ class TestOfARun:
         assert refuted.reasons[0].startswith("peak: ")
         assert found.certified
         own = [e for e in run.evaluations if e.parameters == trial.parameters]
-        assert len(found.evaluations) == len(own) + 80
-        assert sum(e.outcome.metrics["peak"] >= 1.5 for e in found.at({"load": 1.5})) == 80
+        assert len(found.evaluations) == len(own) + 240
+        assert sum(e.outcome.metrics["peak"] >= 1.5 for e in found.at({"load": 1.5})) == 240
         other = next(t for t in run.trials if t.parameter_set != trial.parameter_set)
         assert not earlier_evidence(run, other.parameters, "inprocess").refutations
 
     def test_runs_of_another_backend_are_other_measurements(self, run):
         """The contexts are looked at on any."""
-        certify(run, [(1.0, 0.5)] * 40, [(1.0, 1.5 + 0.01 * k) for k in range(40)], repeated=40)
+        certify(run, [(1.0, 0.5)] * 120, [(1.0, 1.5 + 0.01 * k) for k in range(120)], repeated=120)
         trial = run.trials[run.summary["trial"]]
         found = earlier_evidence(run, trial.parameters, "ros")
         assert found.contexts == [{"load": 1.5}]
@@ -237,7 +242,7 @@ class TestOfARun:
 
     @pytest.mark.parametrize("suffix", [".json", "_evaluations.csv"])
     def test_one_that_cannot_be_read_is_named(self, run, suffix):
-        certify(run, [(1.0, 0.5)] * 40, [(1.0, 1.5)] * 40)
+        certify(run, [(1.0, 0.5)] * 120, [(1.0, 1.5)] * 120)
         (run.path / "certificates" / f"0001{suffix}").write_text("{")
         trial = run.trials[run.summary["trial"]]
         found = earlier_evidence(run, trial.parameters, "inprocess")

@@ -8,12 +8,12 @@ import pytest
 
 from bo_tuner.evidence.certificate.independent_search import (
     APART,
-    CANDIDATES,
     DISTINCT,
     EVALUATIONS_A_ROUND,
     ROUNDS,
     SPREAD_EVALUATIONS,
     find_worst_contexts,
+    most_candidates,
     most_searched,
 )
 from bo_tuner.study.context_space import ContextSpace
@@ -125,7 +125,7 @@ class TestSearch:
 
     def test_candidates_are_different_and_few(self):
         found = search(PLANE, Metric(lambda stiffness, damping: stiffness - damping, 0.1))
-        assert 1 < len(found) <= CANDIDATES
+        assert 1 < len(found) <= most_candidates(PLANE)
         points = PLANE.to_cube([list(context.values()) for context in found])
         for one, other in itertools.combinations(points, 2):
             assert np.abs(one - other).max() > APART

@@ -9,7 +9,7 @@ from certified import CHANCE
 from bo_tuner.errors import StudyError
 from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
 from bo_tuner.evidence.certificate.draws import REPEATS
-from bo_tuner.evidence.certificate.independent_search import CANDIDATES
+from bo_tuner.evidence.certificate.independent_search import most_candidates
 from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.plan import Subject
@@ -48,7 +48,7 @@ def test_one_run_in_each_context(make_study, function_backend, constraints):
     evidence, findings = certified(study, function_backend)
     assert findings.passed
     assert [len(group) for group in evidence.repeated] == [1] * len(evidence.repeated)
-    assert 1 < len(evidence.repeated) <= CANDIDATES
+    assert 1 < len(evidence.repeated) <= most_candidates(study.context_space())
     assert len({e.seed for e in evidence.drawn}) == 1
     (assumption,) = findings.assumptions
     assert "the study declares its runs free of noise (noise: none), of which 3 runs" in assumption
@@ -58,7 +58,7 @@ def test_one_run_in_each_context(make_study, function_backend, constraints):
     assert worst.mean.upper == worst.mean.value
     assert least_evaluations(study, 0.95) == 1
     most = most_evaluations(study, [Subject("tuned", {"gain": 0.5})], 500)
-    assert (most.drawn, most.repeated) == (503, CANDIDATES)
+    assert (most.drawn, most.repeated) == (503, most_candidates(study.context_space()))
     assert findings.evaluations <= outlook(study, 500, 0.95).high
 
 
@@ -72,7 +72,7 @@ def test_one_run_beyond_the_limit_decides(make_study, function_backend, constrai
         lambda load, **_: {"error": 1.0, "peak": 0.4 * load + 0.3 * (load > 1.995)},
     )
     assert not findings.passed
-    assert sum(map(len, evidence.repeated)) <= CANDIDATES
+    assert sum(map(len, evidence.repeated)) <= most_candidates(study.context_space())
     assert all(e.outcome.metrics["peak"] < 1.0 for e in evidence.drawn)
 
 

@@ -5,11 +5,12 @@ import pytest
 from certified import CHANCE, collect
 
 from bo_tuner.evidence.certificate.certification import most_evaluations
-from bo_tuner.evidence.certificate.independent_search import least_searched
+from bo_tuner.evidence.certificate.independent_search import least_candidates, least_searched
 from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.numerics.sequential import log_evidence
+from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, WorstCase
 
 MEAN = {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}}
@@ -72,8 +73,9 @@ def test_a_range_holds_eight_in_ten_draws(make_study):
 def test_a_limit_that_is_kept_by_far_takes_about_the_fewest(make_study):
     study = make_study(constraints=MEAN)
     probable = outlook(study, 1000, 0.95, draws(25, 0), estimated(10.0))
-    least = 30 + least_searched(study.context_space(), 1) + 5
-    assert least <= probable.low <= probable.high <= least + 60
+    space = study.context_space()
+    least = 30 + least_searched(space, 1) + least_candidates(space) * runs_to_see(0.975)
+    assert least <= probable.low <= probable.high <= 2 * least
 
 
 def test_one_that_is_broken_has_no_certificate(make_study):

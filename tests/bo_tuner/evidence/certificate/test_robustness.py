@@ -100,6 +100,20 @@ class TestDrift:
             assert drift.breaks == 0.0
             assert (drift.bound, drift.limit.low, drift.limit.high) == (bound, bound, bound)
 
+    @pytest.mark.parametrize("level", [0.85, 0.95])
+    def test_a_limit_on_single_runs_breaks_where_their_quantile_does(self, make_study, level):
+        """0.6 + 0.8 (load - 1) + z 0.1 at 1, with z the normal quantile."""
+        limit = {"kind": "worst_case", "metric": "peak", "upper": LIMIT, "probability": level}
+        study = plane(make_study).replace(
+            constraints=make_study(constraints={"peak": limit}).constraints
+        )
+        evaluations = evaluations_of(
+            study, lambda load, wear: 0.6 + 0.8 * (load - 1), 150, 0.1, seed=4
+        )
+        found = by_name(tolerance_of(study, evaluations))["load"].up.limit
+        breaks = 1.0 + (0.4 - 0.1 * stats.norm.ppf(level)) / 0.8
+        assert found.median == pytest.approx(breaks, abs=0.04)
+
     def test_a_curve_downwards(self, make_study):
         """0.2 + 2 (wear - 0.5)^2 + 1.2 (1 - load)^2 below 1: load may fall to 1 - sqrt(2/3)."""
         study = plane(make_study)
@@ -313,6 +327,18 @@ class TestNeighbourhood:
         assert around.optimum.excess == pytest.approx(0.6 - 1.0, abs=0.02)
         assert around.optimum.objective == pytest.approx(1.0, rel=0.02)
         assert around.optimum.feasibility == pytest.approx(1.0, abs=0.01)
+
+    def test_a_step_beyond_a_limit_is_not_tolerable(self, make_study, make_trial):
+        """By 3 %, where the optimum keeps it by 2 %."""
+        study = make_study()
+        trials = [
+            make_trial(k, {"gain": g}, [1.0], worst=0.98 + g - 0.5)
+            for k, g in enumerate(np.linspace(0.0, 1.0, 12).tolist())
+        ]
+        models = TrialModels()(study, trials, rng=np.random.default_rng(0))
+        around = parameter_sensitivity(study, {"gain": 0.5}, models)
+        assert [n.changed["gain"] for n in around.narrow] == pytest.approx([0.55])
+        assert "% over a limit" in narrow_in_words(study, around)
 
     @pytest.mark.parametrize("slope", [1.0, 2.0, 8.0])
     def test_the_score_of_a_slope(self, make_study, make_trial, slope):

@@ -29,7 +29,7 @@ from bo_tuner.cli.study_options import (
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.certificate.certification import most_evaluations
-from bo_tuner.evidence.certificate.economy import least_draws
+from bo_tuner.evidence.certificate.draws import least_draws
 from bo_tuner.evidence.certificate.judgement import least_evaluations
 from bo_tuner.evidence.certificate.outlook import probable_certificate
 from bo_tuner.evidence.certificate.plan import Subject

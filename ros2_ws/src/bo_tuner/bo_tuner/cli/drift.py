@@ -27,6 +27,7 @@ from bo_tuner.errors import RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.store import CERTIFICATES, read_certificate
 from bo_tuner.evidence.drift import (
+    BASELINES,
     POWER,
     Drift,
     DriftPlan,
@@ -173,7 +174,9 @@ def _show(drift: Drift, runs: int) -> None:
     print_table(plain_console(), table)
     say(
         f"medians of {counted(drift.baseline, 'run')} then and {drift.fresh} now; false alarms: "
-        f"{100.0 * drift.false_alarms:g} % of such comparisons, over all metrics"
+        f"{100.0 * drift.false_alarms:g} % of such comparisons, over all metrics, and with this "
+        f"baseline again and again {100.0 * drift.rate:.2g} % at most "
+        f"({100.0 * BASELINES:g} % of the baselines of so many runs)"
     )
     if drift.failed:
         say(f"{counted(drift.failed, 'fresh run')} failed, and count as beyond every other")

@@ -96,11 +96,11 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         if name not in study.relative_metrics:
             notes += [text for item in limits if (text := far_off(item, metric.unit, values))]
         notes += [
-            f"{item.name}: limits a mean, of which a certificate has to assume that the noise is "
-            f"normal or log-normal; give metrics.{name} a range that no run can leave, as "
-            f"[low, high], or constraints.{item.name} a probability"
+            f"{item.name}: limits a mean, which no certificate proves without a range: "
+            f"rare runs may be far beyond the others; give metrics.{name} a range that no run can "
+            f"leave, as [low, high], or constraints.{item.name} a probability"
             for item in limits
-            if item.rule.assumption(metric.range)
+            if any(item.rule.assumption(metric.range))
         ]
         if name in study.measured:
             # Equal runs may well have another wind.

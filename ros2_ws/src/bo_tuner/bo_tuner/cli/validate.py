@@ -250,7 +250,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
     last = attempt + min(most, len(record.trials) or 1) - 1
-    _draws(arguments, parser, record, confidence, last)
+    drawn = _draws(arguments, parser, record, confidence, last)
+    if missing := shortfall(record.study, drawn, confidence):
+        purpose = "apply will refuse a PASS" if of_given is None else "a PASS is a quick look"
+        show(f"warning: {purpose}: {missing}")
     if of_given is None:
         allow_programs(record, trusted=arguments.trust, attach=attach)
     if arguments.junit is not None:
@@ -306,10 +309,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             interruption.ignore()
             if certificate.passed and not verdict.is_result and most > 1:
                 show(_not_the_result(verdict))
-            missing = shortfall(record.study, draws, confidence)
-            if missing and certificate.passed:
-                purpose = "for apply" if of_given is None else "by the study"
-                show(f"warning: not sufficient {purpose}: {missing}")
         except UndecidedError as undecided:
             headline, code = "the time is over, without a verdict", EXIT_FAULT
             show(f"{headline}: {undecided.shown[0]}")

@@ -11,6 +11,7 @@ import numpy as np
 from bo_tuner.metrics.collect import NO_LOGARITHM
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.trends import trend
+from bo_tuner.numerics.two_kinds import gap
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.ranges import outside
@@ -65,6 +66,44 @@ def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[s
                     f"{name} parameter set, later ones are {change}. Every interval takes runs for "
                     "alike: find what changes on the machine meanwhile, and validate again."
                 )
+
+
+def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[str]:
+    """Yield a sentence for each limited metric of which runs are of two kinds.
+
+    Parameters
+    ----------
+    study
+        The study.
+    runs
+        Draws by the name of their parameter set. Those with other discrete contexts may differ by
+        them, and are not compared.
+    """
+    space = study.context_space()
+    for name, made in runs.items():
+        complete = [evaluation for evaluation in made if evaluation.outcome.complete]
+        combinations = space.combination_of(space.cube_of([e.context for e in complete]))
+        for metric in dict.fromkeys(item.metric for item in study.constraints.values()):
+            for combination in sorted(set(combinations)):
+                pairs = zip(complete, combinations, strict=True)
+                values = [e.outcome.metrics[metric] for e, own in pairs if own == combination]
+                if (between := gap(values)) is not None:
+                    yield _in_words(study, metric, name, np.array(values), between)
+                    break
+
+
+def _in_words(study: Study, metric: str, name: str, values: Array, between: float) -> str:
+    above = values > between
+    limits = study.constraints.values()
+    on_mean = any(item.metric == metric and not item.rule.on_runs for item in limits)
+    asks = on_mean and study.metrics[metric].range is None
+    return (
+        f"Runs of the {name} parameter set are of two kinds: {study.metrics[metric].title} of "
+        f"{counted(int(above.sum()), 'run')} is near {shown(float(np.median(values[above])))}, of "
+        f"the other {int((~above).sum())} near {shown(float(np.median(values[~above])))}."
+        + f" If a single context has both, the limit on the mean takes metrics.{metric}.range."
+        * asks
+    )
 
 
 def _change(values: Array, level: float) -> str:

@@ -35,6 +35,8 @@ MOST_BASELINE = 200
 """Baseline runs that are compared at most, the latest: more add little."""
 POWER = 0.95
 """Probability with which an effect that is stated is found."""
+BASELINES = 0.95
+"""Share of all baselines that have at most the stated rate of false alarms."""
 
 _NAME = re.compile(r"(\d{4,9})\.json", re.ASCII)
 
@@ -78,7 +80,10 @@ class Drift:
     failed
         How many of the fresh runs failed; a failed run counts as beyond every other.
     false_alarms
-        Probability of a drift in any metric where there is none, at most.
+        Probability of a drift in any metric where there is none, at most, over all baselines.
+    rate
+        The same with one baseline again and again, for the share `BASELINES` of all baselines of so
+        many runs.
     effect
         The shift of one metric, in standard deviations of a run, that is found with the probability
         `POWER` within the fresh runs that were allowed; infinite if none is.
@@ -94,6 +99,7 @@ class Drift:
     fresh: int
     failed: int
     false_alarms: float
+    rate: float
     effect: float
     metrics: tuple[Compared, ...]
     started: str
@@ -221,6 +227,12 @@ class DriftPlan(Plan[Run]):
         }
 
     @property
+    def rate(self) -> float:
+        """The rate of false alarms in any metric, with one baseline of so many runs."""
+        count = len(self._metrics)
+        return min(1.0, count * self.test.rate(1.0 - (1.0 - BASELINES) / count))
+
+    @property
     def compared(self) -> tuple[Compared, ...]:
         """Each metric in both."""
         outcomes = [evaluation.outcome for evaluation in self.evaluations]
@@ -268,6 +280,7 @@ def result_of(plan: DriftPlan, certificate: str, started: str, finished: str) ->
         fresh=len(plan.evaluations),
         failed=sum(not run.outcome.complete for run in plan.evaluations),
         false_alarms=plan.false_alarms,
+        rate=plan.rate,
         effect=plan.test.effect(POWER),
         metrics=plan.compared,
         started=started,

@@ -30,6 +30,10 @@ class LimitVerdict:
         What was counted, in words; empty for a certificate, which has more to say.
     words
         What was found, in words that follow those of the limit.
+    refuted
+        Whether the runs show that the limit is not kept; else a violated one is not proven.
+    condition
+        What it rests on that runs do not prove, in words that follow *if*; else empty.
     """
 
     standing: Standing
@@ -39,6 +43,8 @@ class LimitVerdict:
     asked: str
     evidence: str
     words: str
+    refuted: bool = False
+    condition: str = ""
 
     @property
     def exceeds(self) -> bool:
@@ -91,14 +97,25 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
         how_often,
         evidence,
         words,
+        refuted=sample.count > 0 and not sample.agrees,
     )
 
 
 def by_certificate(
-    study: Study, constraint: Constraint, *, passed: bool, draws: int, violations: int
+    study: Study,
+    constraint: Constraint,
+    *,
+    passed: bool,
+    draws: int,
+    violations: int,
+    refuted: bool = False,
+    condition: str = "",
 ) -> LimitVerdict:
     """Return what a certificate says of a limit."""
     how_often = asked(study, constraint)
+    words = f"{'' if passed else 'NOT '}proven to be kept {how_often}"
+    if passed and condition:
+        words = f"shown to stay within it {how_often}, if {condition}"
     return LimitVerdict(
         Standing.SHOWN if passed else Standing.VIOLATED,
         draws,
@@ -106,7 +123,9 @@ def by_certificate(
         constraint.rule.permitted(draws),
         how_often,
         "",
-        f"{'' if passed else 'NOT '}proven to be kept {how_often}",
+        words,
+        refuted=refuted,
+        condition=condition if passed else "",
     )
 
 

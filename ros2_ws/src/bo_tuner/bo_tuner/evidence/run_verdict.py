@@ -9,6 +9,7 @@ from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.biases import biases_in_words
 from bo_tuner.evidence.busy import computing_in_words, computing_times, high_load
+from bo_tuner.evidence.certificate.claim import claimed
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
@@ -19,7 +20,7 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
-from bo_tuner.evidence.declarations import contradicted, drifts
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
 from bo_tuner.evidence.effects import effects_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
@@ -31,7 +32,7 @@ from bo_tuner.evidence.validated import (
     open_verdict,
     validated,
 )
-from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.verdict import WITHIN, State, Verdict
 from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
@@ -135,6 +136,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
                 *biases_in_words(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
                 *seen_in_words(record.study.metrics, seen),
                 *drifts(record.study, alike),
+                *two_kinds(record.study, alike),
             ),
             effects=effects,
             of_parameters=effects_in_words(record.study, effects),
@@ -252,6 +254,8 @@ def _certified(
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
+        claim=claimed(study, tuned),
+        default_claim=WITHIN if default is None else claimed(study, default),
         standstill=by_validation is not None and by_validation.standstill,
     )
 
@@ -365,6 +369,8 @@ def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerd
             passed=finding.passed,
             draws=draws,
             violations=finding.violations,
+            refuted=finding.refuted,
+            condition=finding.condition,
         )
         for finding in findings.constraints
     }

@@ -21,6 +21,7 @@ from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.effects import ParameterEffects
 
 PASS, FAIL = "PASS", "FAIL"
@@ -28,8 +29,11 @@ PASS, FAIL = "PASS", "FAIL"
 UNPROVEN = (
     "Nothing refutes best.yaml, but too little speaks for it: run more trials, or validate it."
 )
+WITHIN = "proven to stay within all limits"
+"""What a certificate that passed claims without any reservation."""
 
-_KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
+YES, NO = "yes", "NO"
+"""Whether a parameter set keeps all limits, in a table; else that is not proven."""
 
 
 class State(StrEnum):
@@ -194,6 +198,8 @@ class Verdict:
         What is to know of those that were not seen to move any metric, in sentences.
     infeasible
         Why nothing was found feasible; None where something was, or nothing is known of it.
+    claim, default_claim
+        What a certificate that passed claims of the tuned parameter set and of the default.
     standstill
         Whether the search ended as it could not go on; resumed, it would end there again.
     high_load
@@ -221,6 +227,8 @@ class Verdict:
     effects: tuple[ParameterEffects, ...] = ()
     of_parameters: tuple[str, ...] = ()
     infeasible: Infeasible | None = None
+    claim: str = WITHIN
+    default_claim: str = WITHIN
     standstill: bool = False
     high_load: HighLoad | None = None
 
@@ -338,7 +346,7 @@ class Verdict:
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
-                return f"{PASS}: the tuned parameter set is proven to stay within all limits"
+                return f"{PASS}: the tuned parameter set is {self.claim}"
             case State.REFUSED:
                 return f"{FAIL}: the tuned parameter set is not proven to stay within all limits"
 
@@ -346,7 +354,7 @@ class Verdict:
     def limits_in_words(self) -> str:
         """What was found of the limits of a result that may be used, beside the default."""
         if self.state is State.CERTIFIED:
-            return "proven to stay within all limits"
+            return self.claim
         text = _standing_in_words(self._tuned_limits)
         over = sum(limit.violations for limit in self._default_limits.values())
         # Several limits may be broken in a run.
@@ -433,10 +441,12 @@ class Verdict:
             return f"The default was not run in full: {runs} lost or disturbed by others."
         if self.default_reasons:
             reasons = "; ".join(self.default_reasons)
-            return f"The default is not proven to stay within all limits: {reasons}."
+            proven = _keeps_in_words(Standing.VIOLATED, self._default_limits) != NO
+            verb = "is not proven to" if proven else "does not"
+            return f"The default {verb} stay within all limits: {reasons}."
         if self.certificate and self.default_certified:
-            too = ", too" if self.feasible else ""
-            return f"The default is proven to stay within all limits{too}."
+            same = self.feasible and self.default_claim == self.claim
+            return f"The default is {self.default_claim}{', too' if same else ''}."
         return f"The default by the same evidence: {_standing_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:
@@ -473,9 +483,12 @@ class Verdict:
     @property
     def keeps_in_words(self) -> tuple[str, str]:
         """Whether default and tuned parameter set keep all limits; a dash for one not evaluated."""
-        words = {Standing.SHOWN: "yes", Standing.OPEN: "not proven", Standing.VIOLATED: "NO"}
-        default = self.default_standing
-        return "–" if default is None else words[default], words[self.standing]
+        if self.default_standing is None:
+            return "–", _keeps_in_words(self.standing, self._tuned_limits)
+        return (
+            _keeps_in_words(self.default_standing, self._default_limits),
+            _keeps_in_words(self.standing, self._tuned_limits),
+        )
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:
@@ -496,8 +509,8 @@ class Verdict:
             "trial": self.trial,
             "evidence": self.evidence,
             "keeps_limits": {
-                "default": _KEEPS.get(self.default_standing),
-                "tuned": _KEEPS[self.standing],
+                side: {YES: True, NO: False}.get(words)
+                for side, words in zip((DEFAULT, TUNED), self.keeps_in_words, strict=True)
             },
             "reasons": {
                 "default": list(self.default_reasons or ()),
@@ -530,6 +543,14 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
 
 def _uncapitalized(text: str) -> str:
     return text[:1].lower() + text[1:]
+
+
+def _keeps_in_words(standing: Standing, limits: Mapping[str, LimitVerdict]) -> str:
+    """Return whether limits are kept: a violated one is not proven where no runs refute it."""
+    if standing is Standing.SHOWN:
+        return YES
+    refuted = not limits or any(limit.refuted for limit in limits.values())
+    return NO if standing is Standing.VIOLATED and refuted else "not proven"
 
 
 def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:

@@ -43,6 +43,9 @@ def what_to_set(study: Study, verdict: Verdict, parameters: Mapping[str, Value])
         first = "Keep the default"
     elif verdict.default_preferred:
         first = f"Keep the default, which has the better objective. {_values(study, parameters)}"
+    elif verdict.default_reasons is not None and not verdict.gained:
+        values = _values(study, parameters)
+        first = f"Keep the default, from which {values} cannot be told apart"
     else:
         first = f"Set {_values(study, parameters)}"
     return f"{first}: {', '.join(filter(None, remarks))}"

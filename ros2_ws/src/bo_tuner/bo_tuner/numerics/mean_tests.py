@@ -1,16 +1,20 @@
 """How a certificate shows that a mean over noise is within a limit: by what is known of the noise.
 
 For a metric with a declared range, bets on its values show it, exactly, whatever the noise is.
-Without a range two tests must both show it: the t mixture of `sequential`, which is exact for
-normal noise, and the same mixture with the statistic of a shifted log-normal law that is more
-skewed than the sample (`numerics.skewed_means`). Neither covers rare values far beyond all that was
-seen; no test without a range can.
+Without a range three tests must all show it: the t mixture of `sequential`, which is exact for
+normal noise, the same mixture with the statistic of a shifted log-normal law that is more skewed
+than the sample (`numerics.skewed_means`), and bets as if the largest value that is known were the
+end of the range. None of them covers rare values beyond all that were seen; no test without a
+range can. So nothing is shown by fewer values than show a second kind that is not rarer than
+`two_kinds.RARE`. A law of two kinds passes wrongly if none of the second is among so many values,
+or if the bets are wrong: each has half of the error probability. Nothing is shown either once the
+values are of two kinds.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, log
+from math import exp, inf, log
 from typing import Protocol
 
 import numpy as np
@@ -20,12 +24,10 @@ from bo_tuner.numerics import skewed_means
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import log_mean_evidence, log_t_evidence
+from bo_tuner.numerics.two_kinds import gap, runs_to_see
 
 GROWTH = 1.05
 """Factor between the numbers of values at which a skewed law is fitted: each fit takes time."""
-
-FEWEST = 5
-"""Number of values at the first fit."""
 
 HALVINGS = 60
 """Steps of a bisection for a bound."""
@@ -39,16 +41,8 @@ reaches it. Monotone in the mean."""
 class MeanTest(Protocol):
     """Shows that the expectation of values is small."""
 
-    def of(self, values: Array, least: int) -> Reaches:
-        """Return the test of what the values have shown after any of them.
-
-        Parameters
-        ----------
-        values
-            Shape (n,), n > 0, in their order.
-        least
-            Number of values from which on the evidence counts.
-        """
+    def of(self, values: Array) -> Reaches:
+        """Return the test of what values (n,), n > 0, in their order have shown after any."""
 
     def fewest(self, limit: float, confidence: float) -> int:
         """Return how many values show a limit at least, however far within it they are."""
@@ -67,8 +61,7 @@ class Betting:
     low: float
     high: float
 
-    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
-        # `least` plays no part: the range bounds rare values, so all evidence counts.
+    def of(self, values: Array) -> Reaches:  # noqa: D102
         return lambda mean, enough: bool((log_wealth(values, mean, self.high) >= enough).any())
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
@@ -83,19 +76,31 @@ class Betting:
 
 @dataclass(frozen=True)
 class NormalOrSkewed:
-    """For values without a known range: normal ones, and log-normal ones with any shift."""
+    """For values without a known range: normal, log-normal with any shift, or of two kinds.
 
-    def of(self, values: Array, least: int) -> Reaches:  # noqa: D102
-        # A fit takes time, and most decisions need none.
-        fits = lru_cache(maxsize=None)(lambda n: skewed_means.fit(values[:n]))
+    Attributes
+    ----------
+    farthest
+        Largest value that is known from elsewhere.
+    """
+
+    farthest: float = -inf
+
+    def of(self, values: Array) -> Reaches:  # noqa: D102
+        mixed, high = gap(values) is not None, max(self.farthest, float(values.max()))
 
         def skewed(mean: float, n: int) -> float:
-            fitted = fits(n)
+            fitted = _fit(values[:n].tobytes())
             if fitted is None:
                 return float(log_mean_evidence(values[:n], mean)[-1])
             return log_t_evidence(fitted.statistic(mean), n)
 
         def reaches(mean: float, enough: float) -> bool:
+            least = _fewest(exp(-enough))
+            if mixed or len(values) < least:
+                return False
+            if not (log_wealth(values, mean, high)[least - 1 :] >= enough + log(2.0)).any():
+                return False
             normal = log_mean_evidence(values, mean)[least - 1 :]
             return bool((normal >= enough).any()) and any(
                 skewed(mean, n) >= enough for n in reversed(_fitted_numbers(least, len(values)))
@@ -104,12 +109,10 @@ class NormalOrSkewed:
         return reaches
 
     def fewest(self, limit: float, confidence: float) -> int:  # noqa: D102
-        return FEWEST
+        return _fewest(1.0 - confidence)
 
 
-def is_mean_shown(
-    values: ArrayLike, limit: float, confidence: float, test: MeanTest, least: int = 1
-) -> bool:
+def is_mean_shown(values: ArrayLike, limit: float, confidence: float, test: MeanTest) -> bool:
     """Return whether values show with `confidence` that their expectation is within `limit`.
 
     Evidence after fewer values counts as well, unless the mean of all of them is beyond the limit.
@@ -124,25 +127,22 @@ def is_mean_shown(
         Between 0 and 1.
     test
         The test, by what is known of the values.
-    least
-        Number of values from which on the evidence counts.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample) or float(sample.mean()) > limit:
         return False
-    return test.of(sample, least)(limit, log(1.0 / (1.0 - confidence)))
+    return test.of(sample)(limit, log(1.0 / (1.0 - confidence)))
 
 
-def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int = 1) -> float:
+def mean_bound(values: ArrayLike, confidence: float, test: MeanTest) -> float:
     """Return the upper confidence bound of the expectation, infinite where there is none yet.
 
-    It is not below the mean of the values, whatever earlier ones have shown. `values` (n,) are in
-    their order, and `least` is the number from which on the evidence of `test` counts.
+    It is not below the mean of the values (n,), in their order, whatever earlier ones have shown.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample):
         return inf
-    reaches, enough = test.of(sample, least), log(1.0 / (1.0 - confidence))
+    reaches, enough = test.of(sample), log(1.0 / (1.0 - confidence))
     low = float(sample.mean())
     spread = max(float(sample.std()), 1e-9 * max(abs(low), 1.0))
     high = low + 1e6 * spread
@@ -159,11 +159,21 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest, least: int 
     return high
 
 
+def _fewest(error: float) -> int:
+    """Return how many values show a rare kind, with half of the probability of an error."""
+    return runs_to_see(1.0 - 0.5 * error)
+
+
+@lru_cache(maxsize=1024)
+def _fit(values: bytes) -> skewed_means.LogNormalFit | None:
+    """Return the fit to values, which takes time: the same ones are asked for after each run."""
+    return skewed_means.fit(np.frombuffer(values))
+
+
 def _fitted_numbers(least: int, most: int) -> list[int]:
     """Return the numbers of values that a law is fitted to, each `GROWTH` times the one before."""
-    sizes, n = [], FEWEST
+    sizes, n = [], least
     while n <= most:
-        if n >= least:
-            sizes.append(n)
+        sizes.append(n)
         n = max(n + 1, round(n * GROWTH))
     return sizes

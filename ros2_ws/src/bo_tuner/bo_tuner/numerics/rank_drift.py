@@ -11,6 +11,11 @@ fresh values come from one distribution, all orders of them are equally probable
 (Mann and Whitney 1947). So c is the quantile of max_t |Z_t| √(t / T) over random orders, with the
 rule of a Monte Carlo test, by which the error probability is kept exactly; ties make it smaller.
 
+That is the probability over baseline and fresh values. Whoever compares with one baseline again and
+again has a rate of its own: with F the distribution of the metric, F of its values are n uniform
+ones, and a comparison finds a difference as often as one with these and with uniform fresh ones. So
+the quantile of this rate over baselines is known, too, whatever F is.
+
 References
 ----------
 Mann and Whitney (1947). On a test of whether one of two random variables is stochastically larger
@@ -31,6 +36,8 @@ ORDERS = 20_000
 """Random orders by which the bound is set."""
 SIMULATED = 2_000
 """Simulated comparisons by which the effect that is seen is found."""
+BASELINES, NIGHTS = 200, 2_000
+"""Simulated baselines, and comparisons with each, by which rates of false alarms are found."""
 LARGEST_EFFECT = 20.0
 """In standard deviations; a larger one counts as not seen at all."""
 BISECTIONS = 12
@@ -73,7 +80,10 @@ class RankTest:
         """
         old = np.asarray(baseline, dtype=np.float64)[..., None, :]
         new = np.asarray(fresh, dtype=np.float64)[..., None]
-        above = (new > old).sum(axis=-1) + 0.5 * (new == old).sum(axis=-1)
+        return self.scaled((new > old).sum(axis=-1) + 0.5 * (new == old).sum(axis=-1))
+
+    def scaled(self, above: Array) -> Array:
+        """Return the statistics by how many baseline values each fresh one is above, (..., t)."""
         n, t = float(self.baseline), np.arange(1.0, above.shape[-1] + 1.0)
         deviation = np.sqrt(n * t * (n + t + 1.0) / 12.0)
         scaled: Array = (np.cumsum(above, axis=-1) - 0.5 * n * t) / deviation
@@ -86,6 +96,10 @@ class RankTest:
         """
         reached = np.abs(self.statistics(baseline, fresh)) >= self.bound
         return 1 + int(np.argmax(reached)) if reached.any() else None
+
+    def rate(self, share: float) -> float:
+        """Return the rate of false alarms that a share of all baselines do not exceed."""
+        return _rate(self, share)
 
     def effect(self, power: float) -> float:
         """Return the shift of normal values that is found with a probability.
@@ -118,6 +132,19 @@ def _bound(n: int, most: int, false_alarms: float) -> float:
     # The test must reach what no more than `allowed` - 1 of the orders exceed, without equality.
     ordered = np.sort(np.concatenate(largest))[::-1]
     return float(np.nextafter(ordered[allowed - 1], np.inf))
+
+
+@lru_cache
+def _rate(test: RankTest, share: float) -> float:
+    """Return the quantile of the rate over simulated baselines."""
+    rng = np.random.default_rng(2)
+    rates = []
+    for _ in range(BASELINES):
+        baseline, fresh = np.sort(rng.random(test.baseline)), rng.random((NIGHTS, test.most))
+        above = np.searchsorted(baseline, fresh).astype(np.float64)
+        found = (np.abs(test.scaled(above)) >= test.bound).any(axis=1)
+        rates.append(float(np.mean(found)))
+    return float(np.quantile(rates, share))
 
 
 @lru_cache

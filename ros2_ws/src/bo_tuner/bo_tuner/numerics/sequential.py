@@ -144,7 +144,7 @@ def probability_bounds(events: ArrayLike, confidence: float) -> Array:
     return bounds
 
 
-def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
+def mean_bounds(values: ArrayLike, confidence: float) -> Array:
     """Return upper confidence bounds of a normal mean after each value, shape (n,).
 
     All of them hold at once with `confidence`, so each is the lowest so far, but not below the
@@ -157,8 +157,6 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
         Shape (n,), in their order.
     confidence
         Between 0 and 1.
-    least
-        Values of the first bound that counts; those before it are infinite.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample):
@@ -169,7 +167,6 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     # With few values, or a high confidence, no mean at all is refuted.
     far = mean + 1e6 * np.maximum(spread, 1e-9 * np.maximum(np.abs(mean), 1.0))
     never = log_mean_evidence(sample, far) < log(1.0 / (1.0 - confidence))
-    never[: least - 1] = True
     largest = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
     return np.maximum(np.minimum.accumulate(np.where(never, np.inf, largest)), mean)
 

@@ -19,6 +19,7 @@ from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.plotly_renderer import figure_data
 from bo_tuner.figures.svg_renderer import panel_svg
+from bo_tuner.report import library
 from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Chapter, Section, WhatIf
 from bo_tuner.report.sections.answer import answer
@@ -43,7 +44,7 @@ from bo_tuner.trials import Trial
 PICTURE_WIDTH, LEAST_PICTURE_WIDTH = 1080, 340
 """Width of the pictures of a row of panels, and of one at least [px]."""
 
-SCRIPTS = ("report.js", "tables.js", "trials.js", "what_if.js")
+SCRIPTS = ("library.js", "report.js", "tables.js", "trials.js", "what_if.js")
 """Of all pages."""
 
 FORMATS = ("png", "svg")
@@ -140,12 +141,18 @@ def trial_html(
     trial: Trial,
     parts: Sequence[Section],
     template: str = "trial.html",
-    scripts: Sequence[str] = (),
-    **more: object,
+    *,
+    served: bool = False,
+    **more: Any,
 ) -> str:
     """Return the HTML of the page of a trial; a `template` that extends it may need more."""
     return fill(
-        template, scripts, study=analysis.study, number=trial.number, sections=parts, **more
+        template,
+        served=served,
+        study=analysis.study,
+        number=trial.number,
+        sections=parts,
+        **more,
     )
 
 
@@ -213,17 +220,18 @@ def render(
     parts: Sequence[Chapter],
     run: str | None = os.curdir,
     template: str = "report.html",
-    scripts: Sequence[str] = (),
-    **more: object,
+    *,
+    served: bool = False,
+    **more: Any,
 ) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any.
 
-    A `template` that extends that of the report may need further scripts and content.
+    A `template` that extends that of the report may need further content.
     """
     content = answer(analysis)
     return fill(
         template,
-        scripts,
+        served=served,
         sections=[],
         chapters=parts,
         study=analysis.study,
@@ -234,9 +242,26 @@ def render(
     )
 
 
-def fill(template: str, scripts: Sequence[str] = (), **content: object) -> str:
-    """Fill a template that extends the base of all pages, with further scripts by their names."""
-    texts = [_plotly(), *map(_template, (*SCRIPTS, *scripts))]
+def fill(
+    template: str, scripts: Sequence[str] = (), *, served: bool = False, **content: object
+) -> str:
+    """Fill a template that extends the base of all pages.
+
+    Parameters
+    ----------
+    template
+        Its name.
+    scripts
+        Names of further scripts.
+    served
+        Whether the page is on the server, which has the library for figures at an address; a file
+        has it within itself.
+    **content
+        What the template needs.
+    """
+    texts = [_template(name) for name in (*SCRIPTS, *scripts)]
+    allowed = [f"'sha256-{_digest(text)}'" for text in texts]
+    allowed.append("'self'" if served else f"'sha256-{_digest(library.text())}'")
     return (
         _environment()
         .get_template(template)
@@ -246,7 +271,9 @@ def fill(template: str, scripts: Sequence[str] = (), **content: object) -> str:
             light=LIGHT,
             dark=DARK,
             scripts=texts,
-            policy=" ".join(f"'sha256-{_digest(text)}'" for text in texts),
+            library="" if served else library.embedded(),
+            library_address=library.address() if served else "",
+            policy=" ".join(allowed),
         )
     )
 
@@ -292,13 +319,6 @@ def _shown(value: Any) -> Any:
 
 def _macros() -> Any:
     return _environment().get_template("macros.html").module
-
-
-@cache
-def _plotly() -> str:
-    """Return Plotly's script from its file: importing the package takes a second."""
-    path = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
-    return path.read_text(encoding="utf-8").strip()
 
 
 def _template(name: str) -> str:

@@ -30,8 +30,8 @@ class CertificateRequirement:
         Confidence over all certificates of a run together, between 0 and 1; each bound has a
         higher one.
     distribution_free : bool
-        Whether a PASS rests on nothing but counts of runs and declared ranges of metrics. It takes
-        more runs. Each limit on a mean needs a metric with a `range`.
+        Whether a PASS must rest on nothing but counts of runs and declared ranges of metrics. Each
+        limit on a mean then needs a metric with a `range`.
     """
 
     draws: int = 1000

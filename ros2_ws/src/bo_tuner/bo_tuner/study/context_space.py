@@ -70,6 +70,12 @@ class ContextSpace:
             )
         ]
 
+        self._discrete = {
+            column: item
+            for column, item in enumerate(self.distributions)
+            if isinstance(item, Discrete)
+        }
+
     @property
     def dimension(self) -> int:
         """Number of columns of the unit cube, d."""
@@ -238,6 +244,35 @@ class ContextSpace:
         rows = np.tile(0.5 * (self.lower + self.upper), (len(pairs), 1))
         rows[:, [*leading, *listed]] = pairs
         return self.to_cube(rows)
+
+    @property
+    def is_discrete(self) -> bool:
+        """Whether each variable has finitely many values, listed with their probabilities."""
+        return len(self._discrete) == len(self.names)
+
+    @property
+    def count_combinations(self) -> int:
+        """Number of combinations of the values of the discrete variables; 1 without any."""
+        return prod(len(item.support) for item in self._discrete.values())
+
+    def combination_of(self, points: Array) -> list[tuple[float, ...]]:
+        """Return the values of the discrete variables at points (n, d) of the unit cube."""
+        columns = list(self._discrete)
+        return [tuple(row) for row in self.to_contexts(points)[:, columns].tolist()]
+
+    def combinations(self) -> Iterator[Array]:
+        """Yield corners (m, d) of the unit cube for each combination of discrete values.
+
+        They are corners of the leading variables of the others, as `corners`.
+        """
+        others = [column for column in range(len(self.names)) if column not in self._discrete]
+        leading = others[:MOST_CORNER_DIMENSIONS]
+        ends = list(product(*((self.lower[c], self.upper[c]) for c in leading)))
+        for values in product(*(item.support for item in self._discrete.values())):
+            rows = np.tile(0.5 * (self.lower + self.upper), (len(ends), 1))
+            rows[:, leading] = ends
+            rows[:, list(self._discrete)] = values
+            yield self.to_cube(rows)
 
     def candidates(self, known: Sequence[Context] = ()) -> Array:
         """Return possible contexts of the unit cube over which a worst case is taken, (m, d).

@@ -113,6 +113,7 @@ class Runs:
         return fill(
             "runs.html",
             ["runs.js"],
+            served=True,
             title="Runs",
             folder=self._folder.resolve().name,
             sections=[],
@@ -187,6 +188,7 @@ class Runs:
             chapters(analysis),
             None,
             template="run.html",
+            served=True,
             frame=frame,
             files=[
                 (file_address(name, path), path, size_in_words(size))
@@ -218,7 +220,7 @@ class Runs:
 
         frame = Frame(self._address(name), name, beside(number - 1), beside(number + 1))
         parts = trial_sections(analysis, trial)
-        return trial_html(analysis, trial, parts, "run_trial.html", frame=frame)
+        return trial_html(analysis, trial, parts, "run_trial.html", served=True, frame=frame)
 
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
         """Return what is predicted for values of a run's parameters; None if there are none such.
@@ -242,7 +244,7 @@ class Runs:
             return None
         parts = comparison({name: self._analysis(name) for name in names})
         title = f"{len(names)} runs side by side"
-        return fill("comparison.html", sections=parts, title=title, home=RUNS)
+        return fill("comparison.html", served=True, sections=parts, title=title, home=RUNS)
 
     def table(self) -> str:
         """Return all runs that can be read, a row each, as CSV: verdicts and values."""

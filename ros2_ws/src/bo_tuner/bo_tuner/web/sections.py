@@ -97,6 +97,7 @@ class LiveSections:
         return fill(
             "live.html",
             scripts=["live.js"],
+            served=True,
             study=study,
             sections=[],
             control=control,

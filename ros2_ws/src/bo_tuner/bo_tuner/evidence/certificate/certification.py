@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.evidence.certificate.decisions import contradiction
-from bo_tuner.evidence.certificate.draws import REPEATS, DrawPlan, FurtherDrawPlan, RepeatedDraws
+from bo_tuner.evidence.certificate.draws import REPEATS, DrawPlan, RepeatedDraws
 from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.independent_search import most_searched
 from bo_tuner.evidence.certificate.plan import Case, CertificatePlan, Subject
@@ -109,13 +109,9 @@ class Certification:
             self._complete(repeats)
         drawing = DrawPlan(case, subjects, repeats.evaluations)
         self._complete(drawing)
-        searched = [
+        return [
             self._look_closely(case, number, subject, drawing.evidence(number))
             for number, subject in enumerate(subjects)
-        ]
-        return [
-            self._draw_on(case, number, subject, evidence)
-            for number, (subject, evidence) in enumerate(zip(subjects, searched, strict=True))
         ]
 
     def _look_closely(
@@ -129,22 +125,6 @@ class Certification:
         ):
             return evidence
         plan = WorstCasePlan(case, number, subject, evidence)
-        self._complete(plan)
-        return plan.evidence
-
-    def _draw_on(self, case: "Case", number: int, subject: Subject, evidence: Evidence) -> Evidence:
-        """Make the draws that the limits need beside all other runs, if they are kept there."""
-        places = range(len(evidence.repeated))
-        others = evidence.others
-        if (
-            self.cut_short
-            or contradiction(self._study, evidence.evaluations)
-            or not places
-            or any(case.open_limits(evidence, place) != [] for place in places)
-            or case.decided(subject, evidence.drawn, others) is not None
-        ):
-            return evidence
-        plan = FurtherDrawPlan(case, number, subject, evidence)
         self._complete(plan)
         return plan.evidence
 

@@ -4,24 +4,14 @@ The rules are those of the verdict (`judgement`), after each evaluation.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from bo_tuner.evidence.certificate.economy import (
-    BEHIND,
-    FEW,
-    confirms,
-    is_far_from,
-    is_shown_by_all,
-)
-from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Ranking
+from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence
 from bo_tuner.evidence.certificate.limited_runs import (
     drawn_runs,
     failed_runs,
     runs_in_context,
     runs_of,
-    values_of,
 )
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.noiseless import noise_in
@@ -36,7 +26,6 @@ def decide_draws(
     most: int,
     confidence: float,
     earlier: Earlier = NOTHING,
-    others: Sequence[Evaluation] | None = None,
 ) -> bool | None:
     """Return whether the draws so far decide the verdict: True or False; None if not yet.
 
@@ -52,9 +41,6 @@ def decide_draws(
         Of all bounds, between 0 and 1.
     earlier
         What was known of the parameter set before.
-    others
-        Its other runs, which count where a chance constraint is kept by far; None if they are
-        still to come.
 
     Returns
     -------
@@ -78,39 +64,10 @@ def decide_draws(
         elif _is_hopeless(constraint, runs, most, confidence):
             return False
         else:
-            undecided = undecided or not is_shown_with_others(
-                study, constraint, runs.values, others, confidence
-            )
+            undecided = True
     if contradicted and len(drawn) >= most:
         return False
     return None if undecided or contradicted else True
-
-
-def is_shown_with_others(
-    study: Study,
-    constraint: Constraint,
-    draws: Array,
-    others: Sequence[Evaluation] | None,
-    confidence: float,
-) -> bool:
-    """Return whether other runs show with the draws what is kept by far, or those to come may."""
-    if not _others_count(study, constraint):
-        return False
-    if others is None:
-        return is_far_from(constraint, draws, draws[:0])
-    values = values_of(others, constraint.metric)
-    return not failed_runs(others) and is_shown_by_all(constraint, draws, values, confidence)
-
-
-def _others_count(study: Study, constraint: Constraint) -> bool:
-    """Return whether runs other than draws may count for a constraint over the contexts."""
-    rule = constraint.rule
-    return (
-        rule.on_runs
-        and not rule.in_every_context
-        and bool(study.worst_case_constraints)
-        and not study.certificate.distribution_free
-    )
 
 
 def decide_context(
@@ -149,14 +106,9 @@ def decide_context(
     runs = runs_in_context(study, constraint, repeated, evidence)
     if refutes(constraint, runs, confidence):
         return False
-    if shows(constraint, runs, confidence) or shown_by_model(
-        study, constraint, evidence, place, confidence
-    ):
+    if shows(constraint, runs, confidence):
         earlier = evidence.earlier.at(repeated[0].context)
         return None if contradicts_earlier(constraint, earlier, repeated) else True
-    ranking = evidence.ranking.get(constraint.name, Ranking())
-    if repeated[0].context in ranking.behind:
-        confidence = min(confidence, BEHIND)
     return False if _is_hopeless(constraint, runs, most, confidence) else None
 
 
@@ -177,27 +129,6 @@ def _is_hopeless(constraint: Constraint, runs: Runs, most: int, confidence: floa
     if runs.exact:
         return any(runs.events)
     return constraint.rule.is_hopeless(runs, most, confidence)
-
-
-def shown_by_model(
-    study: Study, constraint: Constraint, evidence: Evidence, place: int, confidence: float
-) -> bool:
-    """Return whether a limit is shown with the help of the ranking of contexts by a model.
-
-    Either the model has it kept there by far, and a few runs confirm it; or by the model it is not
-    the worst, and the runs show the limit with the confidence `BEHIND`.
-    """
-    here, ranking = evidence.repeated[place], evidence.ranking.get(constraint.name)
-    values = values_of(here, constraint.metric)
-    if ranking is None or len(values) < max(FEW, len(here)):
-        return False
-    if here[0].context in ranking.clear and confirms(constraint, values):
-        return True
-    if here[0].context not in ranking.behind:
-        return False
-    runs = runs_in_context(study, constraint, here, evidence)
-    # Runs beyond the limit elsewhere ask for more in the worst context.
-    return constraint.rule.is_shown(replace(runs, farthest=float("nan")), BEHIND)
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:

@@ -1,21 +1,28 @@
 """The draws of a certificate: contexts from their distribution, the same for all subjects."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from bo_tuner.evidence.certificate.decisions import contradiction
-from bo_tuner.evidence.certificate.economy import least_draws
 from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.plan import CHECKED, Case, CertificatePlan, Subject
 from bo_tuner.plans import Run
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.validation import by_turns
 
 DRAWS = "draws"
 """Name of the first phase; the others are searches."""
 
+LEAST_DRAWS = 30
+"""Draws behind a mean and a standard deviation, even if fewer decide the verdict."""
+
 REPEATS = 3
 """Draws of each subject that are run once more with another seed if they are to have no noise."""
+
+
+def least_draws(study: Study) -> int:
+    """Return the least number of draws; without noise and contexts all would be the same."""
+    return 1 if study.is_noiseless and not study.contexts else LEAST_DRAWS
 
 
 class DrawPlan(CertificatePlan):
@@ -79,8 +86,7 @@ class DrawPlan(CertificatePlan):
         subject, drawn = self._subjects[number], self.evaluations[number]
         if contradiction(self._case.study, [*self._repeats[number], *drawn]):
             return True
-        # Several are compared in the same draws, so that none may need more of them later.
-        decided = self._case.decided(subject, drawn, None if len(self._subjects) == 1 else ())
+        decided = self._case.decided(subject, drawn)
         least = min(least_draws(self._case.study), self._case.most)
         return decided is False or (decided is True and len(drawn) >= least)
 
@@ -128,53 +134,4 @@ class RepeatedDraws(CertificatePlan):
     def tell(self, task: Run) -> bool:
         """Add a run, which is a step."""
         self.evaluations[task.evaluation.trial].append(task.evaluation)
-        return True
-
-
-class FurtherDrawPlan(CertificatePlan):
-    """More draws of one subject, as its other runs were too few beside those that it has.
-
-    Parameters
-    ----------
-    case
-        The certificate.
-    number
-        Of the subject.
-    subject
-        The parameter set.
-    evidence
-        All its runs.
-
-    Attributes
-    ----------
-    evidence
-        With the runs that have ended.
-    """
-
-    phase = "more draws"
-
-    def __init__(self, case: Case, number: int, subject: Subject, evidence: Evidence) -> None:
-        super().__init__()
-        self._case = case
-        self._number = number
-        self._subject = subject
-        self._others = evidence.others
-        self._contexts = case.draw()
-        self.evidence = evidence
-        self.steps = case.most - len(evidence.drawn)
-
-    def _next(self, pending: Sequence[Run]) -> Run | None:
-        """Return the next draw."""
-        drawn = self.evidence.drawn
-        k = len(drawn) + len(pending)
-        if (
-            k == len(self._contexts)
-            or self._case.decided(self._subject, drawn, self._others) is not None
-        ):
-            return None
-        return self._case.drawn(self._number, self._subject, k, self._contexts[k])
-
-    def tell(self, task: Run) -> bool:
-        """Add a draw."""
-        self.evidence = replace(self.evidence, drawn=(*self.evidence.drawn, task.evaluation))
         return True

@@ -131,22 +131,6 @@ NOTHING = Earlier()
 
 
 @dataclass(frozen=True)
-class Ranking:
-    """What a model over the contexts has of those that may be the worst for a limit.
-
-    Attributes
-    ----------
-    clear
-        Contexts in which single runs keep the limit by far.
-    behind
-        Others in which the metric is nearer to the limit, but not nearer than in the worst one.
-    """
-
-    clear: tuple[Context, ...] = ()
-    behind: tuple[Context, ...] = ()
-
-
-@dataclass(frozen=True)
 class Evidence:
     """The evaluations of one parameter set.
 
@@ -165,9 +149,6 @@ class Evidence:
         decided the verdict.
     unseen
         Names of the constraints that have no run in any context of their search for that reason.
-    ranking
-        By constraint, what a model over the contexts has of those in `repeated`; empty if each of
-        them must show each limit by its own runs.
     earlier
         What was known of it before; counts against it only.
     repeats
@@ -180,7 +161,6 @@ class Evidence:
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
     unvisited: Mapping[str, int] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
-    ranking: Mapping[str, Ranking] = field(default_factory=dict)
     earlier: Earlier = NOTHING
     repeats: tuple[Evaluation, ...] = ()
 
@@ -214,6 +194,8 @@ class WorstContext:
         Upper confidence bound of the probability that a run in this context violates the limit.
     shown
         Whether the limit is shown to hold in this context.
+    needs_range
+        Whether only a range of the metric would bound the mean, as the runs are of two kinds.
     contradicted
         Whether the evaluations alone would show it, and earlier ones keep them from it.
     earlier
@@ -231,6 +213,7 @@ class WorstContext:
     failures: int
     violation_bound: float
     shown: bool
+    needs_range: bool = False
     contradicted: bool = False
     earlier: int = 0
     together: float = float("nan")
@@ -263,11 +246,11 @@ class ConstraintVerdict:
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, by their mean, the worst one first.
-    modelled
-        Contexts of the searches in which the limit is shown with the help of a model over the
-        contexts, as `assumptions` says; not among `worst`.
-    assumptions
-        On what it rests besides the numbers of runs that are counted, a line each.
+    assumption, condition
+        On what it rests besides the numbers of runs that are counted, in a line, and the same in a
+        few words that follow *if*; empty if on nothing.
+    refuted
+        Whether runs show that it does not hold.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """
@@ -286,10 +269,18 @@ class ConstraintVerdict:
     extreme: float
     tail: float
     worst: tuple[WorstContext, ...]
-    modelled: tuple[WorstContext, ...]
-    assumptions: tuple[str, ...]
+    assumption: str
+    condition: str
+    refuted: bool
     passed: bool
     reason: str
+
+    @property
+    def proof(self) -> str:
+        """Whether it is proven, in a few words."""
+        if not self.passed:
+            return "NOT proven"
+        return f"shown, if {self.condition}" if self.condition else "proven"
 
 
 @dataclass(frozen=True)
@@ -340,9 +331,9 @@ class Findings:
     def assumptions(self) -> tuple[str, ...]:
         """On what it rests besides the numbers of runs that are counted, a line each."""
         return tuple(
-            f"{constraint.name}: with an assumption: {assumption}"
+            f"{constraint.name}: with an assumption: {constraint.assumption}"
             for constraint in self.constraints
-            for assumption in constraint.assumptions
+            if constraint.assumption
         )
 
     @property

@@ -9,7 +9,10 @@ again the same, and a model that is too smooth never looks beside it.
 
 `most_searched` bounds their number. The search ends before where the limit is clearly violated
 in some context, or clearly kept in all; the verdict rests on the repetitions in the contexts that
-it returns in any case.
+it returns in any case. Every combination of discrete values is among these, in the context of its
+largest prediction: no model tells that a value is harmless in which nothing was run. So where all
+contexts are discrete there is nothing to search. Neither does a model of the mean tell where noise
+or rare runs are the worst: a box of few corners has all of them among the candidates.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -23,7 +26,7 @@ from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import Context
+from bo_tuner.trials import Context, Value
 
 Values = Sequence[float | None]
 """A metric in some contexts, None where the evaluation failed."""
@@ -47,7 +50,10 @@ OTHERS = 200
 """Contexts considered as starts besides the evaluated ones and the corners."""
 
 CANDIDATES = 5
-"""Number of candidates for the worst context."""
+"""Number of candidates for the worst context, without those that are there in any case."""
+
+FEW_CORNERS = 4
+"""Number of corners up to which all of them are candidates."""
 
 CARRIED = 3
 """Further candidates by all runs, those of earlier certificates as well."""
@@ -73,16 +79,30 @@ number."""
 
 def most_searched(space: ContextSpace, known: int) -> int:
     """Return the largest number of evaluations of `find_worst_contexts` with `known` contexts."""
-    if space.dimension == 0:
+    if space.is_discrete:
         return 0
     return len(space.corners()) + SPREAD_EVALUATIONS + known + ROUNDS * EVALUATIONS_A_ROUND
 
 
 def least_searched(space: ContextSpace, known: int) -> int:
     """Return the number of evaluations of `find_worst_contexts` where a limit is clearly kept."""
-    if space.dimension == 0:
+    if space.is_discrete:
         return 0
     return len(space.corners()) + SPREAD_EVALUATIONS + known + EVALUATIONS_A_ROUND
+
+
+def most_candidates(space: ContextSpace) -> int:
+    """Return the largest number of candidates for the worst context of one limit."""
+    if space.is_discrete:
+        return space.count_combinations
+    return CANDIDATES + len(_in_any_case(space))
+
+
+def least_candidates(space: ContextSpace) -> int:
+    """Return the smallest number of candidates, where the search is about few contexts."""
+    if space.is_discrete:
+        return space.count_combinations
+    return max(CANDIDATES, len(_in_any_case(space)))
 
 
 def find_worst_contexts(
@@ -116,11 +136,12 @@ def find_worst_contexts(
     Returns
     -------
     list of dict
-        At most `CANDIDATES` contexts: the largest prediction over the box and over its corners, the
-        largest observation, the known ones, then others in the order of their predictions.
+        At most `most_candidates` contexts: the largest prediction over the box and over its
+        corners, the largest observation, the known ones, those that are there in any case, then
+        others in the order of their predictions.
     """
-    if space.dimension == 0:
-        return [{}]
+    if space.is_discrete:
+        return _every_context(space, drawn, known)
     tried = _Tried(space, drawn[:MOST_MODELLED])
     spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
     known_points = space.cube_of(known)
@@ -144,48 +165,6 @@ def find_worst_contexts(
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(space.cube_of([context])[0], value)
     return [space.to_dict(row) for row in tried.candidates(known_points, model, rng)]
-
-
-def rank(
-    space: ContextSpace,
-    runs: Sequence[tuple[Context, float]],
-    candidates: Sequence[Context],
-    limit: float,
-    rng: np.random.Generator,
-) -> tuple[list[Context], list[Context]]:
-    """Return what a model of runs has of candidates for the worst context: those that are not.
-
-    Parameters
-    ----------
-    space
-        The context space.
-    runs
-        Contexts and metric of the runs.
-    candidates
-        Contexts; at least one.
-    limit
-        Upper limit of the metric.
-    rng
-        Starts the fit.
-
-    Returns
-    -------
-    list of dict, list of dict
-        Contexts in which single runs clearly keep the limit, and the others but the one with the
-        largest mean.
-    """
-    if space.dimension == 0 or not runs:
-        return [], []
-    points = space.cube_of([context for context, _ in runs])
-    model = GaussianProcess.fit(points, np.array([value for _, value in runs]), rng=rng)
-    mean, variance = model.predict(space.cube_of(candidates))
-    kept = mean + CLEAR * np.sqrt(variance + model.noise_variance) <= limit
-    worst = int(np.argmax(mean))
-    places = [place for place in range(len(candidates)) if place != worst]
-    return (
-        [candidates[place] for place in places if kept[place]],
-        [candidates[place] for place in places if not kept[place]],
-    )
 
 
 def worst_of_all(
@@ -274,7 +253,63 @@ class _Tried:
         rest = _distinct([*first, *maxima, *others])
         # `rest` starts with `first`, except for those that are close to each other.
         rest = rest[[not (first == point).all(axis=1).any() for point in rest]]
-        return self._space.to_contexts(np.vstack([first, rest])[:CANDIDATES])
+        chosen = first[:CANDIDATES]
+        for group in _in_any_case(self._space):
+            if not self._has(chosen, group):
+                places = self._like(group, points)
+                best = places[int(np.argmax(model.predict_mean(places)))]
+                chosen = np.vstack([chosen, best])
+        free = max(0, CANDIDATES - len(chosen))
+        return self._space.to_contexts(np.vstack([chosen, rest[:free]]))
+
+    def _has(self, chosen: Array, group: Array) -> bool:
+        """Return whether the combination of a group, or its only corner, is among the chosen."""
+        if len(group) == 1 and self._space.count_combinations == 1:
+            return not _is_distinct(group[0], list(chosen), APART)
+        own = self._space.combination_of(group[:1])[0]
+        return own in self._space.combination_of(chosen)
+
+    def _like(self, group: Array, points: Array) -> Array:
+        """Return a group with the evaluated points of the same combination."""
+        if self._space.count_combinations == 1:
+            return group
+        own = self._space.combination_of(group[:1])[0]
+        same = [combination == own for combination in self._space.combination_of(points)]
+        return np.vstack([group, points[same]])
+
+
+def _in_any_case(space: ContextSpace) -> list[Array]:
+    """Return groups of points of the cube of each of which one is a candidate in any case.
+
+    They are the corners in each combination of discrete values or, without discrete variables, each
+    corner by itself if they are few.
+    """
+    groups = list(space.combinations())
+    if len(groups) > 1:
+        return groups
+    corners = groups[0]
+    return [corner[None] for corner in corners] if len(corners) <= FEW_CORNERS else []
+
+
+def _every_context(
+    space: ContextSpace, drawn: Sequence[tuple[Context, float]], known: Sequence[Context]
+) -> list[Context]:
+    """Return all contexts of a discrete space: the known ones, then by their largest drawn value.
+
+    It is only an order: each of them takes its runs.
+    """
+    every = [space.to_dict(space.to_contexts(group)[0]) for group in space.combinations()]
+    largest: dict[tuple[Value, ...], float] = {}
+    for context, value in drawn:
+        key = tuple(context.values())
+        largest[key] = max(value, largest.get(key, -np.inf))
+    keys = [tuple(context.values()) for context in every]
+    first = [tuple(context.values()) for context in known]
+    order = sorted(
+        range(len(every)),
+        key=lambda k: (keys[k] not in first, -largest.get(keys[k], -np.inf)),
+    )
+    return [every[k] for k in order]
 
 
 def _is_violated(model: GaussianProcess, limit: float) -> bool:

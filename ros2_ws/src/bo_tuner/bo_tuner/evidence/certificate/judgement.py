@@ -9,8 +9,6 @@ show it with the stated confidence 1 - α; too few evaluations to show it are a 
   there.
 - What shows a limit in runs is said by its kind (`bo_tuner.study.limit_kinds`): the bound of the
   probability of a violation is at most what is allowed, or that of the mean is within the limit.
-- Where a limit is kept by far, and in contexts that by a model are not the worst, fewer runs
-  suffice (`economy`); the verdict names what it rests on then.
 - A value outside the declared range of its metric is a FAIL: the declaration is wrong.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
@@ -25,7 +23,8 @@ end as soon as the verdict is clear, and going on cannot turn luck into a PASS.
 PASS requires all of them. Such a test of a union of hypotheses, each at level α, has level α
 itself, whatever the dependence between them (Berger 1982): a constraint that in truth does not hold
 passes its own test with probability α at most. So no correction for the number of constraints and
-candidates is needed. What no test covers is a worst context that the search did not find.
+candidates is needed. What no test covers is a worst context that the search did not find; of
+discrete contexts every combination is a candidate.
 
 References
 ----------
@@ -41,19 +40,15 @@ from bo_tuner import text
 from bo_tuner.evidence.certificate.decisions import (
     contradiction,
     contradicts_earlier,
-    is_shown_with_others,
     refutes,
-    shown_by_model,
     shows,
     together,
 )
-from bo_tuner.evidence.certificate.economy import BEHIND, said_of_draws
 from bo_tuner.evidence.certificate.findings import (
     TAIL,
     ConstraintVerdict,
     Evidence,
     Findings,
-    Ranking,
     WorstContext,
 )
 from bo_tuner.evidence.certificate.limited_runs import (
@@ -62,7 +57,6 @@ from bo_tuner.evidence.certificate.limited_runs import (
     failed_runs,
     is_exact,
     runs_in_context,
-    runs_of,
     values_of,
 )
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
@@ -77,13 +71,13 @@ from bo_tuner.trials import Evaluation
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     """Return the smallest number of draws for a PASS, and the constraint that requires it.
 
-    With fewer, even a sample without any violation cannot show a limit on single runs. One in every
-    context takes as many runs in each, of which there are at most as many as draws.
+    With fewer, even a sample far within a limit cannot show it. One in every context takes as many
+    runs in each, of which there are at most as many as draws.
     """
     needed = {
-        c.name: c.rule.runs_needed(confidence)
+        c.name: c.rule.fewest(declared_range(study, c), confidence)
         for c in study.constraints.values()
-        if c.rule.on_runs and not is_exact(study, c)
+        if not is_exact(study, c)
     }
     if not needed:
         return 1, ""
@@ -143,25 +137,19 @@ def _judge(
     rule, unit = constraint.rule, study.metrics[constraint.metric].unit
     runs = drawn_runs(study, constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
-    modelled: tuple[WorstContext, ...] = ()
-    assumption = _assumption(study, constraint, evidence)
-    assumptions: tuple[str, ...] = (assumption,) if assumption else ()
+    assumption, condition = _assumption(study, constraint, evidence)
     bound = _bound(runs, confidence)
     against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
+    refuted = refutes(constraint, runs, confidence)
     if rule.in_every_context:
-        worst, modelled, passed, reason = _in_every_context(
+        worst, refuting, passed, reason = _in_every_context(
             study, constraint, evidence, runs, unit, confidence, against
         )
-        assumptions += _said_of_ranking(constraint, evidence, modelled)
+        refuted = refuted or refuting
     else:
-        shown, counted, others = shows(constraint, runs, confidence), runs, evidence.others
-        if not shown and is_shown_with_others(study, constraint, runs.values, others, confidence):
-            shown, counted = True, runs_of(constraint, [*evidence.drawn, *others])
-            bound = _bound(counted, confidence)
-            elsewhere = values_of(others, constraint.metric)
-            assumptions += (said_of_draws(constraint, runs.values, elsewhere),)
+        shown = shows(constraint, runs, confidence)
         passed = shown and not against
-        reason_of_draws = rule.said_of_draws(counted, unit, confidence, passed=passed)
+        reason_of_draws = rule.said_of_draws(runs, unit, confidence, passed=passed)
         if runs.exact:
             reason_of_draws = (
                 f"{sum(runs.events)} of {text.counted(len(runs.events), 'run')} violate the limit "
@@ -184,8 +172,9 @@ def _judge(
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
-        modelled=modelled,
-        assumptions=assumptions,
+        assumption=assumption,
+        condition=condition,
+        refuted=refuted,
         passed=passed,
         reason=reason,
     )
@@ -199,23 +188,18 @@ def _in_every_context(
     unit: str,
     confidence: float,
     against: str,
-) -> tuple[tuple[WorstContext, ...], tuple[WorstContext, ...], bool, str]:
-    """Return the contexts that may be the worst, and whether and why the limit is shown.
-
-    Those in which it is shown with the help of a model come second.
-    """
+) -> tuple[tuple[WorstContext, ...], bool, bool, str]:
+    """Return the contexts that may be the worst, whether one refutes the limit, and the verdict."""
     everywhere = [
         _worst_context(study, place, constraint, evidence, confidence)
         for place in range(len(evidence.repeated))
     ]
-    by_runs = [context for context, by_model in everywhere if not by_model]
-    modelled = tuple(context for context, by_model in everywhere if by_model)
     # A context without a complete evaluation has no mean, and counts as the worst.
     sign = constraint.sign
-    worst = tuple(sorted(by_runs, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+    worst = tuple(sorted(everywhere, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
     refuting = [
         context
-        for (context, _), evaluations in zip(everywhere, evidence.repeated, strict=True)
+        for context, evaluations in zip(everywhere, evidence.repeated, strict=True)
         if refutes(
             constraint, runs_in_context(study, constraint, evaluations, evidence), confidence
         )
@@ -234,7 +218,7 @@ def _in_every_context(
         refuting=refuting,
         unvisited=evidence.unvisited.get(constraint.name, 0),
     )
-    return worst, modelled, passed, reason
+    return worst, bool(refuting), passed, reason
 
 
 def _worst_case(
@@ -273,15 +257,14 @@ def _worst_case(
 
 def _worst_context(
     study: Study, place: int, constraint: Constraint, evidence: Evidence, confidence: float
-) -> tuple[WorstContext, bool]:
-    """Return what the runs in a context show, and whether they do so with the help of a model."""
+) -> WorstContext:
+    """Return what the runs in a context show."""
     evaluations = evidence.repeated[place]
     runs = runs_in_context(study, constraint, evaluations, evidence)
     earlier, values = evidence.earlier.at(evaluations[0].context), runs.values
-    alone = len(values) == len(evaluations) and shows(constraint, runs, confidence)
-    shown = alone or shown_by_model(study, constraint, evidence, place, confidence)
+    shown = len(values) == len(evaluations) and shows(constraint, runs, confidence)
     contradicted = shown and contradicts_earlier(constraint, earlier, evaluations)
-    context = WorstContext(
+    return WorstContext(
         context=dict(evaluations[0].context),
         mean=_mean(constraint, runs, confidence),
         extreme=constraint.farthest(values),
@@ -290,11 +273,11 @@ def _worst_context(
         failures=len(evaluations) - len(values),
         violation_bound=_bound(runs, confidence),
         shown=shown and not contradicted,
+        needs_range=not runs.exact and constraint.rule.needs_range(runs),
         contradicted=contradicted,
         earlier=len(earlier),
         together=together(constraint, earlier, evaluations) if earlier else float("nan"),
     )
-    return context, context.shown and not alone
 
 
 def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
@@ -303,33 +286,11 @@ def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     if runs.exact and len(runs.values):
         value = float(runs.values[0])
         return Mean(value, 0.0, upper=value, lower=value)
-    mean = mean_of(runs.values, confidence, rule.runs_behind_bound(runs))
+    mean = mean_of(runs.values, confidence)
     if not isinstance(rule, OnMean) or len(runs.values) < 2:
         return mean
     bound = rule.bound(runs, confidence)
     return replace(mean, upper=bound) if constraint.sign > 0.0 else replace(mean, lower=bound)
-
-
-def _said_of_ranking(
-    constraint: Constraint, evidence: Evidence, modelled: Sequence[WorstContext]
-) -> tuple[str, ...]:
-    """Say in which contexts the limit is shown with the help of a model, and by how many runs."""
-    clear = evidence.ranking.get(constraint.name, Ranking()).clear
-    far = [w for w in modelled if w.context in clear]
-    behind = [w for w in modelled if w.context not in clear]
-    sentences = []
-    if far:
-        sentences.append(
-            f"in {text.counted(len(far), 'context')} the limit is kept by far by a model over the "
-            f"contexts, which {sum(w.evaluations for w in far)} runs confirm"
-        )
-    if behind:
-        sentences.append(
-            f"in {text.counted(len(behind), 'context')}, by a model over the contexts not the "
-            f"worst, {sum(w.evaluations for w in behind)} runs show the limit with a confidence of "
-            f"{100.0 * BEHIND:g} %"
-        )
-    return tuple(sentences)
 
 
 def _said_of_draws(
@@ -361,12 +322,13 @@ def _bound(runs: Runs, confidence: float) -> float:
     return float(probability_bounds(runs.events, confidence)[-1])
 
 
-def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> str:
-    """Return on what the evidence rests besides its number; empty if on nothing."""
+def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> tuple[str, str]:
+    """Return on what the evidence rests besides its number, and briefly; empty if on nothing."""
     if is_exact(study, constraint):
         return (
             "the study declares its runs free of noise (noise: none), of which "
-            f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics"
+            f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics",
+            "its runs are free of noise, as declared",
         )
     return constraint.rule.assumption(declared_range(study, constraint))
 

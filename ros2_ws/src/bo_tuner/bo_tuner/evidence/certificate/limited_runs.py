@@ -28,13 +28,10 @@ def drawn_runs(
     study: Study, constraint: Constraint, drawn: Sequence[Evaluation], earlier: Earlier
 ) -> Runs:
     """Return draws as runs of which each stands for all contexts."""
-    values = values_of(drawn, constraint.metric)
-    known = [*values, *earlier.extremes.get(constraint.metric, ())]
+    known = [*values_of(drawn, constraint.metric), *earlier.extremes.get(constraint.metric, ())]
     return replace(
         runs_of(constraint, drawn),
         farthest=constraint.farthest(known),
-        elsewhere=(values,),
-        known=len(values),
         declared=declared_range(study, constraint),
         exact=is_exact(study, constraint),
     )
@@ -55,8 +52,6 @@ def runs_in_context(
     return replace(
         runs_of(constraint, evaluations),
         farthest=constraint.farthest(known),
-        elsewhere=[values_of(runs, metric) for runs in evidence.repeated],
-        known=len(own),
         declared=declared_range(study, constraint),
         exact=exact,
     )

@@ -24,7 +24,7 @@ from bo_tuner.evidence.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
-from bo_tuner.evidence.declarations import drifts
+from bo_tuner.evidence.declarations import drifts, two_kinds
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
@@ -114,6 +114,7 @@ def make_certificate(
             *_busy(study, findings, tuned),
             *_rounded(findings, held),
             *drifts(study, {name: item.drawn for name, item in evidence.items()}),
+            *two_kinds(study, {name: item.drawn for name, item in evidence.items()}),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),

@@ -14,24 +14,19 @@ from math import exp, log, sqrt
 import numpy as np
 from scipy.special import betaincinv, ndtr
 
-from bo_tuner.evidence.certificate.economy import BEHIND, FEW, is_far, least_draws
+from bo_tuner.evidence.certificate.draws import least_draws
 from bo_tuner.evidence.certificate.independent_search import (
-    CANDIDATES,
+    least_candidates,
     least_searched,
+    most_candidates,
     most_searched,
 )
-from bo_tuner.evidence.certificate.limited_runs import is_exact
+from bo_tuner.evidence.certificate.limited_runs import declared_range, is_exact
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
-from bo_tuner.numerics.sequential import (
-    draws_needed,
-    log_evidence,
-    log_mean_evidence,
-    spent,
-)
+from bo_tuner.numerics.sequential import log_evidence, log_mean_evidence, spent
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.on_mean import LEAST_RUNS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, WorstCase
 
@@ -153,49 +148,40 @@ class _Simulation:
 
     def evaluations(self) -> int | None:
         """Return how many evaluations a certificate takes; None if it does not pass."""
-        draws, together, places = least_draws(self.study), 0, 0
+        draws, places = least_draws(self.study), 0
         for constraint in self.study.constraints.values():
-            if is_exact(self.study, constraint):
-                places = max(places, CANDIDATES if self.study.contexts else 1)
-                continue
             if constraint.rule.in_every_context:
                 runs = self._in_contexts(constraint)
                 places = max(places, runs or 0)
-            elif self._is_far(constraint):
-                together = max(together, draws_needed(constraint.allowed, self.confidence))
-                continue
             else:
-                runs = self._runs(constraint, self._of_draws(constraint), self.confidence)
+                runs = self._runs(constraint, self._of_draws(constraint))
                 draws = max(draws, runs or 0)
             if runs is None:
                 return None
         if not places:
-            return max(draws, together)
+            return draws
         space = self.study.context_space()
         searched = self.rng.integers(least_searched(space, 1), most_searched(space, 1) + 1)
-        return max(draws + int(searched) + places, together)
-
-    def _is_far(self, constraint: Constraint) -> bool:
-        """Return whether the other runs count with the draws, as far as the known ones tell."""
-        free, values = self.study.certificate.distribution_free, self._known(constraint)
-        others = bool(self.study.worst_case_constraints) and not free and constraint.rule.on_runs
-        return others and len(values) > 1 and is_far(constraint, values)
+        return draws + int(searched) + places
 
     def _in_contexts(self, constraint: Constraint) -> int | None:
         """Return the runs in all contexts that may be the worst; None if they do not show it."""
-        margin = self._of_worst(constraint)
-        worst = self._runs(constraint, margin, self.confidence)
+        worst = self._runs(constraint, self._of_worst(constraint))
         if worst is None or not self.study.contexts:
             return worst
-        if self.study.certificate.distribution_free:
-            return CANDIDATES * worst
-        # Each of the others is clear by the model or just behind the worst; none may be as bad.
-        behind = self._runs(constraint, margin, BEHIND) or worst
-        count = int(self.rng.integers(0, CANDIDATES))
-        return worst + count * max(behind, FEW) + (CANDIDATES - 1 - count) * FEW
+        # None of the others may be as bad.
+        declared = declared_range(self.study, constraint)
+        exact = is_exact(self.study, constraint)
+        fewest = 1 if exact else constraint.rule.fewest(declared, self.confidence)
+        space = self.study.context_space()
+        count = int(self.rng.integers(least_candidates(space), most_candidates(space) + 1))
+        others = self.rng.integers(min(fewest, worst), worst + 1, size=count - 1)
+        return worst + int(others.sum())
 
-    def _runs(self, constraint: Constraint, margin: _Margin, confidence: float) -> int | None:
+    def _runs(self, constraint: Constraint, margin: _Margin) -> int | None:
         """Return after how many runs with a margin a limit is shown; None if after none."""
+        if is_exact(self.study, constraint):
+            return 1
         if constraint.rule.on_runs:
             events = self.rng.random(self.most) < margin.share
             evidence = log_evidence(events, constraint.allowed)
@@ -204,12 +190,11 @@ class _Simulation:
             declared = self.study.metrics[constraint.metric].range
             if declared is None:
                 evidence = log_mean_evidence(beyond, 0.0)
-                few_agree = not (beyond[:LEAST_RUNS] > 0.0).any()
-                evidence[: (FEW if few_agree else LEAST_RUNS) - 1] = 0.0
+                evidence[: constraint.rule.fewest(None, self.confidence) - 1] = 0.0
             else:
                 ends = sorted(constraint.sign * (end - constraint.limit) for end in declared)
                 evidence = log_wealth(np.clip(beyond, ends[0], ends[1]), 0.0, ends[1])
-        reached = evidence >= log(1.0 / (1.0 - confidence))
+        reached = evidence >= log(1.0 / (1.0 - self.confidence))
         return int(np.argmax(reached)) + 1 if reached.any() else None
 
     def _of_draws(self, constraint: Constraint) -> _Margin:

@@ -1,7 +1,7 @@
 """Sensitivity of an optimum to a step in one parameter, as the surrogates predict it.
 
 An optimum is narrow if a step to a neighbour loses more than the fraction `TOLERABLE` of the
-objective, or exceeds a limit by more than that fraction of it. After rounding, a small manual
+objective, or breaks a limit that the optimum keeps. After rounding, a small manual
 change or a move to a slightly different machine such an optimum may no longer be good. The paper's
 example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a horizon decides whether
 the limits are kept (Table 3).
@@ -12,6 +12,8 @@ than they could decide.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess, relative_loss
@@ -51,8 +53,8 @@ class Neighbour:
 
     @property
     def tolerable(self) -> bool:
-        """Whether neither loss nor excess is above `TOLERABLE`."""
-        return max(self.loss, self.excess) <= TOLERABLE
+        """Whether the loss is `TOLERABLE`, and all limits are kept."""
+        return self.loss <= TOLERABLE and self.excess <= 0.0
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ class ParameterSensitivity:
     neighbours
         Up to two for each tuned parameter, where bounds and order permit them.
     score
-        Mean over the neighbours of the loss and the excess beyond `TOLERABLE`; 0 if every step is
-        tolerable.
+        Mean over the neighbours of the loss beyond `TOLERABLE` and the excess over a limit; 0 if
+        every step is tolerable.
     """
 
     optimum: Neighbour
@@ -92,7 +94,7 @@ def narrow_in_words(study: Study, around: ParameterSensitivity) -> str:
     )
     return (
         f"narrow optimum: {len(around.narrow)} of {len(around.neighbours)} steps to a neighbour "
-        f"cost more than {100.0 * TOLERABLE:.0f} %: {steps}"
+        f"break a limit, or cost more than {100.0 * TOLERABLE:.0f} %: {steps}"
     )
 
 
@@ -152,5 +154,5 @@ def parameter_sensitivity(
         for k, item in enumerate(around)
     )
     # The optimum itself is left out: its own excess does not make it narrow.
-    lost = intolerable(loss[1:]) + intolerable(excess[1:])
+    lost = intolerable(loss[1:]) + np.maximum(excess[1:], 0.0)
     return ParameterSensitivity(optimum, tuple(others), float(lost.mean()) if others else 0.0)

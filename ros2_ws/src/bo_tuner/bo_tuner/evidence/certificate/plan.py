@@ -47,27 +47,17 @@ class Case:
     attempt: int
     most: int
 
-    def decided(
-        self,
-        subject: Subject,
-        drawn: Sequence[Evaluation],
-        others: Sequence[Evaluation] | None = None,
-    ) -> bool | None:
-        """Return whether a subject keeps its limits in draws, with other runs; None if open."""
-        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier, others)
+    def decided(self, subject: Subject, drawn: Sequence[Evaluation]) -> bool | None:
+        """Return whether a subject keeps its limits in draws; None if open."""
+        return decide_draws(self.study, drawn, self.most, self.confidence, subject.earlier)
 
-    def open_limits(self, evidence: Evidence, place: int) -> list[str] | None:
-        """Return the worst-case constraints that are open in a context; None if one is broken."""
-        undecided = []
-        for constraint in self.study.worst_case_constraints:
-            holds = decide_context(
-                self.study, constraint, evidence, place, self.most, self.confidence
-            )
-            if holds is False:
-                return None
-            if holds is None:
-                undecided.append(constraint.name)
-        return undecided
+    def holds(self, evidence: Evidence, place: int) -> bool | None:
+        """Return whether all worst-case constraints hold in a context; None if one is open."""
+        decided = [
+            decide_context(self.study, constraint, evidence, place, self.most, self.confidence)
+            for constraint in self.study.worst_case_constraints
+        ]
+        return False if False in decided else None if None in decided else True
 
     def draw(self) -> list[Context]:
         """Return the contexts of all draws."""

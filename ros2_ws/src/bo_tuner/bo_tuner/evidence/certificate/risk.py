@@ -42,7 +42,7 @@ class Mean:
         return self.upper if side == UPPER else self.lower
 
 
-def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) -> Mean:
+def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
     """Return the mean of independent values, its standard error and its confidence bounds.
 
     Parameters
@@ -51,8 +51,6 @@ def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) 
         Shape (n,).
     confidence
         Of each bound, between 0 and 1.
-    least
-        Values of the first bound that counts; earlier bounds are infinite.
     """
     sample = np.asarray(values, dtype=np.float64)
     count = len(sample)
@@ -61,8 +59,8 @@ def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) 
     return Mean(
         value=float(sample.mean()),
         standard_error=float(sample.std(ddof=1)) / sqrt(count),
-        upper=float(mean_bounds(sample, confidence, least)[-1]),
-        lower=-float(mean_bounds(-sample, confidence, least)[-1]),
+        upper=float(mean_bounds(sample, confidence)[-1]),
+        lower=-float(mean_bounds(-sample, confidence)[-1]),
     )
 
 

@@ -49,7 +49,7 @@ def _shown(
     where = "in random contexts; the search for its worst one is not done"
     if not evidence.repeated:
         return f"{_share(found.violation_bound, constraint)} {where}"
-    contexts = [*found.worst, *found.modelled]
+    contexts = found.worst
     # Of contexts that may be the worst, with those in which nothing was run yet.
     every = len(contexts) + evidence.unvisited.get(found.name, 0)
     if not contexts:

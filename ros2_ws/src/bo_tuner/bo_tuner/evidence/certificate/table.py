@@ -77,10 +77,7 @@ def certificate_lines(verdict: Verdict, certificate: Certificate, most: int) -> 
     others += [verdict.default_in_words] if certificate.default is not None else []
     others += [f"warning: {warning}" for warning in certificate.warnings][:1]
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
-    lines = [
-        f"{item.name}: {'proven' if item.passed else 'NOT proven'}: {item.reason}"
-        for item in limits
-    ]
+    lines = [f"{item.name}: {item.proof}: {item.reason}" for item in limits]
     if certificate.tuned.failures:
         lines.insert(0, f"{certificate.tuned.failures} of {certificate.tuned.evaluations} failed")
     room = most - len(others)
@@ -133,7 +130,7 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     yield row(
         f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        ("proven" if c.passed else "NOT proven" for c in both),
+        (c.proof.partition(",")[0] for c in both),
     )
 
 

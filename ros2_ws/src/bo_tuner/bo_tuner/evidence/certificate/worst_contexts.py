@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bo_tuner.evidence.certificate.decisions import is_failed
-from bo_tuner.evidence.certificate.findings import Evidence, Ranking
+from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.independent_search import (
-    CANDIDATES,
     CARRIED,
-    MOST_MODELLED,
     find_worst_contexts,
+    most_candidates,
     most_searched,
-    rank,
     worst_of_all,
 )
 from bo_tuner.evidence.certificate.plan import REPEATED, SEARCHED, Case, CertificatePlan, Subject
@@ -29,20 +27,18 @@ def most_places(study: Study, subject: Subject) -> int:
     constraints = len(study.worst_case_constraints)
     if not constraints or not study.contexts:
         return constraints
-    per_constraint = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
+    per_constraint = most_candidates(study.context_space())
+    if subject.earlier.certified and not study.context_space().is_discrete:
+        per_constraint += CARRIED
     return len(subject.earlier.contexts) + constraints * per_constraint
 
 
 @dataclass(frozen=True)
 class _Suspects:
-    """Contexts that may be the worst ones.
-
-    Each constraint has searched for some of them, and has ranked them by a model over the contexts.
-    """
+    """Contexts that may be the worst ones, with the places of those that each constraint found."""
 
     contexts: Sequence[Context]
     found_by: Mapping[str, Sequence[int]]
-    ranking: Mapping[str, Ranking]
 
 
 class WorstCasePlan(CertificatePlan):
@@ -88,11 +84,7 @@ class WorstCasePlan(CertificatePlan):
         if task is not None or pending or self._search.result is None:
             return task
         suspects = self._search.result
-        evidence = replace(
-            self.evidence,
-            repeated=((),) * len(suspects.contexts),
-            ranking=suspects.ranking,
-        )
+        evidence = replace(self.evidence, repeated=((),) * len(suspects.contexts))
         self._repeats = RepeatPlan(self._case, self._number, evidence, suspects)
         self.evidence = self._repeats.visited
         return self._repeats.ask(pending)
@@ -129,38 +121,7 @@ class WorstCasePlan(CertificatePlan):
             known = [*self.evidence.search, *drawn, *subject.earlier.evaluations]
             for constraint in study.worst_case_constraints:
                 candidates += self._carry(constraint, known, candidates, rng)
-        ranking = self._rank(candidates, rng)
-        # Those in which limits are kept by far come last.
-        kept = [sum(context in item.clear for item in ranking.values()) for context in candidates]
-        order = sorted(range(len(candidates)), key=lambda place: kept[place])
-        return _Suspects(
-            [candidates[place] for place in order],
-            {name: sorted(map(order.index, places)) for name, places in found_by.items()},
-            ranking,
-        )
-
-    def _rank(self, candidates: Sequence[Context], rng: np.random.Generator) -> dict[str, Ranking]:
-        """Return by constraint what a model has of the contexts that have not failed before."""
-        study, failed_before = self._case.study, self._subject.earlier.contexts
-        if study.certificate.distribution_free:
-            return {}
-        known = [*self.evidence.search, *self.evidence.drawn]
-        complete = [evaluation for evaluation in known if evaluation.outcome.complete]
-        rankings = {}
-        for constraint in study.worst_case_constraints:
-            metric, sign = constraint.metric, constraint.sign
-            clear, behind = rank(
-                study.context_space(),
-                [(e.context, sign * e.outcome.metrics[metric]) for e in complete[:MOST_MODELLED]],
-                candidates,
-                sign * constraint.limit,
-                rng,
-            )
-            rankings[constraint.name] = Ranking(
-                tuple(context for context in clear if context not in failed_before),
-                tuple(context for context in behind if context not in failed_before),
-            )
-        return rankings
+        return _Suspects(candidates, found_by)
 
     def _find(
         self, constraint: Constraint, suspected: Sequence[Context], rng: np.random.Generator
@@ -217,9 +178,7 @@ class WorstCasePlan(CertificatePlan):
 
 
 class RepeatPlan(Plan[Run]):
-    """Repeated runs in contexts that may be the worst, until each is clear.
-
-    First in the worst ones; those in which the limits are kept by far come last.
+    """Repeated runs in contexts that may be the worst, in their order, until each is clear.
 
     Parameters
     ----------
@@ -284,27 +243,8 @@ class RepeatPlan(Plan[Run]):
 
         What was clear in a context may be open again after the runs in the next.
         """
-        every = [constraint.name for constraint in self._case.study.worst_case_constraints]
-        open_at: dict[int, list[str]] = {}
         for place, here in enumerate(self._evidence.repeated):
-            names = self._case.open_limits(self._evidence, place) if here else every
-            if names is None:
-                return None
-            if names:
-                open_at[place] = names
-        if not open_at:
-            return None
-        return min(open_at, key=lambda place: (self._turn(place, open_at[place]), place))
-
-    def _turn(self, place: int, names: Sequence[str]) -> int:
-        """Return when it is a context's turn, by the limits that are open there: the least first.
-
-        The worst ones; then those behind them; then those in which the limits are kept by far.
-        """
-        context = self._suspects.contexts[place]
-        items = [self._suspects.ranking.get(name, Ranking()) for name in names]
-        if all(context in item.clear for item in items):
-            return 2
-        if all(context in (*item.clear, *item.behind) for item in items):
-            return 1
-        return 0
+            holds = self._case.holds(self._evidence, place) if here else None
+            if not holds:
+                return place if holds is None else None
+        return None

@@ -164,11 +164,12 @@ def _limits(analysis: Analysis) -> list[Tile]:
     status = _status(limited[0])
     if analysis.verdict.standing is Standing.VIOLATED:
         status = Status.BAD
+    conditional = any(q.limit_verdict.condition for q in limited if q.limit_verdict)
     value = {
         Status.BAD: "no",
         Status.WARNING: "more runs over a limit than permitted",
         Status.OPEN: "not proven",
-        Status.GOOD: "proven",
+        Status.GOOD: "shown with an assumption" if conditional else "proven",
     }[status]
     remarks = [_limit(quantity) for quantity in limited[:MOST_LIMITS]]
     if len(limited) > MOST_LIMITS:

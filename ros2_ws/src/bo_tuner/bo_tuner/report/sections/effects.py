@@ -91,7 +91,7 @@ def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
         return [f"{warning[:1].upper()}{warning[1:]}."]
     return [
         f"None of {len(steps.neighbours)} steps to a neighbour loses more than "
-        f"{100.0 * TOLERABLE:.0f} % of the objective or exceeds a limit by more than that."
+        f"{100.0 * TOLERABLE:.0f} % of the objective or breaks a limit."
     ]
 
 
@@ -245,8 +245,8 @@ def _notes(
         notes.append(
             f"Steps: the {predicted_axis(analysis.study).label} as the models predict it{share}. A "
             f"step is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A "
-            f"step is tolerable if neither loss nor excess is above {100.0 * TOLERABLE:.0f} %. The "
-            f"sensitivity score, the mean loss beyond that, is {steps.score:.3g}."
+            f"step is tolerable if it costs at most {100.0 * TOLERABLE:.0f} % and breaks no limit. "
+            f"The sensitivity score, the mean of what is beyond that, is {steps.score:.3g}."
         )
     if shares:
         notes.append(

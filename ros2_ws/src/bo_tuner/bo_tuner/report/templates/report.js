@@ -146,7 +146,8 @@
       watcher.observe(element);
     }
   }
-  adopt(document);
+  const loaded = new Promise((resolve) => addEventListener("load", resolve));
+  library.then(() => adopt(document));
   function drawNext() {
     const [next] = undrawn();
     if (next) {
@@ -156,11 +157,13 @@
       document.documentElement.dataset.drawn = "all";
     }
   }
-  addEventListener("load", () => setTimeout(drawNext, 50));
+  Promise.all([library, loaded]).then(() => setTimeout(drawNext, 50));
   // A page of a run in progress replaces its sections, and tells of each.
   document.addEventListener("replaced", (event) => {
-    adopt(event.target);
-    setTimeout(drawNext, 50);
+    library.then(() => {
+      adopt(event.target);
+      setTimeout(drawNext, 50);
+    });
   });
 
   document.addEventListener("removed", (event) => {

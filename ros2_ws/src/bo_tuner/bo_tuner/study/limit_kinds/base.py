@@ -35,10 +35,6 @@ class Runs:
     farthest
         Value farthest on the side of the limit in all runs of the parameter set that are known;
         NaN of none.
-    elsewhere
-        The values in each context that is run again and again, this one included.
-    known
-        Number of all runs of the parameter set in the same certificate.
     declared
         Smallest and largest value that any run can have; None if that is not known.
     exact
@@ -49,8 +45,6 @@ class Runs:
     events: Sequence[bool]
     values: Array
     farthest: float = float("nan")
-    elsewhere: Sequence[Array] = ()
-    known: int = 0
     declared: tuple[float, float] | None = None
     exact: bool = False
 
@@ -80,6 +74,10 @@ class InContext(Protocol):
     @property
     def beyond(self) -> int:
         """Number of those beyond the limit."""
+
+    @property
+    def needs_range(self) -> bool:
+        """Whether only a range of the metric would bound the mean, as runs are of two kinds."""
 
     @property
     def violation_bound(self) -> float:
@@ -155,16 +153,12 @@ class LimitKind(ABC):
         """Return whether `violations` in `count` independent runs show that the limit is kept."""
 
     @abstractmethod
-    def runs_needed(self, confidence: float) -> int:
-        """Return how many runs a certificate takes at least, if none violates the limit."""
-
-    @abstractmethod
     def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
         """Return the least number of runs in a context that show it, by the range of the metric."""
 
-    def assumption(self, declared: tuple[float, float] | None) -> str:
-        """Return the assumption under which runs show the limit; empty if there is none."""
-        return ""
+    def assumption(self, declared: tuple[float, float] | None) -> tuple[str, str]:
+        """Return the assumption under which runs show the limit, and briefly; empty if none."""
+        return "", ""
 
     @abstractmethod
     def is_shown(self, runs: Runs, confidence: float) -> bool:
@@ -178,9 +172,9 @@ class LimitKind(ABC):
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
         """Return whether the runs, continued to `most` of them, cannot show the limit any more."""
 
-    @abstractmethod
-    def runs_behind_bound(self, runs: Runs) -> int:
-        """Return the number of runs in a context from which on their mean has a bound."""
+    def needs_range(self, runs: Runs) -> bool:
+        """Return whether the runs can show the limit only if their metric declares a range."""
+        return False
 
     @abstractmethod
     def together(self, runs: Runs) -> float:

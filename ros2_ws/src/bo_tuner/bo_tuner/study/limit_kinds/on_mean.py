@@ -15,21 +15,18 @@ from bo_tuner.numerics.mean_tests import (
     is_mean_shown,
     mean_bound,
 )
-from bo_tuner.numerics.sequential import is_mean_refuted, is_shown
+from bo_tuner.numerics.sequential import is_mean_refuted
+from bo_tuner.numerics.two_kinds import RARE, gap
 from bo_tuner.study.limit_kinds.base import InContext, LimitKind, Runs, place_of
 from bo_tuner.study.limit_kinds.on_runs import COINCIDENCE
 
-LEAST_RUNS = 30
-"""Least number of runs behind a mean that counts as shown. The bound of a mean takes the noise for
-normal: a few runs that agree do not exclude rare large values."""
-
 TAIL = (
-    "the noise is taken for normal or log-normal; of such laws with a mean just beyond the limit "
-    "about 1 in 100 passes within five certificates, of rare large values that no run has shown "
-    "far more: give the metric a range, or limit single runs (probability)"
+    f"the noise is normal or log-normal, without a second kind of runs in less than "
+    f"{100.0 * RARE:g} % of them; to be sure give the metric a range, or limit single runs "
+    "(probability)"
 )
 """Assumption of a certificate of a mean if its metric has no range; the level is measured by
-benchmarks/repeated_certificates.py."""
+benchmarks/repeated_certificates.py and benchmarks/false_passes.py."""
 
 
 class OnMean(LimitKind):
@@ -59,34 +56,32 @@ class OnMean(LimitKind):
         """Return False: a number of violations does not bound the mean."""
         return False
 
-    def runs_needed(self, confidence: float) -> int:  # noqa: D102
-        return 1
-
     def fewest(  # noqa: D102
         self, declared: tuple[float, float] | None, confidence: float
     ) -> int:
         return self._test(declared).fewest(self.limited.sign * self.limited.limit, confidence)
 
-    def assumption(self, declared: tuple[float, float] | None) -> str:  # noqa: D102
-        return TAIL if declared is None else ""
+    def assumption(  # noqa: D102
+        self, declared: tuple[float, float] | None
+    ) -> tuple[str, str]:
+        kinds = f"no rare runs are far beyond the {self.limited.metric} of the others"
+        return (TAIL, kinds) if declared is None else ("", "")
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
-        sign, test = self.limited.sign, self._test(runs.declared)
-        limit, least = sign * self.limited.limit, self.runs_behind_bound(runs)
-        shown = is_mean_shown(sign * runs.values, limit, confidence, test, least)
-        # A declared range bounds rare values; without it the runs must exclude them.
-        return shown and (runs.declared is not None or self._excludes_rare(runs, confidence))
+        sign, test = self.limited.sign, self._test(runs.declared, runs.farthest)
+        return is_mean_shown(sign * runs.values, sign * self.limited.limit, confidence, test)
 
     def bound(self, runs: Runs, confidence: float) -> float:
         """Return the confidence bound of the mean on the side of the limit."""
-        sign, test = self.limited.sign, self._test(runs.declared)
-        least = self.runs_behind_bound(runs)
-        return sign * mean_bound(sign * runs.values, confidence, test, least)
+        sign, test = self.limited.sign, self._test(runs.declared, runs.farthest)
+        return sign * mean_bound(sign * runs.values, confidence, test)
 
-    def _test(self, declared: tuple[float, float] | None) -> MeanTest:
+    def _test(self, declared: tuple[float, float] | None, farthest: float = math.nan) -> MeanTest:
         """Return the test that a mean is within an upper limit; a lower limit is mirrored."""
         if declared is None:
-            return NormalOrSkewed()
+            return NormalOrSkewed(
+                -math.inf if math.isnan(farthest) else self.limited.sign * farthest
+            )
         low, high = declared
         return Betting(low, high) if self.limited.sign > 0.0 else Betting(-high, -low)
 
@@ -95,24 +90,12 @@ class OnMean(LimitKind):
         return is_mean_refuted(sign * runs.values, sign * self.limited.limit, confidence)
 
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:
-        """Return whether the runs refute it: otherwise further runs can move the mean anywhere."""
-        return self.is_refuted(runs, confidence)
+        """Return whether they refute it, or need a range: else more can move the mean anywhere."""
+        return self.is_refuted(runs, confidence) or self.needs_range(runs)
 
-    def runs_behind_bound(self, runs: Runs) -> int:
-        """Return the number of runs from which on the mean has a bound.
-
-        Once any run of the parameter set is beyond the limit, they are `LEAST_RUNS` in the context,
-        or more, so that one of them differs from the first. Before that, runs elsewhere count as
-        well: all of the parameter set or, if those in this context are equal, those in contexts in
-        which they are equal, too.
-        """
-        values = runs.values
-        if self.limited.violations(runs.farthest):
-            return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
-        if not _are_equal(values):
-            return max(1, LEAST_RUNS + len(values) - max(runs.known, len(values)))
-        alike = sum(len(v) for v in runs.elsewhere if _are_equal(v))
-        return max(1, LEAST_RUNS + len(values) - alike)
+    def needs_range(self, runs: Runs) -> bool:
+        """Return whether runs without a range are of two kinds: no test then bounds their mean."""
+        return runs.declared is None and gap(runs.values) is not None
 
     def together(self, runs: Runs) -> float:
         """Return the mean of the values; NaN of none."""
@@ -134,10 +117,11 @@ class OnMean(LimitKind):
     def said_of_draws(  # noqa: D102
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
     ) -> str:
-        values, least = runs.values, self.runs_behind_bound(runs)
-        if len(values) < max(least, 2):
-            return f"too few draws ({len(values)}) to bound the mean over contexts and noise"
+        if self.needs_range(runs):
+            return self._mixed("draws")
         bound = self.bound(runs, confidence)
+        if not np.isfinite(bound):
+            return f"too few draws ({len(runs.values)}) to bound the mean over contexts and noise"
         return f"mean over contexts and noise {self._bounded(bound, unit, passed=passed)}"
 
     def said_of_contexts(  # noqa: D102
@@ -162,13 +146,10 @@ class OnMean(LimitKind):
                 f"{by.evaluations} test runs show that it is not kept"
             )
         where = place_of(top, worst)
+        if mixed := [w for w in worst if w.needs_range]:
+            return self._mixed(f"test runs {place_of(mixed[0], worst)}".rstrip())
         if not np.isfinite(bound):
             return f"too few test runs ({top.evaluations}) {where}to bound the mean over noise"
-        if not passed and not self.limited.violations(bound):
-            return (
-                f"{sum(w.evaluations for w in worst)} test runs in the worst contexts say too "
-                "little about the noise to show that the mean over it is within the limit"
-            )
         return f"mean over noise {where}{self._bounded(bound, unit, passed=passed)}"
 
     def said_together(self, both: str, together: float) -> str:  # noqa: D102
@@ -182,6 +163,12 @@ class OnMean(LimitKind):
     def decisive(self) -> str:  # noqa: D102
         return "The mean in the worst context that was found"
 
+    def _mixed(self, runs: str) -> str:
+        return (
+            f"the {runs} are of two kinds, so that only a range bounds their mean: give "
+            f"metrics.{self.limited.metric} a range, or limit single runs (probability)"
+        )
+
     def _bounded(self, bound: float, unit: str, *, passed: bool) -> str:
         """Return the bound of a mean beside the limit."""
         says = "may be"
@@ -189,23 +176,6 @@ class OnMean(LimitKind):
             says = "at most" if self.limited.sign > 0.0 else "at least"
         limit = f"limit {self.limited.limit:g} {unit}".rstrip()
         return f"{says} {text.shown_beside(bound, self.limited.limit)}, {limit}"
-
-    def _excludes_rare(self, runs: Runs, confidence: float) -> bool:
-        """Return whether runs in a context exclude that rare values take its mean beyond the limit.
-
-        Equal runs say nothing of values that do not occur among them. If other runs have the worst
-        known value, the mean is beyond the limit only if they have at least the probability
-        that is tested here.
-        """
-        values, worst = runs.values, runs.farthest
-        if not _are_equal(values) or not self.limited.violations(worst):
-            return True
-        rare = float((self.limited.limit - values[0]) / (worst - values[0]))
-        return is_shown([False] * len(values), rare, confidence)
-
-
-def _are_equal(values: Array) -> bool:
-    return len(values) > 0 and float(np.ptp(values)) == 0.0
 
 
 def _lowest_mean(values: Array) -> float:

@@ -67,13 +67,10 @@ class OnRuns(LimitKind):
         """
         return float(bdtr(violations, count, self.allowed)) <= 1.0 - confidence
 
-    def runs_needed(self, confidence: float) -> int:  # noqa: D102
-        return draws_needed(self.allowed, confidence)
-
     def fewest(  # noqa: D102
         self, declared: tuple[float, float] | None, confidence: float
     ) -> int:
-        return self.runs_needed(confidence)
+        return draws_needed(self.allowed, confidence)
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
         return is_shown(runs.events, self.allowed, confidence)
@@ -83,10 +80,6 @@ class OnRuns(LimitKind):
 
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:  # noqa: D102
         return is_hopeless(runs.events, most, self.allowed, confidence)
-
-    def runs_behind_bound(self, runs: Runs) -> int:
-        """Return 1: the bound of the mean is for information only, and needs no least number."""
-        return 1
 
     def together(self, runs: Runs) -> float:
         """Return the share of runs beyond the limit or failed."""
@@ -107,7 +100,7 @@ class OnRuns(LimitKind):
         self, runs: Runs, unit: str, confidence: float, *, passed: bool
     ) -> str:
         events = runs.events
-        needed, draws = self.runs_needed(confidence), len(events)
+        needed, draws = draws_needed(self.allowed, confidence), len(events)
         rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
         bound = float(probability_bounds(events, confidence)[-1]) if draws else 1.0
         return (
