@@ -95,25 +95,23 @@ def page() -> str:
     ]
     told: set[tuple[str, str]] = set()
     for title, cls in _sections():
-        lines += [
-            "",
-            f"## {title}",
-            "",
-            _introduction(cls),
-            "",
-            "| key | type | default | meaning |",
-        ]
-        lines.append("|---|---|---|---|")
+        lines += ["", f"## {title}", "", _introduction(cls), ""]
         texts = _texts(cls)
+        rows, again = [], []
         for field in _keys(cls):
             kind = _kind(_field(cls, field, definitions))
             text = texts.get(field.name, "").replace("|", "\\|").replace("``", "`")
-            # A long text of a key that several kinds have is told with the first of them.
-            if (key := (field.name, text)) in told:
-                text = "As above."
-            elif len(text.split()) > 6:
-                told.add(key)
-            lines.append(f"| `{field.name}` | {kind} | {_default(field)} | {text} |")
+            row = f"| `{field.name}` | {kind} | {_default(field)} | {text} |"
+            # What several kinds of a section have is told with the first of them.
+            if (place := (title.partition(",")[0], row)) in told:
+                again.append(f"`{field.name}`")
+            else:
+                rows.append(row)
+                told.add(place)
+        if rows:
+            lines += ["| key | type | default | meaning |", "|---|---|---|---|", *rows]
+        if again:
+            lines += [*([""] if rows else []), f"As above: {', '.join(again)}."]
     return "\n".join(lines) + "\n"
 
 
