@@ -16,9 +16,8 @@ With `--means-only`, instead of all that, how often the 95 % interval of the mea
 by draws as a validation has them, holds the true mean, and how wide it is: with the contexts as
 covariates (`context_covariates`), and without.
 
-The result goes to benchmarks/results/band_coverage.json, from which performance.py writes a
-section of docs/performance.md. Seeds up to 2000, and from 100001 on, were used in development;
-those of the result were not.
+The result goes to benchmarks/results/band_coverage.json. Seeds up to 2000, and from 100001 on, were
+used in development; those of the result were not.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,11 +1,12 @@
 """Measure what the tuner costs, survives and is worth, and write docs/performance.md.
 
-    python benchmarks/performance.py                       list the scripts, and write the page
+    python benchmarks/performance.py                    list the scripts, and write the page
     python benchmarks/performance.py recording report   run these before; `all` runs every one
 
 Each script writes a file in benchmarks/results, with the commit, seeds and machine that it was
 obtained with, from which its section of the page is made; a file that is missing is left out. A
-script by itself has further options: see its --help.
+script by itself has further options: see its --help. Scripts without a section, such as those of
+choices of the algorithm and of long runs, are started by themselves.
 """
 
 import argparse
@@ -22,41 +23,23 @@ PAGE = BENCHMARKS.parent / "docs" / "performance.md"
 INTRODUCTION = """\
 # Performance
 
-Written by `make performance` from the files in `benchmarks/results/`; each section names the script
-that measured it, its commit, seeds and machine. `make performance ARGS="recording"` measures again.
-What the tuner finds, beside the paper and beside other optimizers, is in `docs/results.md`.
+Written by `make performance` from files in `benchmarks/results/`, where those of further scripts
+are, too. `make performance ARGS="recording"` measures again. What the tuner finds, beside the
+paper and other optimizers, is in `docs/results.md`.
 """
 
 SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
     "false_passes": ("Limits that are broken, and passes", answers.false_passes),
-    "band_coverage": ("Bands and bounds of a certificate", answers.coverage),
     "safe_search": ("Limits broken by a safe search", answers.safety),
-    "simulation_prior": (
-        "What a simulation is worth on the machine",
-        answers.simulation_prior,
-    ),
+    "simulation_prior": ("What a simulation is worth on the machine", answers.simulation_prior),
     "identify": ("Where a machine is, and whether it drifts", answers.identification),
-    "ablations": ("Choices of the algorithm `boundary`", answers.ablations),
-    "windows": ("Several trials planned at once", answers.windows),
-    "parameter_effects": ("What a parameter moves", answers.effects),
     "suggestion_time": ("Time of a proposal", cost.suggestion),
-    "runs_cut_short": ("Runs cut short", answers.cut_short),
     "library": ("From Python", cost.library),
     "workers": ("Several workers", cost.workers),
-    "closed_loop": ("Cost of a cut, as ratios", cost.closed_loop),
-    "busy_computer": ("Beside other programs", cost.busy),
     "recording": ("Cost of recording", cost.recording),
-    "unchanged_system": ("A system that knows nothing of the tuner", cost.unchanged),
-    "node_starts": ("A node that starts with its values", cost.node_starts),
-    "streams": ("References that stream", cost.streams),
-    "report": ("The report", cost.report),
-    "soak": ("Many cuts over ROS", faults.soak),
     "kill_soak": ("Killed at random moments", faults.kill),
-    "command_kills": ("Commands killed, and begun again", faults.command_kill),
-    "integrity_soak": ("Parameters changed by others", faults.integrity),
     "guard_faults": ("The guard", faults.guard),
-    "fuzz": ("Hostile input", faults.fuzz),
 }
 """Of each script the heading of its section, and what makes the paragraphs."""
 
@@ -77,10 +60,7 @@ def write_page() -> None:
         if result is None:
             continue
         parts.append(f"## {heading}")
-        # The parts of a result that came about one by one tell it themselves.
-        if "provenance" in result:
-            parts.append(origin(result))
-        parts += paragraphs(result)
+        parts += [origin(result), *paragraphs(result)]
     PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     print(f"wrote {PAGE}")
 

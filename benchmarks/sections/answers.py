@@ -1,8 +1,9 @@
-"""Sections on what answers are worth: certificates, ablations, bands, and effects."""
+"""Sections on what answers are worth: certificates, safe searches, simulations, drift."""
 
 import statistics
+from collections.abc import Iterable, Sequence
 
-from sections.layout import Result, origin
+from sections.layout import Result
 
 from tuning_benchmark.pages.tables import markdown
 
@@ -12,16 +13,12 @@ def certificates(result: Result) -> list[str]:
     rows = [
         [
             case["title"],
-            "answers" if which == "answer" else "just infeasible",
-            f"{found['passed']} of {found['certified']}",
-            "{:.0%} to {:.0%}".format(*found["interval"]),
-            f"{found['median_evaluations']:g}",
-            found["most_evaluations"],
-            f"{found['median_of_least']:.1f}" if which == "answer" else "",
+            *(f"{found['passed']} of {found['certified']}" for found in (answer, infeasible)),
+            *(f"{answer['median_evaluations']:g}", answer["most_evaluations"]),
+            f"{answer['median_of_least']:.1f}",
         ]
         for case in result["cases"].values()
-        for which in ("answer", "infeasible")
-        if (found := case[which])
+        for answer, infeasible in [(case["answer"], case["infeasible"])]
     ]
     runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
     wrong = [run for run in runs if not run["feasible"]]
@@ -33,19 +30,16 @@ def certificates(result: Result) -> list[str]:
         else "; none is truly infeasible"
     )
     return [
-        "Answers that `boundary` called feasible in the recorded campaigns, certified "
-        "by the study's default certificate, and beside each a parameter set that is truly "
-        "infeasible by as little as bisection finds. The interval is that of Clopper and "
-        f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
-        f"{passed} of these pass{failed}. *Times the least*: the median "
-        "number of evaluations as a multiple of the fewest that show all limits: none beyond, no "
-        "search, one worst context. Of a limit on a mean these are five.",
+        "Answers of `boundary` from the recorded campaigns, certified by the study's default "
+        "certificate, and beside each a parameter set that is just infeasible, found by bisection. "
+        f"Of the answers, {len(runs) - len(wrong)} are truly feasible, and {passed} of these "
+        f"pass{failed}. Evaluations are those of the answers; *times the least*: their median as a "
+        "multiple of the fewest that show all limits.",
         markdown(
             [
                 "problem",
-                "parameter sets",
-                "PASS",
-                "interval",
+                "PASS of answers",
+                "PASS of just infeasible",
                 "evaluations, median",
                 "largest",
                 "times the least",
@@ -77,116 +71,6 @@ def false_passes(result: Result) -> list[str]:
     ]
 
 
-def ablations(result: Result) -> list[str]:
-    """Say what each choice of `boundary` is worth."""
-    parts = [
-        "Each variant with the same seeds as the algorithm as shipped. *Only*: seeds with a truly "
-        "feasible answer in the variant only, and as shipped only, with the exact test of McNemar. "
-        "The difference is that of the true objective in pairs where both are feasible, with its "
-        "95 % interval.",
-    ]
-    header = [
-        "variant",
-        "truly feasible",
-        "objective",
-        "evaluations",
-        "failed trials",
-        "only",
-        "difference",
-    ]
-    for case in result["cases"].values():
-        rows = []
-        for title, found in case["variants"].items():
-            pairs = f"{found['only']} : {found['only_shipped']} (p = {found['mcnemar']:.2g})"
-            difference = found["difference"]
-            shown = "{:+.4f} ({:+.4f} to {:+.4f})".format(*difference) if difference else "none"
-            objective = found["objective"]
-            rows.append(
-                [
-                    title,
-                    f"{found['feasible']} of {found['runs']}",
-                    "none" if objective is None else f"{objective:.4f}",
-                    f"{found['evaluations']:.0f}",
-                    f"{found['failed']:.1f}",
-                    *(("", "") if title == "as shipped" else (pairs, shown)),
-                ]
-            )
-        parts += [f"### {case['title']}", origin(case), markdown(header, rows)]
-    return parts
-
-
-def windows(result: Result) -> list[str]:
-    """Say what a window of several trials costs in quality."""
-    rows = []
-    for case in result["cases"].values():
-        for window, found in case["windows"].items():
-            low, high = found["interval"]
-            regret = found["objective"]
-            apart = found["difference"]
-            rows.append(
-                [
-                    case["title"],
-                    window,
-                    f"{found['feasible']} of {found['runs']} ({low:.0%} to {high:.0%})",
-                    "none" if regret is None else f"{regret:.1%}",
-                    f"{found['evaluations']:.0f}",
-                    *(
-                        ("", "")
-                        if window == "1"
-                        else (
-                            f"{found['only']} : {found['only_shipped']} "
-                            f"(p = {found['mcnemar']:.2g})",
-                            "{:+.1%} ({:+.1%} to {:+.1%})".format(*apart) if apart else "none",
-                        )
-                    ),
-                ]
-            )
-    return [
-        "Answers of `boundary` with equally many evaluations where 4 or 8 trials are planned at "
-        "once (`--window`), beside one by one with the same seeds. *Regret*: the true objective "
-        "beyond that of the optimum, on average over the truly feasible answers. *Only*: seeds "
-        "with a truly feasible answer with this window only, and one by one only, with the exact "
-        "test of McNemar. The difference of the regret is that of pairs in which both are "
-        "feasible, with its 95 % interval; so has the share, by Clopper and Pearson.",
-        markdown(
-            ["problem", "window", "truly feasible", "regret", "evaluations", "only", "difference"],
-            rows,
-        ),
-    ]
-
-
-def cut_short(result: Result) -> list[str]:
-    """Say what time of the runs is saved by cutting them short, and what answers are worth then."""
-    rows = []
-    for system, kinds in result["systems"].items():
-        alone = statistics.fmean(run["in_all"] for run in kinds["whole"])
-        for kind, runs in kinds.items():
-            seconds = statistics.fmean(run["in_all"] for run in runs)
-            objectives = [run["objective"] for run in runs if run["feasible"]]
-            share = sum(run["cut_short"] for run in runs) / sum(run["trials"] for run in runs)
-            rows.append(
-                [
-                    f"{system}, {kind}",
-                    f"{share:.0%}",
-                    f"{seconds:.1f}",
-                    "" if runs is kinds["whole"] else f"{1.0 - seconds / alone:.0%}",
-                    f"{len(objectives)} of {len(runs)}",
-                    f"{statistics.median(objectives):.4f}" if objectives else "none",
-                    f"{statistics.fmean(objectives):.4f}" if objectives else "none",
-                ]
-            )
-    return [
-        "The same seeds with whole runs and with runs that are cut short (`budget.cut_short`), in "
-        "simulated time: trials that were cut short, time of all runs of the trials and of the "
-        "search for the answer, and true objectives of the truly feasible answers. The motor is "
-        "that of `wide_ranges.py`, with 20 trials: a parameter set that is believed to keep its "
-        "limit, from which on runs are cut short, is known late.",
-        markdown(
-            ["runs", "cut short", "time [s]", "saved", "truly feasible", "median", "mean"], rows
-        ),
-    ]
-
-
 def safety(result: Result) -> list[str]:
     """Say how often a safe search breaks a limit, beside a plain one, and what it costs."""
     rows = []
@@ -199,90 +83,11 @@ def safety(result: Result) -> list[str]:
         ratio = "none" if summary["ratio"] is None else f"{summary['ratio']:.2f}"
         rows.append([case, *shares, f"{summary['reached']} of {len(summary['runs'])}", ratio])
     return [
-        "A plain search (`boundary`) and a safe one with twice as many trials, both from the same "
-        "parameter set, which keeps all limits and is far from the best: trials of which a run "
-        "broke a limit or failed; in how many seeds the safe search became as good as the plain "
-        "one at its end, within 5 %, and for how many times as many runs, in the median of these.",
+        "A plain search and a safe one with twice as many trials, from the same parameter set that "
+        "keeps all limits: trials of which a run broke a limit or failed, in how many seeds the "
+        "safe search became as good as the plain one, within 5 %, and for how many times as many "
+        "runs, in the median.",
         markdown(["case", "plain: broken", "safe: broken", "as good", "times as many runs"], rows),
-    ]
-
-
-def coverage(result: Result) -> list[str]:
-    """Lay out how often the bands and bounds of a certificate hold the truth."""
-    summary = result["summary"]
-    bands = [
-        [name, _share(b), _interval(b), _width(name, b)] for name, b in summary["bands"].items()
-    ]
-    names = {
-        "mean": "bound behind a PASS: worst mean",
-        "violation": "bound behind a PASS: probability of a violation",
-    }
-    bounds = [[names[name], _share(b), _interval(b)] for name, b in summary["bounds"].items()]
-    passed = [
-        [f"PASS of one that {name} its limit", _share(p), _interval(p)]
-        for name, p in summary["passed"].items()
-    ]
-    return [
-        f"{result['cases']} random metrics of one to three context variables with known "
-        "truth: samples of stationary processes, polynomials, kinks, resonances and "
-        "saturation, half of them with noise that depends on the context. How often a 90 % "
-        "band holds the truth, from all evaluations of a certificate and from few (25 draws "
-        "and 10 of the search), with 95 % intervals by Clopper and Pearson as if all bands of "
-        "a metric were independent, and the median width of the band in standard deviations of "
-        "a single run, of a drift as a part of the range:",
-        markdown(["90 % band", "holds the truth", "interval", "width"], bands),
-        "The verdicts, with 95 % confidence and limits that are kept or violated by 0.3 to 3 "
-        "standard deviations of a single run. The bounds are those of the contexts that the "
-        "search found; what they miss is a worse one that it did not find:",
-        markdown(["", "share", "interval"], [*bounds, *passed]),
-    ]
-
-
-def _width(name: str, band: Result) -> str:
-    if name.startswith("drift"):
-        return f"{band['median_width']:.0%}"
-    return f"{band['median_width_in_noise']:.2g}"
-
-
-def _share(count: Result) -> str:
-    return f"{count['held']} of {count['of']}"
-
-
-def _interval(count: Result) -> str:
-    return f"{count['low']:.1%} … {count['high']:.1%}"
-
-
-def effects(result: Result) -> list[str]:
-    """Lay out how often it is wrong which parameters were seen to move a metric."""
-    trials = [
-        [
-            case["problem"],
-            case["trials"],
-            f"{case['noise']:g}",
-            f"{case['false alarms of a run']:.1%}",
-            f"{case['smallest effect seen']:.1%}",
-        ]
-        for case in result["trials"]
-    ]
-    check = [
-        [
-            case["design"],
-            case["runs"],
-            f"{case['false alarms of a test']:.2%} at a level of {case['level']:.2%}",
-            f"{case['smallest effect seen']:.1%}",
-            f"{case['smallest effect in noise']:.1f}",
-        ]
-        for case in result["check"]
-    ]
-    return [
-        f"Closed forms, {result['seeds']} seeds each, with a parameter that does nothing: how "
-        f"often it is said to move something, at most {result['error']:.0%} being meant for all "
-        "parameters of a run together, and how often the smallest effect that *would have been "
-        f"seen* is seen, {result['power']:.0%} being meant. From the trials of a run, of an "
-        "imitation of an optimizer:",
-        markdown(["problem", "trials", "noise", "false alarms", "smallest effect seen"], trials),
-        "In the runs of `check`, and that effect in standard deviations of a run:",
-        markdown(["design", "runs", "false alarms", "seen", "effect"], check),
     ]
 
 
@@ -306,9 +111,8 @@ def simulation_prior(result: Result) -> list[str]:
             )
     return [
         f"A hidden axis is tuned with {result['trials']} trials, without and with the 30 trials of "
-        "a simulation over the whole box of contexts as prior knowledge; by further runs of the "
-        "result: whether it keeps all limits, its objective (median and range over the seeds), and "
-        "the trials of which a run broke a limit or failed.",
+        "a simulation as prior knowledge: whether the result keeps all limits, its objective "
+        "(median and range over the seeds), and the trials of which a run broke a limit or failed.",
         markdown(["axis", "tuned", "feasible", "objective", "range", "trials broken"], rows),
     ]
 
@@ -337,19 +141,30 @@ def identification(result: Result) -> list[str]:
                 f"{min(ratios):.3f} to {max(ratios):.3f}" if ratios else "",
             ]
         )
-    found = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["drift"]]
-    stiffer = [[*row[:2], f"{row[2]:.1%}", f"{row[3]:g}"] for row in result["stiffness"]]
     return [
-        f"The context of a hidden axis by {result['runs']} of its runs, inferred in "
-        "a box wider than the certified one. *Within*: the axis is within the bounds written. "
-        "*Feasible*: the result that is tuned in these bounds, at the hidden axis, beside that of "
-        "a tuner that knows the axis, and its objective as a multiple of that tuner's.",
+        f"The context of a hidden axis, inferred from {result['runs']} of its runs. *Within*: the "
+        "axis is within the bounds written. *Feasible*: a result tuned in these bounds, at the "
+        "axis, beside that of a tuner that knows the axis; *objective*: its multiple of that "
+        "tuner's.",
         markdown(
             ["plant", "within", "misfit said", "feasible", "feasible if known", "objective"], rows
         ),
-        "Drift: the share of comparisons with 60 baseline runs in which it is found within 20, at "
-        "5 % false alarms over all metrics, and the median number of runs. One metric is shifted, "
-        "in standard deviations of a run; below, the axis becomes stiffer, in all its metrics.",
-        markdown(["metrics", "shift", "found", "runs"], found),
-        markdown(["stiffness", "runs at most", "found", "runs"], stiffer),
+        "Drift: the share of comparisons with 60 baseline runs in which it is found, at 5 % false "
+        "alarms over all metrics, and the median number of runs. One metric is shifted, in "
+        "standard deviations of a run, with 20 runs at most; below, the axis becomes stiffer.",
+        markdown(
+            ["shift", "found with 1 metric", "with 3 metrics"],
+            _shares((shift, metrics, *found) for metrics, shift, *found in result["drift"]),
+        ),
+        markdown(
+            ["stiffness", "found by 20 runs at most", "by 40 at most"], _shares(result["stiffness"])
+        ),
     ]
+
+
+def _shares(cases: Iterable[Sequence[float]]) -> list[list[str]]:
+    """Return a row for each change, with the share found and the runs in each of its cases."""
+    rows: dict[float, list[str]] = {}
+    for change, _, share, runs in cases:
+        rows.setdefault(change, [f"{change:g}"]).append(f"{share:.1%}, {runs:g} runs")
+    return list(rows.values())

@@ -12,7 +12,7 @@ mean and variance of log(x - θ) give the signed root of the likelihood ratio th
 with the minimum at v = 2 (√(1 + Q) - 1), Q = v̂ + D². For a normal quantity r² = n log(1 + t²/(n-1))
 with the t statistic of the sample, so that t² = (n - 1)(exp(r²/n) - 1) stands for it in a test that
 is made for normal noise. As θ → -∞ the family becomes the normal one. The level is no theorem; it
-is measured (docs/performance.md).
+is measured (benchmarks/band_coverage.py).
 
 References
 ----------

@@ -68,9 +68,8 @@ class Budget:
         Evaluations that run at once, each on nodes or objects of its own in a process of its own.
         Unless given, 1.
     cut_short : bool
-        Whether a run of a trial ends as soon as its outcome is decided: a limited metric that only
-        grows during a run is farther beyond its limit than noise explains, or the objective beyond
-        the best one.
+        Whether a run of a trial ends as soon as its outcome is decided, by a metric that only
+        grows.
     """
 
     trials: int

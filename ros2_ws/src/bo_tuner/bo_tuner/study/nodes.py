@@ -42,8 +42,8 @@ class NodeSpec:
     env : mapping from str to str
         Environment variables of what is started.
     at_start : bool or tuple of str
-        Whether the node takes what the study sets on it only while it starts, or the names in the
-        study of what it takes so: it is started with these values, and anew when they change.
+        Whether the node takes what the study sets on it only while it starts, or names of what it
+        takes so: it starts anew with other values.
     parameter_file : str
         Parameter file of a node with `at_start`, which it is given ahead of these values; relative
         to the study's folder.
@@ -57,8 +57,8 @@ class NodeSpec:
     inprocess_parameters : mapping from str to value
         Override `parameters` on the in-process backend.
     unwatched : tuple of str
-        Parameters that the node changes by itself, such as a counter or a calibration: names, or
-        patterns such as ``STAT_*``. They are neither held nor compared.
+        Parameters that the node changes by itself: names, or patterns such as ``STAT_*``. They are
+        neither held nor compared.
     """
 
     name: str

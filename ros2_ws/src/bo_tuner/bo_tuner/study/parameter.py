@@ -47,9 +47,8 @@ class Parameter(Titled):
         Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; a fixed
         one has its value, and a tied one that of the parameter it follows.
     scale : str
-        `linear`, or `log` for a positive parameter of which ratios matter rather than differences:
-        the surrogates then see its logarithm, and the initial design of a double is even in it.
-        `symlog` is for bounds that begin at 0, or near it: the logarithm down to a
+        `linear`, or `log` for a positive parameter of which ratios matter rather than
+        differences. `symlog` is for bounds that begin at 0, or near it: the logarithm down to a
         thousandth of the upper bound, and linear from there to 0.
     label : str
         What screens call it in place of its name, such as ``gain of the position loop``.

@@ -93,21 +93,25 @@ def page() -> str:
         "name: my_study",
         "```",
     ]
+    told: set[tuple[str, str]] = set()
     for title, cls in _sections():
-        lines += [
-            "",
-            f"## {title}",
-            "",
-            _introduction(cls),
-            "",
-            "| key | type | default | meaning |",
-        ]
-        lines.append("|---|---|---|---|")
+        lines += ["", f"## {title}", "", _introduction(cls), ""]
         texts = _texts(cls)
+        rows, again = [], []
         for field in _keys(cls):
             kind = _kind(_field(cls, field, definitions))
             text = texts.get(field.name, "").replace("|", "\\|").replace("``", "`")
-            lines.append(f"| `{field.name}` | {kind} | {_default(field)} | {text} |")
+            row = f"| `{field.name}` | {kind} | {_default(field)} | {text} |"
+            # What several kinds of a section have is told with the first of them.
+            if (place := (title.partition(",")[0], row)) in told:
+                again.append(f"`{field.name}`")
+            else:
+                rows.append(row)
+                told.add(place)
+        if rows:
+            lines += ["| key | type | default | meaning |", "|---|---|---|---|", *rows]
+        if again:
+            lines += [*([""] if rows else []), f"As above: {', '.join(again)}."]
     return "\n".join(lines) + "\n"
 
 
@@ -289,12 +293,14 @@ def _kind(schema: Schema) -> str:
     if "const" in schema:
         return f"`{schema['const']}`"
     if "anyOf" in schema:
-        return " or ".join(dict.fromkeys(_kind(item) for item in schema["anyOf"]))
+        kinds = list(dict.fromkeys(_kind(item) for item in schema["anyOf"]))
+        # An integer is a number, too.
+        return " or ".join(kind for kind in kinds if kind != "integer" or "number" not in kinds)
     if schema.get("type") == "array":
         items = schema.get("items") or schema["prefixItems"][0]
         size = f" of {schema['maxItems']}" if "maxItems" in schema else ""
         return f"list{size}: {_kind(items)}"
-    words = {"string": "text", "object": "mapping", "boolean": "true or false"}
+    words = {"string": "text", "object": "mapping"}
     return str(words.get(schema.get("type", ""), schema.get("type", "any")))
 
 

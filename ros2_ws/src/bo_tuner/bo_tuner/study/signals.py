@@ -41,12 +41,11 @@ class Signal:
     field : str
         Path of the field, such as `data`, `pose.pose.position.x`, `data[3]`, or `position[motor]`
         for the joint `motor` of a JointState; or a number that is computed of fields, such as
-        `min(ranges)`, `norm(twist.twist.linear)`, `len(poses)` or `yaw(pose.pose.orientation)`.
-        Without it the signal is the whole messages, for Python functions and plans.
+        `min(ranges)` or `yaw(pose.pose.orientation)`. Without it the signal is the whole messages,
+        for Python functions and plans.
     frames : pair of str, optional
         Two frames, as `[map, base_link]`: the signal is of where the second one is in the first,
-        by the transforms of the topic, and `field` is one of a Transform, such as `translation.x`
-        or `yaw(rotation)`.
+        and `field` is one of a Transform, such as `translation.x` or `yaw(rotation)`.
     publisher : str
         The node that messages are taken from where several publish the topic.
     merge : bool

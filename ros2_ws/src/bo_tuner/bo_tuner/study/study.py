@@ -115,12 +115,12 @@ class Study:
         The search tries only parameter sets that it expects to keep all limits; or ``true``.
     further_objectives : tuple of Objective
         One or two more objectives. The run then searches the Pareto front of all, and its result is
-        the compromise between them, while the limits hold as with one.
+        a compromise.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     measured : tuple of str
         Metrics that describe the surroundings of a run, such as its mean wind: contexts that nobody
-        sets. They must not depend on the parameters, and have no limit.
+        sets.
     constraints : mapping from str to Constraint
         Limits on metrics. One with two limits becomes two constraints.
     certificate : CertificateRequirement
@@ -135,17 +135,16 @@ class Study:
     seed_parameter : SeedParameter, optional
         The node parameter that takes the seed of an evaluation's noise.
     noise : str
-        `random`, or `none` of a simulator without noise: a parameter set has the same metrics in
-        the same context with any seed. Then one run in a context decides whether a limit is kept
-        there, and nothing is repeated. Runs that contradict it are a fault.
+        `random`, or `none` of a simulator without noise, of which one run in a context decides
+        whether a limit is kept there. Runs that contradict it are a fault.
     seed : int
         Seed of everything random in a run.
     description : str
         Free text.
     folder : str
-        Where `command` and `launch` of a node are carried out, where files of references lie, and
-        where the modules of Python functions and objects are looked for, beside those that Python
-        finds anyway. Relative to the study file; the folder that this lies in unless given.
+        Where `command` and `launch` of a node are carried out, and where files of references and
+        modules of Python functions and objects lie. Relative to the study file; its own folder
+        unless given.
 
     Raises
     ------
