@@ -184,6 +184,29 @@ class TestTimeout:
         found = {outcome.reason for outcome in outcomes(tmp_path / "run")}
         assert found == {"", "ended its process: killed by SIGABRT"}
 
+    def test_a_function_whose_forked_child_returns_too(self, make_function_study, tmp_path):
+        def forks(parameters, context, seed):
+            if child := os.fork():
+                os.waitpid(child, os.WNOHANG)
+            return {"error": parameters["gain"], "peak": context["load"]}
+
+        make_function_study().optimize(forks, tmp_path / "run", timeout=60.0)
+        for evaluation in read_journal(tmp_path / "run" / "journal.sqlite").evaluations:
+            gain, load = evaluation.parameters["gain"], evaluation.context["load"]
+            assert evaluation.outcome.metrics == {"error": gain, "peak": load}
+
+    def test_one_that_does_not_come_to_be_loaded(self, make_function_study, monkeypatch):
+        class Endless:
+            def __reduce__(self):
+                return time.sleep, (1000.0,)
+
+            def __call__(self, parameters, context, seed):
+                return {}
+
+        monkeypatch.setattr("bo_tuner.backends.passed_function.LOADING", 0.5)
+        with pytest.raises(bt.FunctionError, match=r"cannot be loaded .* its timeout of 0.5 s"):
+            make_function_study().optimize(Endless(), timeout=0.1)
+
     def test_what_is_no_result_ends_the_call(self, make_function_study):
         with pytest.raises(bt.MetricsError, match="metric peak is missing; expected a number"):
             make_function_study().optimize(lambda *_: {"error": 1.0}, timeout=60.0)
