@@ -76,7 +76,7 @@ while True:
     ids=["reads nothing", "half an answer", "stands still"],
 )
 def test_a_process_that_says_nothing_is_waited_for_as_long_as_was_said(asked, program):
-    with pytest.raises(NoAnswerError, match="took longer than its timeout of 0.1 s"):
+    with pytest.raises(NoAnswerError, match=r"took longer than its timeout of 0\.1 s"):
         asked(program).ask(LARGE, 0.1)
 
     def interrupted():
@@ -101,7 +101,7 @@ while not os.path.exists("child") or not os.path.getsize("child"):
 sys.exit(3)
 """
     )
-    with pytest.raises(NoAnswerError, match="^ended its process: exit code 3$"):
+    with pytest.raises(NoAnswerError, match=r"^ended its process: exit code 3$"):
         process.ask("whatever", 60.0)
     os.kill(int((tmp_path / "child").read_text()), signal.SIGKILL)
 

@@ -50,7 +50,7 @@ class TestWait:
 
     def test_what_does_not_is_left_behind(self):
         never = threading.Event()
-        with pytest.raises(TimeoutError, match="no answer in 0.01 s"):
+        with pytest.raises(TimeoutError, match=r"no answer in 0\.01 s"):
             waited_for(never.wait, 0.01)
         interruption = Interruption()
         signal.raise_signal(signal.SIGTERM)
