@@ -109,7 +109,8 @@ class TestWorkers:
         (tmp_path / "study.yaml").write_text(make_function_study().to_yaml(), encoding="utf-8")
         script = tmp_path / "script.py"
         script.write_text(
-            "import sys\nimport bo_tuner as bt\n"
+            "import logging\nimport sys\nimport bo_tuner as bt\n"
+            "logging.getLogger(__name__)\n"
             "bt.Study.from_yaml(sys.argv[1]).optimize(lambda *_: {}, workers=2)\n",
             encoding="utf-8",
         )

@@ -99,7 +99,7 @@ def _check_script() -> None:
         text = "" if path is None else Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return
-    if text and "__name__" not in text:
+    if text and "__main__" not in text:
         raise BackendError(
             f"each worker imports {path}, and would run all of it again; put the call below "
             'if __name__ == "__main__":'
