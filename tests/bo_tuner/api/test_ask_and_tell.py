@@ -1,6 +1,9 @@
 """Ask and tell, and the tuning of a function: one journal, whoever runs the evaluations."""
 
+import dataclasses
+import gc
 import math
+import multiprocessing
 import os
 import re
 import sqlite3
@@ -203,6 +206,46 @@ class TestAsking:
         with pytest.raises(bt.UnknownRunError, match="expected a run that was asked for, found 3"):
             tuner.tell(3, {"error": 1.0, "peak": 1.0})
 
+    @pytest.mark.parametrize("what", ["parameters", "context", "seed"])
+    def test_telling_of_a_run_that_was_changed(self, tuner, what):
+        run = tuner.ask()
+        other = {"parameters": {"gain": 0.25}, "context": {"load": 1.25}, "seed": run.seed + 1}
+        changed = dataclasses.replace(run, **{what: other[what]})
+        with pytest.raises(bt.UnknownRunError, match=f"0: {what} are not those that were asked"):
+            tuner.tell(changed, {"error": 1.0, "peak": 1.0})
+        tuner.tell(run, {"error": 1.0, "peak": 1.0})
+
+    @pytest.mark.parametrize("forks", ["multiprocessing", "os"])
+    def test_a_forked_child_tells_nothing(self, tuner, tmp_path, forks):
+        run = tuner.ask()
+
+        def tell():
+            with tuner:
+                with pytest.raises(bt.OutputError, match="this one was forked from it"):
+                    tuner.tell(run, {"error": 1.0, "peak": 1.0})
+                with pytest.raises(bt.OutputError, match="this one was forked from it"):
+                    tuner.ask()
+
+        if forks == "os":
+            if (pid := os.fork()) == 0:
+                code = 1
+                try:
+                    tell()
+                    code = 0
+                finally:
+                    os._exit(code)
+            assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+        else:
+            child = multiprocessing.get_context("fork").Process(target=tell)
+            child.start()
+            child.join()
+            assert child.exitcode == 0
+        assert evaluations_of(tmp_path / "run")[1] == {}
+        with pytest.raises(bt.OutputError, match="this process is using"):
+            bt.Study.from_yaml(tmp_path / "run" / "study.yaml").tuner(tmp_path / "run")
+        tuner.tell(run, {"error": 1.0, "peak": 1.0})
+        assert len(evaluations_of(tmp_path / "run")[1]) == 1
+
     def test_after_the_end(self, tuner, function):
         run = told(tuner, function)[-1]
         assert tuner.ask() is None
@@ -351,11 +394,29 @@ class TestMetrics:
 class TestFolder:
     def test_one_process_at_a_time(self, make_function_study, tmp_path):
         study = make_function_study()
-        with study.tuner(tmp_path / "run"):
-            who = rf"another process is using this run folder \(process {os.getpid()}\)"
-            with pytest.raises(bt.OutputError, match=who):
-                study.tuner(tmp_path / "run")
+        refused = pytest.raises(bt.OutputError, match=r"this process is using .* tuner\.close")
+        with study.tuner(tmp_path / "run"), refused:
+            study.tuner(tmp_path / "run")
         study.tuner(tmp_path / "run").close()
+
+    def test_one_that_nobody_has_any_more(self, make_function_study, tmp_path):
+        study = make_function_study()
+        study.tuner(tmp_path / "run").ask()
+        gc.collect()
+        study.tuner(tmp_path / "run").close()
+
+    def test_processes_that_were_forked_meanwhile_do_not_hold_it(
+        self, make_function_study, tmp_path
+    ):
+        study = make_function_study()
+        with study.tuner(tmp_path / "run"):
+            child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(1000.0,))
+            child.start()
+        try:
+            study.tuner(tmp_path / "run").close()
+        finally:
+            child.kill()
+            child.join()
 
     def test_a_study_that_has_changed(self, make_function_study, whole):
         other = {"peak": bt.WorstCase("peak", upper=0.5)}

@@ -109,7 +109,8 @@ class TestWorkers:
         (tmp_path / "study.yaml").write_text(make_function_study().to_yaml(), encoding="utf-8")
         script = tmp_path / "script.py"
         script.write_text(
-            "import sys\nimport bo_tuner as bt\n"
+            "import logging\nimport sys\nimport bo_tuner as bt\n"
+            "logging.getLogger(__name__)\n"
             "bt.Study.from_yaml(sys.argv[1]).optimize(lambda *_: {}, workers=2)\n",
             encoding="utf-8",
         )
@@ -183,6 +184,29 @@ class TestTimeout:
         make_function_study().optimize(crashes, tmp_path / "run", timeout=60.0)
         found = {outcome.reason for outcome in outcomes(tmp_path / "run")}
         assert found == {"", "ended its process: killed by SIGABRT"}
+
+    def test_a_function_whose_forked_child_returns_too(self, make_function_study, tmp_path):
+        def forks(parameters, context, seed):
+            if child := os.fork():
+                os.waitpid(child, os.WNOHANG)
+            return {"error": parameters["gain"], "peak": context["load"]}
+
+        make_function_study().optimize(forks, tmp_path / "run", timeout=60.0)
+        for evaluation in read_journal(tmp_path / "run" / "journal.sqlite").evaluations:
+            gain, load = evaluation.parameters["gain"], evaluation.context["load"]
+            assert evaluation.outcome.metrics == {"error": gain, "peak": load}
+
+    def test_one_that_does_not_come_to_be_loaded(self, make_function_study, monkeypatch):
+        class Endless:
+            def __reduce__(self):
+                return time.sleep, (1000.0,)
+
+            def __call__(self, parameters, context, seed):
+                return {}
+
+        monkeypatch.setattr("bo_tuner.backends.passed_function.LOADING", 0.5)
+        with pytest.raises(bt.FunctionError, match=r"cannot be loaded .* its timeout of 0.5 s"):
+            make_function_study().optimize(Endless(), timeout=0.1)
 
     def test_what_is_no_result_ends_the_call(self, make_function_study):
         with pytest.raises(bt.MetricsError, match="metric peak is missing; expected a number"):

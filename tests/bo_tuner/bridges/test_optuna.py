@@ -109,10 +109,77 @@ def test_studies_that_do_not_fit(study):
         enqueued.optimize(objective, n_trials=1)
 
 
+@pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
+def test_parameters_cannot_be_fixed(study):
+    sampler = optuna.samplers.PartialFixedSampler({"gain": 0.123}, BoTunerSampler(study))
+    with pytest.raises(bt.StudyError, match=r"found 0\.123: .* nor parameters fixed"):
+        optuna.create_study(sampler=sampler).optimize(objective, n_trials=1)
+
+
+@pytest.mark.parametrize("left_out", ["gain", "load"])
+def test_a_value_that_was_never_applied(study, tmp_path, left_out):
+    def leaves_out(trial):
+        names = {"gain": (0.0, 1.0), "load": (1.0, 2.0)}
+        values = {n: trial.suggest_float(n, *r) for n, r in names.items() if n != left_out}
+        error, peak = response(**{left_out: 1.0}, **values)
+        trial.set_user_attr("peak", peak)
+        return error
+
+    of_optuna = optuna.create_study(sampler=BoTunerSampler(study, tmp_path / "run"))
+    with pytest.raises(bt.StudyError, match=f"{left_out}: expected the objective to suggest it"):
+        of_optuna.optimize(leaves_out)
+    assert read_journal(tmp_path / "run" / "journal.sqlite").evaluations == ()
+
+
+def test_choices():
+    """A truth value is no number, and a text none of other texts."""
+    study = bt.Study(
+        name="modes",
+        parameters={
+            "mode": bt.Choice(["slow", "fast"], default="fast"),
+            "filter": bt.Boolean(default=True),
+        },
+        metrics=["error"],
+        objective="error",
+        budget=bt.Budget(trials=4, initial_trials=3),
+    )
+
+    def suggests(filters, modes):
+        def objective(trial):
+            trial.suggest_categorical("filter", filters)
+            return float(trial.suggest_categorical("mode", modes) == "fast")
+
+        return objective
+
+    of_optuna = optuna.create_study(sampler=BoTunerSampler(study))
+    of_optuna.optimize(suggests([False, True], ["slow", "fast"]), n_trials=1)
+    assert of_optuna.trials[0].params == {"filter": True, "mode": "fast"}
+    for given, said in (
+        (([0, 1], ["slow", "fast"]), "filter: expected choices with .*, found 0, 1"),
+        (
+            ([False, True], ["low", "high"]),
+            "mode: expected choices with .*, found text 'low', text 'high'",
+        ),
+    ):
+        with pytest.raises(bt.StudyError, match=said):
+            optuna.create_study(sampler=BoTunerSampler(study)).optimize(suggests(*given))
+
+
+def test_one_job_at_a_time(study):
+    sampler = BoTunerSampler(study)
+    of_optuna = optuna.create_study(sampler=sampler)
+    first, second = of_optuna.ask(), of_optuna.ask()
+    second.suggest_float("gain", 0.0, 1.0)
+    with pytest.raises(bt.UnknownRunError, match=r"one job at a time \(n_jobs=1\)"):
+        first.suggest_float("gain", 0.0, 1.0)
+
+
 def test_a_metric_that_is_missing(study):
     of_optuna = optuna.create_study(sampler=BoTunerSampler(study))
     with pytest.raises(bt.MetricsError, match="metric peak is missing"):
-        of_optuna.optimize(lambda trial: trial.suggest_float("gain", 0, 1))
+        of_optuna.optimize(
+            lambda trial: trial.suggest_float("gain", 0, 1) + trial.suggest_float("load", 1, 2)
+        )
 
 
 def test_its_trials_are_earlier_runs(study, tmp_path):

@@ -122,7 +122,7 @@ class TestResume:
             code, _, err = runs.resume(whole)
             assert code == 2
             assert f"another process is using this run folder (process {os.getpid()})" in err
-            with pytest.raises(OutputError, match="another process is using this run folder"):
+            with pytest.raises(OutputError, match="this process is using this run folder already"):
                 RunFolder(folder.path)
         finally:
             folder.close()

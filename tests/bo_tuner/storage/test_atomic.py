@@ -27,6 +27,41 @@ def test_others_may_read_it_as_the_umask_says(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
 
 
+def test_one_like_another_is_never_read_by_others(tmp_path, monkeypatch):
+    """Owner, group and mode are there before the content."""
+    model = tmp_path / "model"
+    model.touch()
+    model.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(model, 12345, 54321)
+    seen = []
+    synchronize = os.fsync
+
+    def noted(descriptor):
+        seen.append(os.fstat(descriptor))
+        synchronize(descriptor)
+
+    make_alike = os.fchmod
+
+    def noted_before(descriptor, mode):
+        seen.append(os.fstat(descriptor))
+        make_alike(descriptor, mode)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(os, "fchmod", noted_before)
+    old = os.umask(0)
+    try:
+        found = write_atomically(tmp_path / "a", "secret", like=model).stat()
+    finally:
+        os.umask(old)
+    first, last = seen[:2]
+    assert (stat.S_IMODE(first.st_mode), first.st_size) == (0o600, 0)
+    wanted = model.stat()
+    for status in (last, found):
+        assert (status.st_uid, status.st_gid) == (wanted.st_uid, wanted.st_gid)
+        assert stat.S_IMODE(status.st_mode) == 0o640
+
+
 def test_the_same_content_is_not_written_again(tmp_path):
     path = write_atomically(tmp_path / "a", "x")
     before = path.stat()

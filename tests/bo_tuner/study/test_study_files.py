@@ -1,6 +1,7 @@
 """From a file to a study: lines in errors, scalars, names and paths, packages."""
 
 import math
+import os
 import pickle
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -239,6 +240,17 @@ class TestFiles:
             load_study("a\0b.yaml")
         with pytest.raises(StudyError, match="cannot be read: File name too long"):
             load_study("a" * 5000 + ".yaml")
+
+    def test_a_pipe_into_which_nobody_writes_is_not_waited_for_beyond_a_signal(self, tmp_path):
+        class Stop(BaseException):
+            pass
+
+        def interrupted():
+            raise Stop
+
+        os.mkfifo(tmp_path / "pipe.yaml")
+        with pytest.raises(Stop):
+            load_study(tmp_path / "pipe.yaml", interrupted=interrupted)
 
 
 def spec_at(package):

@@ -5,11 +5,12 @@ exit.
 """
 
 import contextlib
+import math
 import os
 import signal
+import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -17,8 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.errors import StudyError
-from bo_tuner.interruption import LOOK_AROUND
+from bo_tuner.interruption import PROMISED, signal_name, waited_for
 from bo_tuner.lifetime import end_with_parent
+
+LOADING = PROMISED
+"""Time [s] at least that the code of others has to be imported, which no timeout of a run is for.
+"""
+ENDING = 5.0
+"""Time [s] that a process has to end which has closed its end of the connection."""
 
 
 class NoAnswerError(RuntimeError):
@@ -46,6 +53,7 @@ class AskedProcess:
         self._interrupted = interrupted
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
+        self._number = 0
 
     @property
     def running(self) -> bool:
@@ -75,22 +83,31 @@ class AskedProcess:
             If the folder is not there.
         """
         process, connection = self._started()
-        deadline = None if timeout is None else time.monotonic() + timeout
+        self._number += 1
+        number = self._number
+
+        def exchange() -> Any:
+            connection.send((number, question))
+            while True:
+                of_number, answer = connection.recv()
+                if of_number == number:
+                    return answer
+
+        def check() -> None:
+            self._interrupted()
+            if process.poll() is not None and not connection.poll():
+                # What it has started may keep its end of the connection open.
+                raise EOFError
+
         try:
-            connection.send(question)
-            while not connection.poll(LOOK_AROUND):
-                self._interrupted()
-                if process.poll() is not None and not connection.poll():
-                    # What it has started may keep its end of the connection open.
-                    raise EOFError
-                if deadline is not None and time.monotonic() > deadline:
-                    self.close()
-                    raise NoAnswerError(f"took longer than its timeout of {timeout:g} s")
-            return connection.recv()
+            return waited_for(exchange, math.inf if timeout is None else timeout, check)
+        except TimeoutError:
+            self.close()
+            raise NoAnswerError(f"took longer than its timeout of {timeout:g} s") from None
         except (EOFError, OSError):
             # That it ended is seen ahead of how.
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(LOOK_AROUND)
+                process.wait(ENDING)
             self.close()
             raise NoAnswerError(f"ended its process: {_how_it_ended(process)}") from None
         except BaseException:
@@ -100,15 +117,17 @@ class AskedProcess:
     def close(self) -> None:
         """End the process at once, with all that it has started in its group."""
         process, self._process = self._process, None
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        connection, self._connection = self._connection, None
         if process is not None:
             try:
                 os.killpg(process.pid, signal.SIGKILL)
             except (ProcessLookupError, PermissionError):
                 process.kill()
             process.wait()
+        if connection is not None:
+            # Whoever still reads it is told; what the process has started may have its other end.
+            with connection, socket.socket(fileno=os.dup(connection.fileno())) as ends:
+                ends.shutdown(socket.SHUT_RDWR)
 
     def _started(self) -> tuple[subprocess.Popen[bytes], Connection]:
         if not self.running:
@@ -138,10 +157,25 @@ class AskedProcess:
         return process, own
 
 
+def serve(connection: Connection, answer: Callable[[Any], object]) -> None:
+    """Answer questions in the process that is asked, until the other end is closed."""
+    asked = os.getpid()
+    while True:
+        try:
+            number, question = connection.recv()
+        except EOFError:
+            return
+        answered = answer(question)
+        if os.getpid() != asked:
+            # A child that the code has forked has come back, too.
+            os._exit(0)
+        connection.send((number, answered))
+
+
 def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
     code = process.returncode
     if code is None:
         return "no answer"
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
+        return f"killed by {signal_name(-code)}"
     return f"exit code {code}"

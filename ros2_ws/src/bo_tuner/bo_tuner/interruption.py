@@ -2,10 +2,15 @@
 
 import contextlib
 import os
+import queue
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import TypeVar
+
+T = TypeVar("T")
 
 SIGNALS = (
     signal.SIGINT,
@@ -22,6 +27,8 @@ PATIENCE = 1.0
 """Time [s] that an object at work has to come to its end after a request: else all is lost."""
 LOOK_AROUND = 0.1
 """Time [s] after which a run that waits checks for other requests."""
+PROMISED = 60.0
+"""Longest time [s] for which another process, a pipe or a mount is waited for that says nothing."""
 
 
 class Interrupted(BaseException):
@@ -31,7 +38,7 @@ class Interrupted(BaseException):
     """
 
     def __init__(self, signum: int, source: str = "") -> None:
-        super().__init__(source or signal.Signals(signum).name)
+        super().__init__(source or signal_name(signum))
         self.signum = signum
 
 
@@ -100,11 +107,11 @@ def breaking_off(check: Callable[[], None]) -> Iterator[None]:
         yield
         return
     previous = {signum: signal.getsignal(signum) for signum in SIGNALS}
-    handlers = {signum: handler for signum, handler in previous.items() if callable(handler)}
+    handlers = {int(signum): handler for signum, handler in previous.items() if callable(handler)}
     again: list[threading.Timer] = []
 
     def take(signum: int, frame: FrameType | None) -> None:
-        handlers[signal.Signals(signum)](signum, frame)
+        handlers[signum](signum, frame)
         if again:
             check()
             return
@@ -121,6 +128,57 @@ def breaking_off(check: Callable[[], None]) -> Iterator[None]:
             timer.cancel()
         for signum, handler in handlers.items():
             signal.signal(signum, handler)
+
+
+def signal_name(signum: int) -> str:
+    """Return the name of a signal; a number, where it has none (real-time signals)."""
+    try:
+        return signal.Signals(signum).name
+    except ValueError:
+        return f"signal {signum}"
+
+
+def waited_for(
+    act: Callable[[], T], seconds: float = PROMISED, check: Callable[[], None] = lambda: None
+) -> T:
+    """Return what a call returns that may never come back, such as one to another process.
+
+    Parameters
+    ----------
+    act
+        The call; it is left behind, in a thread of its own, if the wait ends first.
+    seconds
+        Longest time [s] to wait; may be infinite.
+    check
+        Called all the while; raises what shall end the wait.
+
+    Raises
+    ------
+    TimeoutError
+        If the call has not come back by then.
+    """
+    ends: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
+
+    def call() -> None:
+        try:
+            ends.put((act(), None))
+        except BaseException as error:
+            ends.put((None, error))
+
+    threading.Thread(target=call, daemon=True).start()
+    deadline = time.monotonic() + seconds
+    while True:
+        check()
+        left = deadline - time.monotonic()
+        try:
+            value, error = ends.get(timeout=max(0.0, min(LOOK_AROUND, left)))
+        except queue.Empty:
+            if left <= 0.0:
+                raise TimeoutError(f"no answer in {seconds:g} s") from None
+            continue
+        if error is not None:
+            raise error
+        return value  # type: ignore[return-value]
 
 
 class Pause:

@@ -1,6 +1,7 @@
 """A run that is open: its folder, its journal, and what it has on record."""
 
 import contextlib
+import os
 import shutil
 import tempfile
 import warnings
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from bo_tuner.api.earlier import EarlierRun, first_trials
 from bo_tuner.backends.recorded import OnRecord
-from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
@@ -39,7 +40,7 @@ class TemporaryFolder:
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="bo_tuner-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+        weakref.finalize(self, _remove, self.path, os.getpid())
 
 
 class OpenRun:
@@ -179,7 +180,27 @@ class OpenRun:
         export_csv(self._folder.journal, self.path)
         self.close()
 
+    def check(self) -> None:
+        """Refuse to go on where the run is not open.
+
+        Raises
+        ------
+        RunError
+            If it was closed.
+        OutputError
+            If this process was forked from the one that has opened it.
+        """
+        if self.closed:
+            raise RunError(f"the tuner is closed; open it again on its folder, {self.path}")
+        self._folder.check_process()
+
     def close(self) -> None:
-        """Let others work in the folder."""
-        self.closed = True
-        self._open.close()
+        """Let others work in the folder; does nothing in a process that was forked."""
+        if not self._folder.forked:
+            self.closed = True
+            self._open.close()
+
+
+def _remove(folder: Path, process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -4,7 +4,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,7 +17,6 @@ from bo_tuner.backends.function import Returned, failed
 from bo_tuner.backends.paired import DefaultBeside
 from bo_tuner.backends.protocol import Backend, opened_backend
 from bo_tuner.errors import (
-    RunError,
     RunRecordError,
     StudyError,
     UnknownRunError,
@@ -225,8 +224,7 @@ class Tuner:
     @contextlib.contextmanager
     def _working(self) -> Iterator[None]:
         """Compute as the commands do; what interrupts that closes the tuner, on a whole record."""
-        if self._run.closed:
-            raise RunError(f"the tuner is closed; open it again on its folder, {self._run.path}")
+        self._run.check()
         try:
             # More than one thread only slows down the small matrices of the surrogates.
             with self._threads.limit(limits=1):
@@ -262,6 +260,12 @@ class Tuner:
             place = run.evaluation.place
             why = "the run is over" if self._over else "told already, or asked for by another tuner"
             raise UnknownRunError(f"nobody waits for {place}: {why}")
+        if run != (asked := Run.of(pending.due)):
+            names = [f.name for f in fields(Run) if getattr(run, f.name) != getattr(asked, f.name)]
+            raise UnknownRunError(
+                f"{run.evaluation.place}: {' and '.join(names)} are not those that were asked for; "
+                "tell a run as it was asked for"
+            )
         return pending
 
     def _next_run(self) -> Run | None:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from bo_tuner.asked_process import AskedProcess, NoAnswerError
+from bo_tuner.asked_process import LOADING, AskedProcess, NoAnswerError
 from bo_tuner.backends.function import Function, FunctionBackend, failed
 from bo_tuner.backends.protocol import Backend, SequentialBackend
 from bo_tuner.backends.workers.pool import BREAKING_OFF, WorkerPool
@@ -99,7 +99,7 @@ def _check_script() -> None:
         text = "" if path is None else Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return
-    if text and "__name__" not in text:
+    if text and "__main__" not in text:
         raise BackendError(
             f"each worker imports {path}, and would run all of it again; put the call below "
             'if __name__ == "__main__":'
@@ -185,6 +185,7 @@ class FunctionProcess(SequentialBackend):
         self._study = study
         self._passed = passed
         self._timeout = timeout
+        self._loading = LOADING if timeout is None else max(LOADING, timeout)
         self._process = AskedProcess(WORKER, interrupted=interrupted)
 
     def open(self) -> None:
@@ -196,7 +197,7 @@ class FunctionProcess(SequentialBackend):
             If it cannot be loaded.
         """
         try:
-            problem = self._process.ask((self._study, self._passed))
+            problem = self._process.ask((self._study, self._passed), self._loading)
         except NoAnswerError as error:
             problem = f"the function cannot be loaded in another process: it {error}"
         if problem:

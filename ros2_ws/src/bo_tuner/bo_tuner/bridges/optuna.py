@@ -7,7 +7,12 @@ from typing import Any
 
 from optuna import Study as OptunaStudy
 from optuna import Trial as OptunaTrial
-from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
@@ -20,6 +25,7 @@ from bo_tuner.errors import RunError, StudyError, UnknownRunError
 from bo_tuner.study import checks
 from bo_tuner.study.function_study import returned_metrics
 from bo_tuner.text import counted
+from bo_tuner.trials import Value
 
 PRUNED = "pruned"
 """Why a run failed whose trial was pruned."""
@@ -66,7 +72,10 @@ class BoTunerSampler(BaseSampler):
         if self._run is None:
             raise RunError("the run is over; its result is sampler.result()")
         if trial.number != self._trial:
-            raise UnknownRunError(f"trial {trial.number} is not the one that is under way")
+            raise UnknownRunError(
+                f"trial {trial.number} is not the one that is under way: one job at a time "
+                "(n_jobs=1)"
+            )
         return self._run
 
     def result(self) -> Result:
@@ -126,6 +135,8 @@ class BoTunerSampler(BaseSampler):
                     f"expected a range with {checks.show(value)}, found {low:g} to {high:g}",
                     (param_name,),
                 )
+        elif isinstance(param_distribution, CategoricalDistribution):
+            _check_choices(param_name, value, param_distribution.choices)
         return value
 
     def after_trial(
@@ -141,12 +152,15 @@ class BoTunerSampler(BaseSampler):
         ------
         MetricsError
             If a metric is missing or no number.
+        StudyError
+            If the values of the trial are not those of the run, or not all of them.
         RunError
             If three trials in a row have failed.
         """
         run = self.run(trial)
-        self._check_suggested(run, trial)
+        _check_suggested(run, trial)
         if state is TrialState.COMPLETE:
+            _check_all_suggested(run, trial)
             self._tuner.tell(run, _metrics(self._study, trial, values or []))
         elif state is TrialState.PRUNED:
             self._tuner.fail(run, PRUNED)
@@ -159,16 +173,35 @@ class BoTunerSampler(BaseSampler):
             with contextlib.suppress(RuntimeError):
                 study.stop()
 
-    def _check_suggested(self, run: Run, trial: FrozenTrial) -> None:
-        """Refuse values that are not those of the run, as of a trial that was enqueued."""
-        asked = {**run.context, **run.parameters}
-        for name, value in trial.params.items():
-            if name in asked and asked[name] != value:
-                raise StudyError(
-                    f"expected {checks.show(asked[name])}, as asked for, found "
-                    f"{checks.show(value)}: trials cannot be enqueued",
-                    (name,),
-                )
+
+def _check_choices(name: str, value: Value, choices: Sequence[object]) -> None:
+    """Refuse choices without a value; Optuna would take 1 for True."""
+    if not any(type(choice) is type(value) and choice == value for choice in choices):
+        found = ", ".join(map(checks.show, choices))
+        raise StudyError(f"expected choices with {checks.show(value)}, found {found}", (name,))
+
+
+def _check_suggested(run: Run, trial: FrozenTrial) -> None:
+    """Refuse values that are not those of the run, as of a trial that was enqueued."""
+    asked = {**run.context, **run.parameters}
+    for name, value in trial.params.items():
+        if name in asked and asked[name] != value:
+            raise StudyError(
+                f"expected {checks.show(asked[name])}, as asked for, found "
+                f"{checks.show(value)}: trials cannot be enqueued, nor parameters fixed",
+                (name,),
+            )
+
+
+def _check_all_suggested(run: Run, trial: FrozenTrial) -> None:
+    """Refuse the result of an objective that has not applied all values."""
+    for name, value in {**run.context, **run.parameters}.items():
+        if name not in trial.params:
+            raise StudyError(
+                f"expected the objective to suggest it and to run with {checks.show(value)}, "
+                "found that it has not",
+                (name,),
+            )
 
 
 def earlier_runs(study: Study, optuna_study: OptunaStudy) -> list[EarlierRun]:

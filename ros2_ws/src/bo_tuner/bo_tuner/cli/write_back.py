@@ -3,7 +3,6 @@
 import codecs
 import difflib
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from bo_tuner.deploy.own_file import with_values
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
-from bo_tuner.storage.atomic import write_atomically, writing
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.storage.ros_reader import read_sections
 from bo_tuner.storage.ros_sections import full_names
@@ -72,12 +71,8 @@ def write_back(
             return EXIT_INFEASIBLE
     interruption.check()
     previous = _unused(place)
-    write_atomically(previous, data)
-    with writing(previous):
-        shutil.copymode(place, previous)
-    write_atomically(place, new)
-    with writing(place):
-        shutil.copymode(previous, place)
+    write_atomically(previous, data, like=place)
+    write_atomically(place, new, like=place)
     say(f"written to {path}; nodes read it when they start")
     back = shlex.join(["mv", str(previous), str(place)])
     say(f"previous file: {previous}; restore it with: {back}")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from bo_tuner.asked_process import AskedProcess, NoAnswerError
+from bo_tuner.asked_process import LOADING, AskedProcess, NoAnswerError
 from bo_tuner.metrics.python_worker import Signals
 from bo_tuner.metrics.source import MissingMetricError
 
@@ -29,7 +29,7 @@ class PythonProcess:
         StudyError
             If the folder is not there.
         """
-        return self._ask(path, None, None)[1]
+        return self._ask(path, None, LOADING)[1]
 
     def compute(self, path: str, signals: Signals, timeout: float | None) -> float:
         """Return the value that a function computes from signals.

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.asked_process import serve
 from bo_tuner.metrics.stored_messages import decoded
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, named_code
@@ -23,14 +24,10 @@ Signals = Mapping[str, Passed]
 """The signals by their names."""
 
 
-def serve(connection: Connection) -> None:
-    """Answer until the other end is closed."""
-    while True:
-        try:
-            path, signals = connection.recv()
-        except EOFError:
-            return
-        connection.send(_loaded(path) if signals is None else _computed(path, signals))
+def answer(question: tuple[str, Signals | None]) -> tuple[float | None, str]:
+    """Load a function, or have it compute."""
+    path, signals = question
+    return _loaded(path) if signals is None else _computed(path, signals)
 
 
 def _loaded(path: str) -> tuple[None, str]:
@@ -71,4 +68,4 @@ if __name__ == "__main__":
     os.dup2(2, 1)
     # Ctrl-C reaches only the tuner, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    serve(Connection(int(sys.argv[1])))
+    serve(Connection(int(sys.argv[1])), answer)

@@ -54,7 +54,7 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def write_atomically(path: Path, content: str | bytes) -> Path:
+def write_atomically(path: Path, content: str | bytes, like: Path | None = None) -> Path:
     """Replace a file, or create it, in one step that survives a power failure; return its path.
 
     A temporary file in the same folder is written, synchronized and renamed, and the folder is
@@ -66,12 +66,15 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         A regular file, or the name of a new one.
     content
         Text is written as UTF-8.
+    like
+        A file whose owner, group and mode it gets, before there is anything in it; None for those
+        of a new file.
 
     Raises
     ------
     OutputError
-        If it cannot be written, or if what is there is no regular file. A symbolic link is not
-        followed: it may lead out of the run folder.
+        If it cannot be written, if this user may not give it such an owner, or if what is there
+        is no regular file. A symbolic link is not followed: it may lead out of the run folder.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     with writing(path):
@@ -84,7 +87,10 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
             # A killed process of the same number may have left one.
             temporary.unlink(missing_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-            with open(os.open(temporary, flags, 0o666), "wb") as file:  # noqa: PTH123
+            mode = 0o666 if like is None else 0o600
+            with open(os.open(temporary, flags, mode), "wb") as file:  # noqa: PTH123
+                if like is not None:
+                    _make_alike(file.fileno(), like.stat())
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
@@ -93,6 +99,14 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
             temporary.unlink(missing_ok=True)
         synchronize(path.parent)
     return path
+
+
+def _make_alike(descriptor: int, wanted: os.stat_result) -> None:
+    """Give an open file an owner, a group and a mode."""
+    own = os.fstat(descriptor)
+    if (own.st_uid, own.st_gid) != (wanted.st_uid, wanted.st_gid):
+        os.fchown(descriptor, wanted.st_uid, wanted.st_gid)
+    os.fchmod(descriptor, stat.S_IMODE(wanted.st_mode))
 
 
 def synchronize(folder: Path) -> None:

@@ -64,7 +64,10 @@ def _acts(record: Path) -> list[Act]:
         try:
             content = json.loads(line)
             values = {item.name: content[item.name] for item in fields(Act)}
-            acts.append(Act(**values | {"problems": [str(p) for p in values["problems"]]}))
+            problems = [str(problem) for problem in values["problems"]]
+            # Times are put in order: a text and a number have none.
+            if isinstance(values["time"], str):
+                acts.append(Act(**values | {"problems": problems}))
         except (ValueError, TypeError, KeyError, RecursionError):
             continue
     return acts

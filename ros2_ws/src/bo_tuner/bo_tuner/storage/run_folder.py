@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import shutil
+import weakref
 from collections.abc import Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -64,17 +65,25 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._process = os.getpid()
         try:
             self._identity = path.stat()
             # The lock ends with the process, however that ends.
             self._lock = open_file(path / LOCK, os.O_RDWR | os.O_CREAT)
         except OSError as error:
             raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+        self._release = weakref.finalize(self, _release, self._lock, self._process)
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             holder = os.read(self._lock, 20).decode("ascii", "replace").strip()
-            self.close()
+            os.close(self._lock)
+            self._release.detach()
+            if holder == str(self._process):
+                raise OutputError(
+                    f"{path}: this process is using this run folder already; close what was "
+                    "opened before, such as by tuner.close()"
+                ) from None
             by = f" (process {holder})" if holder.isdigit() else ""
             raise OutputError(f"{path}: another process is using this run folder{by}") from None
         try:
@@ -121,16 +130,30 @@ class RunFolder:
         ------
         OutputError
             If the folder was deleted, moved or replaced, or its lock was, so that another process
-            may work in it, too.
+            may work in it, too, or this process was forked from the one that works in it.
         """
+        self.check_process()
         if not is_same_file(self.path.resolve(), self._identity):
             raise OutputError(f"{self.path}: the run folder was deleted or moved during the run")
         if not is_same_file(self.path / LOCK, os.fstat(self._lock)):
             raise OutputError(f"{self.path / LOCK}: was deleted or replaced during the run")
 
+    @property
+    def forked(self) -> bool:
+        """Whether this is a child of the process that works in the folder."""
+        return os.getpid() != self._process
+
+    def check_process(self) -> None:
+        """Refuse to go on in a child of the process that works in it; raises `OutputError`."""
+        if self.forked:
+            raise OutputError(
+                f"{self.path}: process {self._process} is using this run folder, and this one was "
+                "forked from it; ask and tell there"
+            )
+
     def close(self) -> None:
         """Let other processes work in the folder."""
-        os.close(self._lock)
+        self._release()
 
     def discard(self) -> None:
         """Remove the folder of a run that did not start; what its nodes printed stays.
@@ -210,6 +233,13 @@ class RunFolder:
         """
         self.check()
         return write_json(self.path / name, content)
+
+
+def _release(lock: int, process: int) -> None:
+    """Give up a lock, which children that were forked meanwhile hold as well."""
+    if os.getpid() == process:
+        fcntl.flock(lock, fcntl.LOCK_UN)
+    os.close(lock)
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> Path:

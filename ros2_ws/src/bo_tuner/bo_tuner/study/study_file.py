@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.errors import BackendError, KeyPath, StudyError
+from bo_tuner.interruption import waited_for
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -84,7 +85,11 @@ Describe = Callable[[Mapping[str, str]], Descriptions]
 
 
 def load_study(
-    name_or_path: str | Path, describe: Describe | None = None, *, of_function: bool = False
+    name_or_path: str | Path,
+    describe: Describe | None = None,
+    *,
+    of_function: bool = False,
+    interrupted: Callable[[], None] = lambda: None,
 ) -> Study:
     """Read a study.
 
@@ -97,6 +102,8 @@ def load_study(
         be left open.
     of_function : bool
         Whether a file without nodes describes a study of a function, which becomes its only node.
+    interrupted : callable, optional
+        Called while the file is waited for; raises what shall end that.
 
     Returns
     -------
@@ -120,7 +127,7 @@ def load_study(
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
-    text = read_text(Path(name_or_path), source)
+    text = read_text(Path(name_or_path), source, interrupted)
     study = parse_study(text, source, describe, of_function=of_function)
     return _in_folder(study, Path(name_or_path).resolve().parent, source)
 
@@ -338,17 +345,30 @@ def is_path(text: str) -> bool:
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
-def read_text(path: Path, source: str) -> str:
+def read_text(path: Path, source: str, interrupted: Callable[[], None] = lambda: None) -> str:
     """Read a file of the user; errors call it `source`.
+
+    Parameters
+    ----------
+    path
+        Of the file, which may be a pipe, or lie where nothing answers.
+    source
+        Its name.
+    interrupted
+        Called while waiting; raises what shall end the wait.
 
     Raises
     ------
     StudyError
         If it cannot be read, is too large, or is no UTF-8 text.
     """
-    try:
+
+    def content_of_file() -> bytes:
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+            return file.read(MAX_BYTES + 1)
+
+    try:
+        content = waited_for(content_of_file, check=interrupted)
     except OSError as error:
         problem = f"cannot be read: {error.strerror or error}"
         raise StudyError(problem, source=source) from None

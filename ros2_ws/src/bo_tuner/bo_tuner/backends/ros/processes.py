@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from bo_tuner.errors import BackendError
+from bo_tuner.interruption import signal_name
 from bo_tuner.lifetime import end_with_parent
 from bo_tuner.text import brief
 
@@ -142,7 +143,7 @@ class NodeProcess:
         if code is None:
             return None
         if code < 0:
-            how = f"{self.name} was ended by {signal.Signals(-code).name}"
+            how = f"{self.name} was ended by {signal_name(-code)}"
             return f"{how}; {self.said}" if self._last_line else how
         hint = f"; {MISSING}" if code in NOT_RUN or NOT_FOUND.search(self._last_line) else ""
         return f"{self.name} ended with exit code {code}; {self.said}{hint}"

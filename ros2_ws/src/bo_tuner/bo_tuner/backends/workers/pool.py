@@ -1,22 +1,27 @@
 """Evaluations in several processes at once, of this machine or of a cluster, by Dask."""
 
 import contextlib
+import os
 import queue
-import threading
+import signal
 import time
 import uuid
+from asyncio import CancelledError
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.backends.workers.clusters import (
-    LOOK_AROUND,
+    LETTING_GO,
     RunningCluster,
     local_cluster,
+    stopped_workers,
     workers_of,
 )
 from bo_tuner.errors import BackendError, MetricsError, RunError
+from bo_tuner.interruption import LOOK_AROUND, PROMISED, waited_for
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 EXTRA = "several workers need the packages of the extra: pip install 'bo_tuner[workers]'"
@@ -27,11 +32,13 @@ BREAKING_OFF = 5.0
 request."""
 CLOSING_MARGIN = 2.0
 """Time [s] that the workers have beyond that to say that they are done."""
-LEFT_ALONE = 60.0
+LEFT_ALONE = PROMISED
 """Time [s] without any worker after which the run ends: others may take the place of those that
-have died."""
+have died. A process that has been stopped for so long is ended."""
 LOOK_FOR_WORKERS = 2.0
 """Time [s] after which a wait for results looks whether there are workers."""
+LOST = ("lost", "pending")
+"""What Dask says of a result that was there, and went with the process that had it."""
 
 
 class WorkerPool:
@@ -78,6 +85,8 @@ class WorkerPool:
         self._running: dict[Any, Evaluation] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._last_seen = 0.0
+        self._next_look = 0.0
+        self._stopped: dict[int, float] = {}
         self._latest: Answer | None = None
 
     def open(self) -> None:
@@ -90,7 +99,7 @@ class WorkerPool:
         """
         try:
             self._start()
-            addresses = sorted(workers_of(self._client))[: self.workers]
+            addresses = sorted(workers_of(self._client, self._interrupted))[: self.workers]
             for answer in self._ask_each(self._process.begin, addresses):
                 if answer.problem:
                     raise BackendError(
@@ -108,7 +117,7 @@ class WorkerPool:
             from bo_tuner.backends.workers import process
 
             if self._cluster is None:
-                connection = local_cluster(self.workers)
+                connection = local_cluster(self.workers, self._interrupted)
             else:
                 connection = self._cluster.connected(self._interrupted)
             client = self._stack.enter_context(connection)
@@ -118,12 +127,15 @@ class WorkerPool:
         needs, expected = (None, {}) if cluster is None else (cluster.needs, cluster.expected)
         order = process.Order(self._run, self._make, needs, expected, self._patience)
         self._client, self._process = client, process
+        plugins: list[Any] = [process.OwnBackend(order)]
+        if cluster is not None:
+            plugins.insert(0, process.EndWithRun(self._run, client.id))
         try:
-            if cluster is not None:
-                client.register_plugin(process.EndWithRun(self._run, client.id))
-            client.register_plugin(process.OwnBackend(order))
+            for plugin in plugins:
+                waited_for(partial(client.register_plugin, plugin), check=self._interrupted)
         # Such as of workers that were killed just now.
         except OSError as error:
+            self._interrupted()
             raise BackendError(self._gone(error)) from error
         self._interrupted()
 
@@ -168,52 +180,65 @@ class WorkerPool:
     def _next(self) -> Evaluation:
         """Wait for the next result."""
         self._last_seen = time.monotonic()
-        look = self._last_seen + LOOK_FOR_WORKERS
         while True:
-            self._interrupted()
+            self._look_around()
             try:
                 future = self._ended.get(timeout=LOOK_AROUND)
             except queue.Empty:
-                if time.monotonic() > look:
-                    self._look_for_workers()
-                    look = time.monotonic() + LOOK_FOR_WORKERS
                 continue
             planned = self._running.pop(future.key, None)
-            if planned is not None:
-                return self._result(future, planned)
+            if planned is None:
+                continue
+            if (result := self._result(future, planned)) is not None:
+                return result
+            self._submit(planned)
 
-    def _look_for_workers(self) -> None:
-        """Refuse to wait for ever for workers that have gone.
+    def _look_around(self) -> None:
+        """Raise what shall end a wait: a request, or that there have been no workers for long.
 
         Raises
         ------
         RunError
-            If there has been none for long.
+            If there have been none.
         """
-        if workers_of(self._client):
+        self._interrupted()
+        if time.monotonic() <= self._next_look:
+            return
+        self._end_stopped(LEFT_ALONE)
+        if workers_of(self._client, self._interrupted):
             self._last_seen = time.monotonic()
         elif (seconds := time.monotonic() - self._last_seen) > LEFT_ALONE:
             raise RunError(f"there has been no worker for {seconds:.0f} s")
+        self._next_look = time.monotonic() + LOOK_FOR_WORKERS
+
+    def _end_stopped(self, after: float) -> None:
+        """End workers that have been stopped for a time [s]; others take their place."""
+        now = time.monotonic()
+        stopped = stopped_workers(self._client)
+        self._stopped = {pid: self._stopped.get(pid, now) for pid in stopped}
+        for pid, since in self._stopped.items():
+            if now - since >= after:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
 
     def take_answer(self) -> Answer | None:
         """Return what a worker has said with the latest result; None if it was taken, or lost."""
         answer, self._latest = self._latest, None
         return answer
 
-    def _result(self, future: Any, planned: Evaluation) -> Evaluation:
+    def _result(self, future: Any, planned: Evaluation) -> Evaluation | None:
+        """Return an evaluation that has ended; None if its result went with its worker."""
         from distributed import KilledWorker
 
         self._latest = None
-        error = future.exception() if future.status == "error" else None
-        if isinstance(error, KilledWorker):
+        try:
+            answer = self._fetched(future)
+        except _ResultLost:
+            return None
+        except KilledWorker as error:
             deaths = error.allowed_failures + 1
             reason = f"the process of the worker ended {deaths} times while it ran this"
             return replace(planned, outcome=Outcome(EvaluationState.LOST, {}, reason))
-        if future.status != "finished":
-            # Such as that of an interrupted run, whose signal came meanwhile.
-            self._interrupted()
-            raise RunError(self._gone(error or future.status))
-        answer: Answer = future.result()
         if answer.evaluation is None:
             self._interrupted()
             if answer.returned:
@@ -221,6 +246,37 @@ class WorkerPool:
             raise RunError(f"worker {answer.worker}: {answer.problem}")
         self._latest = answer
         return answer.evaluation
+
+    def _fetched(self, future: Any) -> Answer:
+        """Return what a worker has answered.
+
+        Raises
+        ------
+        _ResultLost
+            If that is lost with its process, which has died or answers no more.
+        KilledWorker
+            If processes have died in it.
+        RunError
+            If the workers are gone.
+        """
+        from distributed import KilledWorker
+
+        def check() -> None:
+            self._look_around()
+            if future.status in LOST:
+                raise _ResultLost
+
+        try:
+            return cast(Answer, waited_for(future.result, LEFT_ALONE, check))
+        except TimeoutError:
+            raise _ResultLost from None
+        except (_ResultLost, KilledWorker, RunError):
+            raise
+        except (Exception, CancelledError) as error:
+            # Such as that of an interrupted run, whose signal came meanwhile.
+            self._interrupted()
+            reason = error if future.status == "error" else future.status
+            raise RunError(self._gone(reason)) from error
 
     def _gone(self, reason: object) -> str:
         if self._cluster is None:
@@ -238,7 +294,8 @@ class WorkerPool:
         list of str
             What went wrong, each in a line.
         """
-        answers = self._ask_each(self._process.park, workers_of(self._client))
+        addresses = workers_of(self._client, self._interrupted)
+        answers = self._ask_each(self._process.park, addresses)
         return [
             f"worker {answer.worker}: {problem}"
             for answer in answers
@@ -247,7 +304,7 @@ class WorkerPool:
 
     def _ask_each(self, act: Callable[[str], Answer], addresses: Iterable[str]) -> Sequence[Answer]:
         """Ask workers for the same, and wait for their answers, which their backends see to."""
-        known = workers_of(self._client)
+        known = workers_of(self._client, self._interrupted)
         names = {address: self._name(address, known) for address in addresses}
         futures = {
             name: self._client.submit(
@@ -255,20 +312,32 @@ class WorkerPool:
             )
             for address, name in names.items()
         }
-        while pending := {n for n, future in futures.items() if future.status == "pending"}:
-            self._interrupted()
+        answers: dict[str, Answer] = {}
+        self._last_seen = time.monotonic()
+        while pending := {name: futures[name] for name in names.values() if name not in answers}:
+            self._end_stopped(LEFT_ALONE)
             # One that has died does not answer, and its successor has another address.
-            known = workers_of(self._client)
-            if not pending & {name for address, name in names.items() if address in known}:
-                break
+            known = workers_of(self._client, self._interrupted)
+            alive = {name for address, name in names.items() if address in known}
+            for name, future in pending.items():
+                # One that had answered, and then died, has done what it was asked for.
+                if future.status != "pending":
+                    answers[name] = self._answer(name, future)
+                elif not pending.keys() & alive:
+                    answers[name] = Answer(name, problem="its process does not answer (pending)")
             time.sleep(LOOK_AROUND)
-        answers = [
-            future.result()
-            if future.status == "finished"
-            else Answer(name, problem=f"its process does not answer ({future.status})")
-            for name, future in futures.items()
-        ]
-        return sorted(answers, key=lambda answer: (len(answer.worker), answer.worker))
+        return sorted(answers.values(), key=lambda answer: (len(answer.worker), answer.worker))
+
+    def _answer(self, name: str, future: Any) -> Answer:
+        """Return what a worker has said to what all are asked for."""
+        from distributed import KilledWorker
+
+        try:
+            return self._fetched(future)
+        except _ResultLost:
+            return Answer(name)
+        except (KilledWorker, RunError) as error:
+            return Answer(name, problem=f"its process does not answer ({error})")
 
     def _name(self, address: str, known: Any) -> str:
         """Return what a worker is called, as it calls itself."""
@@ -284,26 +353,33 @@ class WorkerPool:
         BackendError
             If running nodes could not be left as they were; all else is closed then.
         """
-        client, self._client = self._client, None
         self._interrupted = lambda: None
         problems: list[str] = []
         try:
-            if client is not None and client.status == "running":
-                problems = self._close_backends(client)
+            if self._client is not None and self._client.status == "running":
+                problems = self._close_backends(self._client)
         finally:
+            self._client = None
             self._running.clear()
-            self._stack.close()
+            with contextlib.suppress(TimeoutError):
+                waited_for(self._stack.close, 2 * LETTING_GO)
         if problems:
             raise BackendError("; ".join(problems))
 
     def _close_backends(self, client: Any) -> list[str]:
         """Close the backends; returns what went wrong, each in a line."""
         problems: list[str] = []
+        ended = set(stopped_workers(client).values())
 
         def close() -> None:
             # What fails here ends with the processes, or when the connection does.
             with contextlib.suppress(Exception):
-                answers = client.run(self._process.close, self._run, on_error="ignore")
+                answers = client.run(
+                    self._process.close,
+                    self._run,
+                    workers=[*(workers_of(client, self._interrupted).keys() - ended)],
+                    on_error="ignore",
+                )
                 for answer in answers.values():
                     problems.extend(f"worker {answer.worker}: {text}" for text in answer.remarks)
                 if self._cluster is not None:
@@ -311,7 +387,10 @@ class WorkerPool:
                     client.unregister_scheduler_plugin(f"{self._run}-end")
 
         # A process in which foreign code has stopped all else answers nothing.
-        closing = threading.Thread(target=close, daemon=True)
-        closing.start()
-        closing.join(self._patience + CLOSING_MARGIN)
+        with contextlib.suppress(TimeoutError):
+            waited_for(close, self._patience + CLOSING_MARGIN, lambda: self._end_stopped(0.0))
         return problems
+
+
+class _ResultLost(Exception):  # noqa: N818
+    """A result went with the process that had it."""

@@ -26,7 +26,7 @@ from bo_tuner.storage.host_lock import host_lock
 from bo_tuner.study import maxima
 from bo_tuner.trials import Evaluation
 
-IN_PARENT = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
+IN_PARENT = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 """Sent by a terminal to all processes; the run takes them, and ends its workers."""
 LOOK_AROUND = 0.05
 """Time [s] after which a wait for the end of a backend looks again."""
@@ -112,6 +112,8 @@ class OwnBackend(WorkerPlugin):
         if self.order.in_cluster:
             self.label = worker.address
             return
+        # Nobody is to read of its tasks.
+        worker.http_server.stop()
         self._number = int(str(worker.name)) + 1
         self.label = str(self._number)
         for signum in IN_PARENT:
