@@ -25,7 +25,7 @@ import numpy as np
 from common import A_RESULT, provenance, result_parser, start_command, write_result
 
 from bo_tuner.lifetime import end_with_parent
-from bo_tuner.load import LoadMeter
+from bo_tuner.processor_load import LoadMeter
 from bo_tuner.storage.record import read_run
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController

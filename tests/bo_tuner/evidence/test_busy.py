@@ -13,7 +13,7 @@ from bo_tuner.evidence.busy import (
     load_in_words,
 )
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.load import Load
+from bo_tuner.processor_load import Load
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 

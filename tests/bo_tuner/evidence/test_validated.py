@@ -12,7 +12,7 @@ from bo_tuner.evidence.observed import Observed, WorstMean
 from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import Quantity, State, Status, Verdict
-from bo_tuner.load import Load
+from bo_tuner.processor_load import Load
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage

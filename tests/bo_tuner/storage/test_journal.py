@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 import bo_tuner.storage.journal
 from bo_tuner.errors import JournalError, OutputError
-from bo_tuner.load import Load
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.plans import Event, EventKind, Phase
+from bo_tuner.processor_load import Load
 from bo_tuner.storage import journal as journal_module
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
 
-from bo_tuner.load import Load
+from bo_tuner.processor_load import Load
 
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""

@@ -12,7 +12,7 @@ from bo_tuner.backends.function import Function, FunctionBackend, failed
 from bo_tuner.backends.protocol import Backend, SequentialBackend
 from bo_tuner.backends.workers.pool import BREAKING_OFF, WorkerPool
 from bo_tuner.errors import BackendError, FunctionError, MetricsError, MissingPackageError
-from bo_tuner.load import with_children
+from bo_tuner.processor_load import with_children
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION, returned_metrics
 from bo_tuner.study.named_code import described

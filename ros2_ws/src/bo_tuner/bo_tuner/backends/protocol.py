@@ -9,7 +9,7 @@ from time import monotonic
 from typing import Protocol
 
 from bo_tuner.backends.paired import DefaultBeside
-from bo_tuner.load import LoadMeter
+from bo_tuner.processor_load import LoadMeter
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Outcome
 

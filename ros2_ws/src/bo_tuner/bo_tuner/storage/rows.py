@@ -8,10 +8,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from bo_tuner.errors import ParameterError
-from bo_tuner.load import Load
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.plans import Event, EventKind
+from bo_tuner.processor_load import Load
 from bo_tuner.storage.typed_json import from_json
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study

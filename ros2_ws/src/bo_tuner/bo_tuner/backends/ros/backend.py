@@ -41,7 +41,6 @@ from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
-from bo_tuner.load import with_children
 from bo_tuner.metrics.collect import Collector, cut_short
 from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.message_rates import MessageRates
@@ -53,6 +52,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.processor_load import with_children
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.safe_values import safe_values

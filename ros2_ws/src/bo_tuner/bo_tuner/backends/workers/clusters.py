@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bo_tuner.backends.workers.identity import CORES, Needs, differences, identity
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import LOOK_AROUND, waited_for
-from bo_tuner.load import PROC
+from bo_tuner.processor_load import PROC
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-from bo_tuner.load import Load, LoadMeter, with_children
+from bo_tuner.processor_load import Load, LoadMeter, with_children
 
 SPIN = "import os\nos.sched_setaffinity(0, {%d})\nwhile True: pass"
 
@@ -42,7 +42,7 @@ def proc(tmp_path):
 @pytest.fixture
 def clock(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("bo_tuner.load.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("bo_tuner.processor_load.time.monotonic", lambda: now[0])
     return now
 
 
