@@ -8,7 +8,7 @@ import pytest
 from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.errors import BackendError, RunError
+from bo_tuner.errors import RunError
 from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
@@ -519,7 +519,7 @@ class TestBackends:
             def run(self, evaluations):
                 return iter(())
 
-        with pytest.raises(BackendError, match=r"^the backend has given no result$"):
+        with pytest.raises(RunError, match=r"^the backend has given no result$"):
             Driver(Silent()).evaluate(TestLosses.planned(1)[0])
 
     def test_one_that_runs_something_else_ends_the_run(self):
@@ -528,7 +528,7 @@ class TestBackends:
                 for planned in evaluations:
                     yield replace(planned, index=7)
 
-        with pytest.raises(BackendError, match=r"test run 7, which was not asked for$"):
+        with pytest.raises(RunError, match=r"test run 7, which was not asked for$"):
             Driver(Other()).evaluate(TestLosses.planned(1)[0])
 
 

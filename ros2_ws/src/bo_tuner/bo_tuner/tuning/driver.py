@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Generic
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.plans import Event, EventKind, Plan, Runs, TaskT
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.gate import OPEN, Gate
@@ -72,17 +72,22 @@ class Driver:
         Raises
         ------
         RunError
-            If three tasks in a row were lost with their nodes or disturbed.
+            If three tasks in a row were lost with their nodes or disturbed, or the backend, which
+            was open, cannot go on.
         """
         steps = Steps(plan, self._observer, window=self._window, gate=self._gate)
         yield from steps.begin()
-        while not steps.over:
-            ran = False
-            for evaluation in self._backend.run(steps.due()):
-                ran = True
-                yield from steps.take(evaluation)
-            if not steps.over and not ran:
-                raise BackendError("the backend has given no result")
+        try:
+            while not steps.over:
+                ran = False
+                for evaluation in self._backend.run(steps.due()):
+                    ran = True
+                    yield from steps.take(evaluation)
+                if not steps.over and not ran:
+                    raise BackendError("the backend has given no result")
+        except BackendError as error:
+            # Nodes that cannot be had are bad input; those that are gone since are not.
+            raise RunError(str(error)) from error
 
 
 class Steps(Generic[TaskT]):
