@@ -62,7 +62,7 @@ both in process.
 
 exit codes:
   0    the result is as recorded, in all that is judged
-  1    the guard of the nodes ended, an attached node was not restored, or standard
+  1    the nodes' guard ended, an attached node was not restored, or standard
        output cannot be written
   2    bad input: run, trial, test run, option or nodes, or a folder that
        cannot be written

@@ -21,7 +21,7 @@ from bo_tuner.backends.ros.errors import (
     RefusedError,
     UnpreparedError,
 )
-from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
+from bo_tuner.backends.ros.guard.link import LEASE, GuardActedError, GuardLink, GuardSilentError
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
@@ -74,10 +74,8 @@ from bo_tuner.trials import (
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 
-
-FORGOTTEN = 1.5
-"""Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
-
+AGAIN = 0.5
+"""Time [s] between two attempts to leave the machine safe while its guard is silent."""
 
 AtAbort = Callable[[Evaluation, Outcome, Sequence[LatestMessage]], object]
 """Takes an evaluation whose run was aborted, its outcome, and the messages until then."""
@@ -417,10 +415,8 @@ class RosBackend(SequentialBackend):
         What the guard sets and publishes would else be taken for somebody else's doing.
         """
         try:
-            if self._guard is not None and outcome.state is not EvaluationState.COMPLETE:
-                # The guard publishes ten states a second, but has set the nodes already.
-                self._opened.tuner.spin_for(SPIN_PERIOD)
-            self._look_at_guard()
+            # The guard publishes ten states a second, but has set the nodes already.
+            self._await_guard(0.0 if outcome.state is EvaluationState.COMPLETE else SPIN_PERIOD)
         except GuardActedError as acted:
             return self._overruled(acted)
         return outcome
@@ -448,7 +444,7 @@ class RosBackend(SequentialBackend):
         wanted = {key: {**held, **assignments.get(key, {})} for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
-            self._look_at_guard()
+            self._await_guard()
             if self._guard is not None and self._guard.unheeded is not None:
                 # It has acted after the last evaluation, such as while a node was waited for.
                 raise self._guard.unheeded
@@ -609,7 +605,7 @@ class RosBackend(SequentialBackend):
         self._suspension.look()
         # A shorter gap is that of a busy computer, unless the guard has found it too long.
         seconds = self._suspension.longest if self._taken_over else self._suspension.seconds
-        if seconds > FORGOTTEN:
+        if seconds > LEASE:
             raise BackendError(
                 f"this process was stopped for {seconds:.0f} s, and ROS took it for dead: "
                 f"{'; '.join(problems)}; look at the machine, then resume the run"
@@ -729,7 +725,32 @@ class RosBackend(SequentialBackend):
 
     def _look_at_guard(self) -> None:
         if self._guard is not None:
-            self._guard.look()
+            self._guard.look(at_rest=self._safe_state is None)
+
+    def _await_guard(self, period: float = 0.0) -> None:
+        """See for a period [s] what the guard does; if it is silent, wait with the machine safe.
+
+        It is left safe first, and again as long as ROS does not carry that.
+        """
+        guard, tuner = self._guard, self._opened.tuner
+        if guard is None:
+            return
+
+        def look() -> None:
+            self._look()
+            self._look_at_guard()
+
+        # A node that has ended keeps nobody from seeing to the machine.
+        with tuner.watched_by(look):
+            with contextlib.suppress(GuardSilentError):
+                self._look_at_guard()
+                if not guard.is_silent:
+                    tuner.spin_for(period)
+            if not guard.is_silent:
+                return
+            problems = self._opened.safe_state.stop()
+            while not tuner.wait_until(lambda: not guard.is_silent, AGAIN):
+                problems = problems and self._opened.safe_state.stop()
 
     def _is_interrupted(self) -> bool:
         try:
