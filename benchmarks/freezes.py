@@ -1,12 +1,13 @@
 """Tuner, guard and node are off the processor at random: how long until the machine is stopped.
 
-In a run of ``tune --attach`` on ``examples/unchanged_system`` the tuner, and at random its guard and
-the node that is tuned, are stopped for 0.2 to 30 s each, and let go on. Where the tuner is off for
-longer than a guard waits for it, a stop message is due as soon as tuner or guard lives: the time is
-taken from then on. Where all of them were off for longer than the lease of ROS, they first have to
-discover each other anew.
+In a run of ``tune --attach`` on ``examples/unchanged_system`` the tuner, and at random its guard
+and the node that is tuned, are stopped for 0.2 to 30 s each, and let go on. Where the tuner is off
+for longer than a guard waits for it, a stop message is due as soon as tuner or guard lives: the
+time is taken from then on. Where all of them were off for longer than the lease of ROS, they first
+have to discover each other anew.
 """
 
+import contextlib
 import multiprocessing
 import os
 import shutil
@@ -73,11 +74,9 @@ def freeze(spans: dict[int, tuple[float, float]]) -> tuple[float, dict[int, tupl
     done: dict[int, list[float]] = {pid: [] for pid in spans}
     for when, pid, signum in acts:
         time.sleep(max(begun + when - time.monotonic(), 0.0))
-        try:
+        # A guard of a tuner that has ended ends, too.
+        with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signum)
-        except ProcessLookupError:
-            # A guard of a tuner that has ended ends, too.
-            pass
         done[pid].append(time.monotonic())
     return begun, {pid: (times[0], times[1]) for pid, times in done.items()}
 

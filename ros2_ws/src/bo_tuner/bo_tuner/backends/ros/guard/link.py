@@ -313,7 +313,7 @@ class GuardLink:
         self._take()
         now = time.monotonic()
         gap, self._checked = now - self._checked, now
-        # Then nothing was missed, and the machine is watched, or safe, while the guard is waited for.
+        # Then nothing was missed: the machine is watched, or safe, while the guard is waited for.
         is_awake = gap < AWAKE or self.is_silent
         doubted = now + DOUBT
         if not is_awake:
