@@ -386,6 +386,10 @@ class Procedure:
                 self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
             self.before_abort = self._latest_messages.now()
             raise
+        except LostError:
+            # Of values that are not finite a node dies, whichever was noticed first.
+            self._recorder.recording(self._recorder.seconds).check_finite(self._study.signals)
+            raise
         finally:
             self._is_recording = False
             self._streams.stop_all()
