@@ -13,6 +13,7 @@ import os
 import shutil
 import signal
 import statistics
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -58,8 +59,8 @@ def work(folder: str) -> None:
             parameters = {"kp": 2.0, "ki": 0.0, "kd": 0.1}
             backend.outcome(Evaluation(0, index, Stage.DRAWN, parameters, {}, index))
             index += 1
-    except BackendError:
-        pass
+    except BackendError as error:
+        print(error, file=sys.stderr)
     finally:
         backend.close()
 
@@ -89,14 +90,24 @@ def alive_at(frozen: dict[int, tuple[float, float]], pids: tuple[int, int], afte
     )
 
 
-def trial(observer: Observer, node: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Make one schedule of freezes; returns what it was, and how long the machine went on."""
+def trial(observer: Observer, node: int, rng: np.random.Generator) -> dict[str, Any] | None:
+    """Make one schedule of freezes; returns what it was, and how long the machine went on.
+
+    None if the tuner did not come to a run, as on a computer that is too busy to discover nodes.
+    """
     spawn = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as folder:
         observer.forget()
         tuner = spawn.Process(target=work, args=(folder,), daemon=True)
         tuner.start()
-        start_of(2, observer, tuner)
+        try:
+            start_of(2, observer, tuner)
+        except SystemExit as error:
+            print(error, file=sys.stderr)
+            tuner.kill()
+            tuner.join()
+            wait_for_guards(folder)
+            return None
         (guard,) = guards(folder)
         spans = {}
         for pid, share in ((tuner.pid or 0, 1.0), (guard, 0.7), (node, 0.3)):
@@ -141,12 +152,14 @@ def main() -> None:
         with machine() as (_, pid):
             observer = Observer()
             try:
-                found = [trial(observer, pid.pid, rng) for _ in range(arguments.schedules)]
+                made = [trial(observer, pid.pid, rng) for _ in range(arguments.schedules)]
             finally:
                 observer.close()
     finally:
         shutil.rmtree(state)
+    found = [schedule for schedule in made if schedule is not None]
     result["schedules"] = found
+    result["not begun"] = len(made) - len(found)
     rows = []
     for discovery in (False, True):
         seconds = [f["seconds"] for f in found if f.get("discovery") is discovery]
