@@ -253,6 +253,7 @@ def _certified(
         effects=by_validation.effects if by_validation is not None else (),
         of_parameters=by_validation.of_parameters if by_validation is not None else (),
         standstill=by_validation is not None and by_validation.standstill,
+        of_ended=certificate.deaths is not None,
     )
 
 
