@@ -126,6 +126,33 @@ def test_a_domain_that_was_found_is_not_taken_for_the_users(backend, monkeypatch
     assert "ROS_DOMAIN_ID" not in os.environ
 
 
+def test_a_restart_of_several_nodes_brings_them_up_together(backend, tmp_path):
+    """Each of them waits for the other one, as a simulator and its controller may."""
+    os.mkfifo(tmp_path / "meeting")
+    script = tmp_path / "both.py"
+    script.write_text(
+        "import os, sys\n"
+        "way = {'pid': os.O_RDONLY, 'motor': os.O_WRONLY}[sys.argv[1]]\n"
+        f"os.close(os.open('{tmp_path}/meeting', way))\n"
+        f"node = f'{UNCHANGED}/{{sys.argv[1]}}_node.py'\n"
+        "os.execv(sys.executable, [sys.executable, node])\n"
+    )
+    nodes = {
+        name: {"node": name, "command": f"'{sys.executable}' '{script}' {name}"}
+        for name in ("pid", "motor")
+    }
+    before = [
+        {"restart": ["pid", "motor"]},
+        {"publish": {"topic": "/setpoint", "message": {"data": 0.0}}},
+        {"wait": 0.1},
+    ]
+    made = backend(position(nodes=nodes, run={"before": before}))
+    first = {key: process.pid for key, process in made._started.processes.items()}
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert all(made._started.processes[key].pid != pid for key, pid in first.items())
+
+
 def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
     """All of them have forgotten what they were told, not only the one that is named."""
     both = tmp_path / "both.py"

@@ -11,7 +11,7 @@ EXIT_SIGNAL = 128
 """Plus the number of the signal."""
 
 
-def early_end(error: Exception) -> tuple[str, int]:
+def early_end(error: BaseException) -> tuple[str, int]:
     """Return what to say of that which ends a run or a certificate early, and the exit code."""
     if isinstance(error, Interrupted):
         return f"interrupted by {error}", EXIT_SIGNAL + error.signum

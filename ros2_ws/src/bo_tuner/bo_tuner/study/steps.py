@@ -199,8 +199,9 @@ class Step:
         Changes the state of a lifecycle node.
     set : SetParameter, optional
         Sets a parameter of a node.
-    restart : str
-        Node of the study, started by the tuner, that is ended and started anew.
+    restart : str or tuple of str
+        Node of the study, started by the tuner, that is ended and started anew, or several that
+        come up together.
     wait_until : WaitUntil, optional
         Waits for a condition on signals.
     wait : float, optional
@@ -213,9 +214,16 @@ class Step:
     send_goal: SendGoal | None = None
     lifecycle: Lifecycle | None = None
     set: SetParameter | None = None
-    restart: str = ""
+    restart: str | tuple[str, ...] = ""
     wait_until: WaitUntil | None = None
     wait: float | None = None
+
+    @property
+    def restarts(self) -> tuple[str, ...]:
+        """The nodes that are started anew."""
+        if isinstance(self.restart, str):
+            return (self.restart,) if self.restart else ()
+        return self.restart
 
     @property
     def waits(self) -> bool:
@@ -223,7 +231,12 @@ class Step:
         return self.wait is not None or self.wait_until is not None
 
     def __post_init__(self) -> None:
-        checks.text(self.restart, "restart")
+        if not isinstance(self.restart, str):
+            nodes = checks.sequence(self.restart, "a node, or a list of nodes", "restart")
+            names = tuple(checks.text(name, "restart", k) for k, name in enumerate(nodes))
+            if not names:
+                raise StudyError("expected a node, or a list of nodes", ("restart",))
+            object.__setattr__(self, "restart", names)
         if self.stop != "":
             checks.matching(self.stop, GRAPH_NAME, "a topic name such as /setpoint", "stop")
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]

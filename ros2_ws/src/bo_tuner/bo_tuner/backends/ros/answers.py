@@ -92,8 +92,8 @@ def _values(answer: Any, name: str) -> Iterator[tuple[Any, object]]:
     """Yield the values of a field, each with the message that it is of; none without the field."""
     *way, last = field_path(name)
     try:
-        for holder in all_at(answer, way) if way else [answer]:
-            for found in all_at(holder, [last]):
+        for holder in all_at(answer, tuple(way)) if way else [answer]:
+            for found in all_at(holder, (last,)):
                 yield holder, found
     except AttributeError:
         return

@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Sequence
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
@@ -91,27 +92,30 @@ class Bringup:
             raise BackendError(f"{twins}; {END_OTHERS}")
         self._settle_all()
 
-    def restart(self, key: str) -> None:
-        """Restart a node that the tuner has started, and set the parameters that it must have.
+    def restart(self, keys: Sequence[str]) -> None:
+        """Restart nodes that the tuner has started, and set the parameters that they must have.
 
         Raises
         ------
         LostError
-            If it does not come back.
+            If one does not come back.
         """
         presence = self._client.presence
         self._suspension.look()
-        self._started.stop_one(key)
+        for key in keys:
+            self._started.stop_one(key)
         self._suspension.skip()
-        ended = {key, *self._client.start_values.started_by(key)}
+        started_by = self._client.start_values.started_by
+        ended = {*keys, *(other for key in keys for other in started_by(key))}
         self._tuner.wait_until(lambda: ended <= set(presence.absent()), LEASE)
         self._client.start_values.between(())
-        try:
-            self._started.start_one(key)
-        except (BackendError, StudyError) as error:
-            raise LostError(f"{key} is not started anew: {error}") from error
+        for key in keys:
+            try:
+                self._started.start_one(key)
+            except (BackendError, StudyError) as error:
+                raise LostError(f"{key} is not started anew: {error}") from error
         # Others may run in the same process.
-        for anew in dict.fromkeys((key, *self._wait_for_nodes())):
+        for anew in dict.fromkeys((*keys, *self._wait_for_nodes())):
             self._client.assign_again(anew)
         self._client.start_values.after()
 

@@ -100,7 +100,7 @@ class Procedure:
         run: Run,
         tuner: TunerNode,
         parameters: NodeParameters,
-        restart: Callable[[str], None] | None,
+        restart: Callable[[Sequence[str]], None] | None,
         guard: GuardLink | None = None,
     ) -> None:
         self._run = run
@@ -467,7 +467,7 @@ class Procedure:
         elif step.wait_until is not None:
             self._wait_until(path, step.wait_until)
         elif step.restart and self._restart is not None:
-            self._restart(step.restart)
+            self._restart(step.restarts)
         elif step.stop:
             self._streams.release(self._tuner.node.resolve_topic_name(step.stop))
         else:
