@@ -36,7 +36,13 @@ from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import METHODS, method_of
-from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
+from bo_tuner.metrics.equal_runs import (
+    all_stand,
+    standing,
+    uneven_rates,
+    unlike_starts,
+    unmoved,
+)
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -234,7 +240,7 @@ def _show_runs(
         say_error(f"error: {noise}")
         return False
     # Of a run that failed, nothing may be known.
-    return not failed and _show_motion(study, recordings, heard)
+    return not failed and _show_motion(study, done, recordings, heard)
 
 
 def _try_parameters(
@@ -292,7 +298,12 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
     return done, recordings
 
 
-def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
+def _show_motion(
+    study: Study,
+    done: Sequence[Evaluation],
+    recordings: Sequence[Recording],
+    heard: Sequence[str],
+) -> bool:
     """Show what may be wrong with the signals of complete runs; returns whether any moves."""
     if all_stand(recordings, heard):
         say_error(
@@ -313,6 +324,7 @@ def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[
         for name in sorted((began[-1] - began[0]).intersection(heard))
     ]
     notes += unlike_starts(recordings, heard)
+    notes += uneven_rates(recordings, [e.outcome.load for e in done], heard)
     for note in notes:
         say(f"note: {note}")
     return True
