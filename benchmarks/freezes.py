@@ -148,11 +148,15 @@ def main() -> None:
     os.environ["XDG_STATE_HOME"] = state
     result: dict[str, Any] = {"provenance": provenance(), "seed": SEED}
     rng = np.random.default_rng(SEED)
+    made: list[dict[str, Any] | None] = []
     try:
         with machine() as (_, pid):
             observer = Observer()
             try:
-                made = [trial(observer, pid.pid, rng) for _ in range(arguments.schedules)]
+                # Ctrl-C ends them, with what there is by then.
+                with contextlib.suppress(KeyboardInterrupt):
+                    for _ in range(arguments.schedules):
+                        made.append(trial(observer, pid.pid, rng))
             finally:
                 observer.close()
     finally:
