@@ -374,14 +374,14 @@ def _processor_time(pid: int) -> float:
 
 
 @contextlib.contextmanager
-def machine() -> Iterator[None]:
+def machine() -> Iterator[list[subprocess.Popen]]:
     """Motor and controller of the example, as processes."""
     nodes = [
         subprocess.Popen([sys.executable, EXAMPLE / f"{name}_node.py"], stdout=subprocess.DEVNULL)
         for name in ("motor", "pid")
     ]
     try:
-        yield
+        yield nodes
     finally:
         for node in nodes:
             node.kill()

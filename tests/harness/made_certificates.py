@@ -87,6 +87,7 @@ def made_certificate(study, parameters, passed=True, *, backend="inprocess", alg
         training_gaps=(Gap("mean error", "s", 1.2, 0.0, 1.3, 1.5, 0.1),),
         context_tolerances=(),
         parameter_sensitivity=None,
+        deaths=None,
         warnings=("narrow optimum",),
         provenance=provenance(study, backend, algorithm),
         finished="2026-01-01T00:00:00+00:00",

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 from signal_runs import signal_study
 
-from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
+from bo_tuner.metrics.equal_runs import (
+    all_stand,
+    standing,
+    uneven_rates,
+    unlike_starts,
+    unmoved,
+)
 from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.processor_load import Load
 from bo_tuner.study.study_file import study_from_mapping
 
 TIME = np.arange(-0.01, 2.0, 0.01)
@@ -109,3 +116,34 @@ def test_runs_that_begin_alike(other):
 def test_runs_that_are_all_noise_begin_alike(seed):
     runs = [run(noise(1.0, 2 * seed + k)) for k in range(2)]
     assert list(unlike_starts(runs, HEARD)) == []
+
+
+def every(*distances):
+    """A run of 2 s with a signal in some distances [s], by turns."""
+    times = np.cumsum(np.resize(distances, round(2.0 / np.mean(distances))))
+    return Recording({"angle": RecordedSignal(times, times)}, 2.0)
+
+
+@pytest.mark.parametrize("first", [0.008, 0.014])
+def test_messages_that_come_less_often_in_one_of_two_equal_runs(first):
+    runs = [every(first), every(0.02)]
+    (line,) = uneven_rates(runs, [None, Load(0.0, 0.1)], HEARD)
+    assert line.startswith("angle: comes 50 times a second in run 2 and ")
+    assert line.endswith(
+        "a simulator does not wait for its controller, or a publisher leaves some out"
+    )
+    (line,) = uneven_rates(runs, [None, Load(0.9, 0.4)], HEARD)
+    assert line.endswith("the computer was busy then: processes waited for it 40 % of the time")
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [
+        [every(0.02), every(0.0205)],
+        # Events, and too few messages to tell.
+        [every(0.001, 0.001, 0.001, 0.1), every(0.001, 0.001, 0.001, 0.3)],
+        [every(0.3), every(0.6)],
+    ],
+)
+def test_messages_that_come_as_often_or_of_events(runs):
+    assert not [*uneven_rates(runs, [None, None], HEARD)]

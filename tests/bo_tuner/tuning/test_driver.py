@@ -8,15 +8,23 @@ import pytest
 from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.errors import BackendError, RunError
+from bo_tuner.errors import RunError
 from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
 from bo_tuner.plans import BatchPlan, Event, EventKind, Phase, Plan, Run, Runs, finished_after
 from bo_tuner.storage.journal_reader import in_order_of_plans
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
-from bo_tuner.tuning.driver import Driver
+from bo_tuner.trials import (
+    DIED,
+    DIED_ANYWAY,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    TrialState,
+)
+from bo_tuner.tuning.driver import MOST_DEATHS, Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.loop import TrialPlan, Tuning
 from bo_tuner.tuning.validation import ValidationPlan
@@ -479,6 +487,91 @@ class TestEvents:
         assert finished_after([finish, settled, extend], Phase.CHECKING) is None
 
 
+class Mortal:
+    """A node dies in some runs, counted from 0; the others are complete."""
+
+    name = "ros"
+
+    def __init__(self, key, deadly):
+        self._key = key
+        self._deadly = deadly
+        self.runs = 0
+
+    def run(self, evaluations):
+        for planned in evaluations:
+            dies = self._deadly(self.runs)
+            self.runs += 1
+            if dies:
+                details = {self._key: "sim"}
+                outcome = Outcome(EvaluationState.LOST, {}, "sim was ended by SIGABRT", details)
+            else:
+                outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5})
+            yield replace(planned, outcome=outcome)
+
+
+class TestDeaths:
+    """Whether a node that dies is a failure of the parameters, in a plan of any kind."""
+
+    @staticmethod
+    def results(backend, count=3):
+        watcher = Watcher()
+        plan = Runs(TestLosses.planned(count))
+        list(Driver(backend, watcher).run(plan))
+        return [e.outcome for e in plan.evaluations]
+
+    def test_twice_in_a_test_run_is_a_failure(self):
+        backend = Mortal(DIED, lambda run: run < 2)
+        first, *others = self.results(backend)
+        assert first.state is EvaluationState.FAILED
+        assert not first.unusable
+        assert first.reason.startswith("sim was ended by SIGABRT; it died twice with these")
+        assert "nodes.sim.death" in first.reason
+        assert "abort_when" in first.reason
+        assert all(outcome.complete for outcome in others)
+        assert backend.runs == 4
+
+    def test_once_is_run_again_and_counts_nothing(self):
+        backend = Mortal(DIED, lambda run: run % 2 == 0)
+        assert all(outcome.complete for outcome in self.results(backend))
+        assert backend.runs == 6
+
+    def test_however_many_in_a_row_they_end_no_run(self):
+        backend = Mortal(DIED, lambda run: True)
+        states = {outcome.state for outcome in self.results(backend, 8)}
+        assert states == {EvaluationState.FAILED}
+
+    def test_one_that_dies_anyway_is_run_until_it_ends(self):
+        backend = Mortal(DIED_ANYWAY, lambda run: run % 4 != 3)
+        results = self.results(backend)
+        assert [(o.state, o.deaths) for o in results] == [(EvaluationState.COMPLETE, 3)] * 3
+
+    def test_one_that_always_dies_anyway_ends_the_run(self):
+        backend = Mortal(DIED_ANYWAY, lambda run: True)
+        with pytest.raises(RunError, match="were lost with their nodes: sim was ended by SIGABRT"):
+            self.results(backend)
+        assert backend.runs == 3 * MOST_DEATHS
+
+    @pytest.mark.parametrize("method", ["boundary", "IV", "safe"])
+    def test_a_deadly_parameter_set_is_learnt_and_never_proposed_again(self, make_study, method):
+        """It ends no run, and comes back in no later trial."""
+        study = make_study(
+            budget={"trials": 8, "initial_trials": 4, "drawn_contexts": 1, "validation_draws": 1}
+        )
+
+        class Deadly(Mortal):
+            def run(self, evaluations):
+                for planned in evaluations:
+                    self._deadly = lambda run, gain=planned.parameters["gain"]: gain > 0.55
+                    yield from super().run([planned])
+
+        trials = list(Tuning(study, Driver(Deadly(DIED, None)), METHODS[method]))
+        assert len(trials) == study.budget.trials
+        dead = [t for t in trials if t.parameters["gain"] > 0.55]
+        assert {t.state for t in dead} <= {TrialState.FAILED}
+        assert not any(t.unusable for t in trials)
+        assert len({t.parameters["gain"] for t in dead}) == len(dead)
+
+
 class TestBatches:
     def test_a_batch_follows_from_all_of_the_one_before(self):
         def batches():
@@ -519,7 +612,7 @@ class TestBackends:
             def run(self, evaluations):
                 return iter(())
 
-        with pytest.raises(BackendError, match=r"^the backend has given no result$"):
+        with pytest.raises(RunError, match=r"^the backend has given no result$"):
             Driver(Silent()).evaluate(TestLosses.planned(1)[0])
 
     def test_one_that_runs_something_else_ends_the_run(self):
@@ -528,7 +621,7 @@ class TestBackends:
                 for planned in evaluations:
                     yield replace(planned, index=7)
 
-        with pytest.raises(BackendError, match=r"test run 7, which was not asked for$"):
+        with pytest.raises(RunError, match=r"test run 7, which was not asked for$"):
             Driver(Other()).evaluate(TestLosses.planned(1)[0])
 
 

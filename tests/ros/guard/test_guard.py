@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import guarded_tuner
@@ -314,6 +315,31 @@ def test_a_guard_that_is_stopped_keeps_nobody_from_watching_the_machine(tuner, r
         assert made.expect("error").startswith("the guard of the nodes has ended: nothing is heard")
         assert made.expect("closed")
         assert made.guards == []
+
+
+@pytest.mark.slow
+def test_while_nobody_can_see_to_the_machine_it_is_left_safe_before_anybody_waits(
+    long_lease, tuner, system
+):
+    made = tuner()
+    (guard,) = made.guards
+    for pid in (guard, made.process.pid):
+        os.kill(pid, signal.SIGSTOP)
+    # For longer than the lease of ROS may be: the guard is waited for.
+    time.sleep(2.0)
+    made.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: is_safe(system), "a safe machine", made.process)
+    assert not any("error" in facts or "state" in facts for facts in made.said)
+    os.kill(guard, signal.SIGCONT)
+    said = made.expect_all("state")
+    assert said["state"] == "lost"
+    assert said["reason"].startswith("the guard of the nodes is silent")
+    # Both are at work again.
+    system.setpoint = 0.0
+    made.evaluate()
+    wait_until(lambda: system.setpoint == 1.0, "the next run", made.process)
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
 
 
 @pytest.mark.slow

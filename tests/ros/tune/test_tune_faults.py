@@ -5,7 +5,6 @@ import shlex
 import signal
 
 import pytest
-from commands import rows
 from waiting import count_in
 
 from bo_tuner.trials import EvaluationState, TrialState
@@ -164,23 +163,25 @@ class TestEvaluations:
         (lost,) = command.lost()
         assert lost.outcome.reason == "no result of the test run from axis within 5 s"
 
-    def test_three_in_a_row_end_the_run(self, tune):
+    def test_one_that_always_dies_fails_every_trial(self, tune):
+        """It ends no run: another parameter set may keep it alive."""
         command = tune(DRIVE="all:die")
-        assert command.finish() == 1
-        *lines, last = command.err.splitlines()
-        assert len(rows(lines)) == 3
-        assert last.startswith("error: 3 trials in a row were lost with their nodes: axis_drive")
-        assert "resume it with: tune --resume" in last
-        assert len(command.trials()) == 3
-        assert (command.run_folder / "trials.csv").read_text().count("\n") == 4
+        assert command.finish() == 3
+        trials = command.trials()
+        assert [trial.state for trial in trials] == [TrialState.FAILED] * 4
+        assert all("it died twice with these parameters" in trial.reason for trial in trials)
+        assert len(command.lost()) == 4
 
-    def test_one_that_dies_in_the_validation_leaves_the_verdict_incomplete(self, tune, tmp_path):
+    def test_one_that_is_silent_in_the_validation_leaves_the_verdict_incomplete(
+        self, tune, drive_study, tmp_path
+    ):
         """It is completed by the command that comes next."""
+        study = drive_study(trigger={"timeout": 5.0})
         command = tune()
         assert command.finish() == 0, command.err
         # The last cut is one of the default, which is second in every other draw.
         last = int((tmp_path / "cuts").read_text()) - 1
-        command = tune(folder=tmp_path / "again", DRIVE=f"{last}:die")
+        command = tune(study=study, folder=tmp_path / "again", DRIVE=f"{last}:mute")
         assert command.finish() == 1, command.err
         assert command.out.startswith("Incomplete: 1 of 2 test runs was lost with the nodes")
         line = command.out.partition("next:")[2].strip().splitlines()[0]

@@ -186,9 +186,8 @@ def test_a_node_that_does_not_start_with_the_safe_values(backend):
         backend(study("limited", park={"parameters": {"gain": 3.0}}))
 
 
-def test_a_node_that_hangs_while_it_starts(backend, monkeypatch):
-    monkeypatch.setattr("bo_tuner.backends.ros.bringup.DISCOVERY_TIMEOUT", 5.0)
-    made = backend(study("hangs"))
+def test_a_node_that_hangs_while_it_starts(backend):
+    made = backend(study("hangs", node={"start_timeout": 5.0}))
     outcome = run(made, 3.0)
     assert outcome.state is EvaluationState.LOST
     assert outcome.reason.startswith("servo does not answer servo/")

@@ -16,7 +16,7 @@ from waiting import DEADLINE, wait_until
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.study_file import (
     load_study,
     parse_study,
@@ -24,7 +24,7 @@ from bo_tuner.study.study_file import (
     study_to_mapping,
     study_to_yaml,
 )
-from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.trials import DIED, DIED_ANYWAY, Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -124,6 +124,33 @@ def test_a_domain_that_was_found_is_not_taken_for_the_users(backend, monkeypatch
     assert os.environ["ROS_DOMAIN_ID"] == str(made._claim.domain)
     made.close()
     assert "ROS_DOMAIN_ID" not in os.environ
+
+
+def test_a_restart_of_several_nodes_brings_them_up_together(backend, tmp_path):
+    """Each of them waits for the other one, as a simulator and its controller may."""
+    os.mkfifo(tmp_path / "meeting")
+    script = tmp_path / "both.py"
+    script.write_text(
+        "import os, sys\n"
+        "way = {'pid': os.O_RDONLY, 'motor': os.O_WRONLY}[sys.argv[1]]\n"
+        f"os.close(os.open('{tmp_path}/meeting', way))\n"
+        f"node = f'{UNCHANGED}/{{sys.argv[1]}}_node.py'\n"
+        "os.execv(sys.executable, [sys.executable, node])\n"
+    )
+    nodes = {
+        name: {"node": name, "command": f"'{sys.executable}' '{script}' {name}"}
+        for name in ("pid", "motor")
+    }
+    before = [
+        {"restart": ["pid", "motor"]},
+        {"publish": {"topic": "/setpoint", "message": {"data": 0.0}}},
+        {"wait": 0.1},
+    ]
+    made = backend(position(nodes=nodes, run={"before": before}))
+    first = {key: process.pid for key, process in made._started.processes.items()}
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert all(made._started.processes[key].pid != pid for key, pid in first.items())
 
 
 def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
@@ -231,6 +258,64 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
     # What they declare then is no change by others, also if it becomes known late.
     assert sorted(renewed) == ["motor", "pid"]
     assert run(made).state is EvaluationState.COMPLETE
+
+
+@pytest.mark.parametrize(("death", "key"), [("failure", DIED), ("ignore", DIED_ANYWAY)])
+def test_what_it_means_that_a_node_ends_in_mid_run(backend, in_run, death, key):
+    """Under a guard, too, which does not mind what the tuner has started."""
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid"), "death": death},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    made = backend(position(nodes=nodes, run={"end": {"after": 2.0}}), guard=True)
+    in_run(made, partial(os.kill, made._started.processes["pid"].pid, signal.SIGKILL))
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.details[key] == "pid"
+    # With the values of no test run it is nobody's death.
+    pid = made._started.processes["pid"]
+    os.kill(pid.pid, signal.SIGKILL)
+    wait_until(lambda: pid.exit_reason is not None, "its end")
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert not {DIED, DIED_ANYWAY} & found.details.keys()
+    assert run(made).state is EvaluationState.COMPLETE
+
+
+def test_a_node_that_dies_of_what_is_not_finite_has_failed_at_once(backend, tmp_path):
+    script = tmp_path / "motor.py"
+    text = (UNCHANGED / "motor_node.py").read_text()
+    publish = "        self._states.publish(message)\n"
+    assert publish in text
+    script.write_text(
+        text.replace(
+            publish,
+            "        if self._angle > 0.1:\n"
+            "            message.position = [math.nan]\n"
+            f"    {publish}"
+            "            __import__('time').sleep(0.3)\n"
+            "            raise SystemExit('diverged')\n"
+            f"{publish}",
+        )
+    )
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid")},
+        "motor": {"node": "motor", "command": f"'{sys.executable}' '{script}'"},
+    }
+    made = backend(position(nodes=nodes, run={"end": {"after": 2.0}}))
+    found = run(made)
+    assert found.state is EvaluationState.FAILED
+    assert " is nan at " in found.reason
+
+
+def test_a_node_that_takes_longer_to_start_than_it_may(backend):
+    nodes = {
+        "pid": {"node": "pid", "command": "sleep 1000", "start_timeout": 0.5},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    with pytest.raises(BackendError) as caught:
+        backend(position(nodes=nodes))
+    assert "it had 0.5 s (nodes.pid.start_timeout); pid runs" in str(caught.value)
 
 
 def test_a_node_that_ends_in_a_pause_is_not_parked_and_started_anew_for_the_next_run(backend):

@@ -12,6 +12,8 @@ from pathlib import Path
 
 PROC = Path("/proc")
 MICROSECOND = 1e-6
+HIGH = 0.2
+"""Share of waiting from which on the load is high: times are then longer by a quarter."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,11 @@ class Load:
 
     machine: float | None
     nodes: float | None
+
+    @property
+    def share(self) -> float:
+        """Share of waiting of the run's own processes, or else of the computer; 0 if not known."""
+        return self.nodes if self.nodes is not None else self.machine or 0.0
 
     def __post_init__(self) -> None:
         for name, share in (("machine", self.machine), ("nodes", self.nodes)):

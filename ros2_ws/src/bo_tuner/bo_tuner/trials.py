@@ -97,6 +97,13 @@ HOLDS = "holds "
 """Begins the keys of an outcome's details with the value that a device has in place of the one
 it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
 
+DIED, DIED_ANYWAY = "died", "died anyway"
+"""Keys of an outcome's details: the node that died in a run, of which the parameters may be the
+reason, or which does so whatever they are (`NodeSpec.death`)."""
+DEATHS = "deaths"
+"""Key of an outcome's details: how often nodes died anyway in the test run until it came to an
+end."""
+
 CUT_AFTER = "cut short after"
 """Key of an outcome's details: time [s] of the run at which it was cut short."""
 AT_LEAST = "at least "
@@ -201,6 +208,11 @@ class Outcome:
         return int(self._number(STARTS)), self._number(START_SECONDS)
 
     @property
+    def deaths(self) -> int:
+        """How often nodes that die anyway died in it until it came to an end."""
+        return int(self._number(DEATHS))
+
+    @property
     def warm_up(self) -> tuple[int, float]:
         """How many runs have warmed the machine up ahead of it, and the time [s] that they took."""
         return int(self._number(WARM_UPS)), self._number(WARM_UP_SECONDS)
@@ -223,6 +235,14 @@ class Outcome:
             # A record of somebody else's may say anything.
             return 0.0
         return number if isfinite(number) else 0.0
+
+    def died_of_parameters(self) -> "Outcome":
+        """Return a loss, in which a node has died again with the same parameters, as a failure."""
+        reason = (
+            f"{self.reason}; it died twice with these parameters, which counts as their failure "
+            f"(see nodes.{self.details[DIED]}.death, and abort_when to end a run before)"
+        )
+        return replace(self, state=EvaluationState.FAILED, reason=reason)
 
     def with_warm_up(self, count: int, seconds: float) -> "Outcome":
         """Return it with `warm_up`."""

@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.safe_state import parks_after_runs
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against, is_running
@@ -36,7 +36,13 @@ from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import METHODS, method_of
-from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
+from bo_tuner.metrics.equal_runs import (
+    all_stand,
+    standing,
+    uneven_rates,
+    unlike_starts,
+    unmoved,
+)
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -62,8 +68,8 @@ not running are started and ended, if the study says how.
 
 exit codes:
   0    both test runs were completed
-  1    the check had to stop (nodes lost or disturbed three times in a row), or
-       an attached node was not restored
+  1    the check had to stop (nodes lost or disturbed three times in a row, or
+       their guard ended), or an attached node was not restored
   2    bad input: study, option or nodes
   3    a run of the default failed, nothing moved in it, or over their whole
        range no tuned parameter was seen to move a metric
@@ -191,18 +197,14 @@ def _try(
                 hold_against(study, tuner, attached=False)
 
         backend.at_nodes = look
-        sound, acts, complete = False, True, []
-        try:
-            with opened(backend, interruption) as left:
-                done, recordings = _runs(study, backend)
-                complete = [e for e in done if e.outcome.complete]
-                sound = _show_runs(study, done, recordings, heard)
-                if sound and sensitivity is not False:
-                    whole_range = bool(sensitivity) or not attach
-                    acts = _try_parameters(study, backend, complete, whole_range=whole_range)
-        except RunError as error:
-            say_error(f"error: {error}")
-            return EXIT_FAULT
+        acts = True
+        with opened(backend, interruption) as left:
+            done, recordings = _runs(study, backend)
+            complete = [e for e in done if e.outcome.complete]
+            sound = _show_runs(study, done, recordings, heard)
+            if sound and sensitivity is not False:
+                whole_range = bool(sensitivity) or not attach
+                acts = _try_parameters(study, backend, complete, whole_range=whole_range)
         if complete:
             _estimate(study, complete)
         code = ended(left, EXIT_OK if sound and acts else EXIT_INFEASIBLE)
@@ -238,7 +240,7 @@ def _show_runs(
         say_error(f"error: {noise}")
         return False
     # Of a run that failed, nothing may be known.
-    return not failed and _show_motion(study, recordings, heard)
+    return not failed and _show_motion(study, done, recordings, heard)
 
 
 def _try_parameters(
@@ -264,7 +266,7 @@ def _log_folder(*, keep: bool) -> Iterator[Path]:
         yield folder
     except BaseException as error:
         # A mistake in the study is no fault of the nodes; nor is an interruption.
-        keep = keep and isinstance(error, BackendError)
+        keep = keep and isinstance(error, (BackendError, RunError))
         raise
     finally:
         logs = sorted(folder.glob("*.log")) if folder.exists() and keep else []
@@ -296,7 +298,12 @@ def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Rec
     return done, recordings
 
 
-def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
+def _show_motion(
+    study: Study,
+    done: Sequence[Evaluation],
+    recordings: Sequence[Recording],
+    heard: Sequence[str],
+) -> bool:
     """Show what may be wrong with the signals of complete runs; returns whether any moves."""
     if all_stand(recordings, heard):
         say_error(
@@ -317,6 +324,7 @@ def _show_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[
         for name in sorted((began[-1] - began[0]).intersection(heard))
     ]
     notes += unlike_starts(recordings, heard)
+    notes += uneven_rates(recordings, [e.outcome.load for e in done], heard)
     for note in notes:
         say(f"note: {note}")
     return True

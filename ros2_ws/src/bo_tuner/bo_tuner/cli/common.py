@@ -14,9 +14,16 @@ from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.isolation import in_namespace, named_namespace
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE, early_end
 from bo_tuner.cli.streams import discard_output, say_error
-from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
+from bo_tuner.errors import (
+    BackendError,
+    JournalError,
+    OutputError,
+    RunError,
+    RunRecordError,
+    StudyError,
+)
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
@@ -126,7 +133,7 @@ class Parser(argparse.ArgumentParser):
 def guarded(run: Run) -> Run:
     """Decorate a command: its expected errors become one line and exit code 2, a signal its code.
 
-    A full disk is a fault, with exit code 1.
+    A full disk and a run that cannot go on are faults, with exit code 1.
 
     Parameters
     ----------
@@ -149,9 +156,10 @@ def guarded(run: Run) -> Run:
         except (OutputError, BackendError, JournalError, RunRecordError) as error:
             say_error(f"error: {error}")
             return EXIT_FAULT if _is_full(error) else EXIT_USAGE
-        except Interrupted as interrupt:
-            say_error(f"interrupted by {interrupt}")
-            return EXIT_SIGNAL + interrupt.signum
+        except (RunError, Interrupted) as error:
+            text, code = early_end(error)
+            say_error(text)
+            return code
         except OSError as error:
             return _fault(error, interruption)
         finally:

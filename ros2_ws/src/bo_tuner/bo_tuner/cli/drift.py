@@ -20,7 +20,7 @@ from bo_tuner.cli.common import (
     opened,
     read_result,
 )
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, early_end
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunError, RunRecordError, StudyError
@@ -36,7 +36,7 @@ from bo_tuner.evidence.drift import (
     result_of,
     write_drift,
 )
-from bo_tuner.interruption import Interruption
+from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.abort_bags import AbortBags
@@ -115,10 +115,11 @@ def compare(
             with opened(nodes, interruption) as left, shown:
                 Driver(nodes, shown, gate=Gate(interruption.check, shown)).complete(plan)
             drift = result_of(plan, path.name, started, _now())
-        except RunError as error:
-            say_error(f"error: {error}")
-            notify(arguments.notify, folder.path, EXIT_FAULT, f"error: {error}", say_error)
-            return EXIT_FAULT
+        except (Interrupted, RunError) as error:
+            headline, code = early_end(error)
+            say_error(headline)
+            notify(arguments.notify, folder.path, code, headline, say_error)
+            return code
         folder.check()
         written = write_drift(folder.path, number, drift, plan.evaluations)
     _show(drift, most)

@@ -1,6 +1,7 @@
 """What the commands return to the shell."""
 
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.interruption import Interrupted
 
 EXIT_OK = 0
 EXIT_FAULT = 1
@@ -8,6 +9,13 @@ EXIT_USAGE = 2
 EXIT_INFEASIBLE = 3
 EXIT_SIGNAL = 128
 """Plus the number of the signal."""
+
+
+def early_end(error: BaseException) -> tuple[str, int]:
+    """Return what to say of that which ends a run or a certificate early, and the exit code."""
+    if isinstance(error, Interrupted):
+        return f"interrupted by {error}", EXIT_SIGNAL + error.signum
+    return f"error: {error}", EXIT_FAULT
 
 
 def exit_code(verdict: Verdict) -> int:

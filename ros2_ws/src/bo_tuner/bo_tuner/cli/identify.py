@@ -17,9 +17,8 @@ from bo_tuner.cli.common import (
     run_folder,
     whole_number,
 )
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
-from bo_tuner.cli.streams import say_error
-from bo_tuner.errors import RunError, RunRecordError, StudyError
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.models.context_posterior import LEAST_SIMULATED
 from bo_tuner.monitoring.display import plain_console, say
@@ -156,14 +155,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     _check_simulator(box, str(arguments.study))
     machine = _machine(arguments, box)
     simulator = InProcessBackend(box, interruption.check)
-    try:
-        with opened(simulator, interruption, again=True):
-            _announce(machine, arguments.simulations)
-            driver = Driver(simulator, gate=Gate(interruption.check, NOBODY))
-            identified = identify(box, machine, driver, arguments.simulations)
-    except RunError as error:
-        say_error(f"error: {error}")
-        return EXIT_FAULT
+    with opened(simulator, interruption, again=True):
+        _announce(machine, arguments.simulations)
+        driver = Driver(simulator, gate=Gate(interruption.check, NOBODY))
+        identified = identify(box, machine, driver, arguments.simulations)
     say(f"compared: {', '.join(machine.metrics)}")
     if misfits := identified.misfits(arguments.level):
         _show_misfits(misfits, arguments.level)

@@ -62,7 +62,8 @@ both in process.
 
 exit codes:
   0    the result is as recorded, in all that is judged
-  1    standard output cannot be written, or an attached node was not restored
+  1    the nodes' guard ended, an attached node was not restored, or standard
+       output cannot be written
   2    bad input: run, trial, test run, option or nodes, or a folder that
        cannot be written
   3    the result differs; the table shows where

@@ -17,7 +17,7 @@ from bo_tuner.backends.workers.pool import WorkerPool
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.confirm import Confirmation, refused_in
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.exit_codes import early_end, exit_code
 from bo_tuner.cli.paused import WAY, ContinueByKey, has_terminal
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.cli.time_plan import TimePlan
@@ -283,19 +283,13 @@ class Session:
                 known = known_incumbents(self._incumbents)
                 write_deliverables(folder.path, self._display.inform, self._display.warn, known)
                 return ended(left, code)
-            except Interrupted as interrupt:
-                if not folder.journal.exists():
-                    raise
-                self._ended_by = f"interrupted by {interrupt}"
-                self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
-                return EXIT_SIGNAL + interrupt.signum
-            except (RunError, JournalError, OutputError) as error:
+            except (Interrupted, RunError, JournalError, OutputError) as error:
                 if not begun:
                     # There is nothing to go on with.
                     raise
-                self._ended_by = f"error: {error}"
+                self._ended_by, code = early_end(error)
                 self._display.warn(f"{self._ended_by}; {how_to_resume(folder.path)}")
-                return EXIT_FAULT
+                return code
 
     def _goes_on(self, earlier: JournalContent) -> bool:
         """Return whether trials are to come, so that the result on record is no longer the run's.

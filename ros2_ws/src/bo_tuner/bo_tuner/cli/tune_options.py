@@ -26,12 +26,12 @@ EPILOG = """\
 exit codes:
   0    a feasible parameter set was found, and the validation does not refute
        it
-  1    the run had to stop (nodes lost or disturbed three times in a row, disk
-       full), and its record is kept; or test runs of the validation were lost,
-       so that the verdict is incomplete, and --resume completes it; or the
-       --time is over before the certificate of --certify has a verdict, and
-       `validate` goes on with it; or the run is complete, but an attached node
-       was not restored, or an action goal did not end
+  1    the run had to stop (nodes lost or disturbed three times in a row, their
+       guard ended, disk full), and its record is kept; or test runs of the
+       validation were lost, so that the verdict is incomplete, and --resume
+       completes it; or the --time is over before the certificate of --certify
+       has a verdict, and `validate` goes on with it; or the run is complete,
+       but an attached node was not restored, or an action goal did not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL

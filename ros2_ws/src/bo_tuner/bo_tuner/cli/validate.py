@@ -28,7 +28,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.drift import FALSE_ALARMS, RUNS, compare
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
+from bo_tuner.cli.exit_codes import EXIT_FAULT, early_end, exit_code
 from bo_tuner.cli.given_values import add_given_arguments, given
 from bo_tuner.cli.notify import add_notify_argument, notify
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
@@ -97,9 +97,10 @@ RUN/drift/0001.json, or the next number, and no certificate.
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost or disturbed three times in a row, disk full, the
-       --time is over); an existing certificate is kept, and the next call
-       continues from here; or an attached node was not restored
+  1    no verdict (nodes lost or disturbed three times in a row, their guard
+       ended, disk full, the --time is over); an existing certificate is kept,
+       and the next call continues from here; or an attached node was not
+       restored
   2    bad input: run, option or nodes
   3    FAIL; --against: a metric has drifted
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -315,11 +316,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             for line in undecided.shown[1:]:
                 show(f"  {line}")
             show(again)
-        except (RunError, OutputError) as error:
-            headline, code = f"error: {error}", EXIT_FAULT
-            show(f"{headline}; {again}")
-        except Interrupted as interrupt:
-            headline, code = f"interrupted by {interrupt}", EXIT_SIGNAL + interrupt.signum
+        except (Interrupted, RunError, OutputError) as error:
+            headline, code = early_end(error)
             show(f"{headline}; {again}")
         else:
             headline, code = verdict.headline, ended(left, exit_code(verdict))

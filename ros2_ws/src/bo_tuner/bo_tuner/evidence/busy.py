@@ -8,6 +8,7 @@ nothing has measured it by the clock, so that waiting for a processor is in it.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from bo_tuner.processor_load import HIGH
 from bo_tuner.study.metrics import COMPUTED, ReportedMetric, StudyMetric
 from bo_tuner.study.study import Study
 from bo_tuner.text import capitalized, counted, percent, ranges
@@ -16,9 +17,6 @@ from bo_tuner.trials import Evaluation, Outcome
 SOURCE = "_source"
 COMPUTING, MODELLED = "cpu", "modelled"
 """Sources of a time in which no waiting is: what the node's own thread computed, and a model."""
-
-HIGH = 0.2
-"""Share of waiting from which on the load is high: times are then longer by a quarter."""
 
 
 @dataclass(frozen=True)

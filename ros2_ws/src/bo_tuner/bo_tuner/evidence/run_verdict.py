@@ -257,6 +257,7 @@ def _certified(
         claim=claimed(study, tuned),
         default_claim=WITHIN if default is None else claimed(study, default),
         standstill=by_validation is not None and by_validation.standstill,
+        of_ended=certificate.deaths is not None,
     )
 
 

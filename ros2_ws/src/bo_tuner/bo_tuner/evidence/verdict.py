@@ -204,6 +204,8 @@ class Verdict:
         Whether the search ended as it could not go on; resumed, it would end there again.
     high_load
         Runs with limits on measured times in which the computer was busy; None if there are none.
+    of_ended
+        Whether a certificate is of runs that ended: those in which a node died were made again.
     """
 
     state: State
@@ -231,6 +233,7 @@ class Verdict:
     default_claim: str = WITHIN
     standstill: bool = False
     high_load: HighLoad | None = None
+    of_ended: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -346,7 +349,8 @@ class Verdict:
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
-                return f"{PASS}: the tuned parameter set is {self.claim}"
+                of_ended = "of runs that ended, " if self.of_ended else ""
+                return f"{PASS}: {of_ended}the tuned parameter set is {self.claim}"
             case State.REFUSED:
                 return f"{FAIL}: the tuned parameter set is not proven to stay within all limits"
 

@@ -4,12 +4,15 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bo_tuner.metrics.message_rates import fewest, rate_of
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import SignalSource
 from bo_tuner.metrics.source import MissingMetricError
+from bo_tuner.processor_load import HIGH, Load
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.study import Study
+from bo_tuner.text import percent
 
 OF_ERRORS = ("iae", "ise", "itae", "rms", "steady_state_error")
 """Measures of an error, which differ between a signal that stands still and one that follows."""
@@ -111,6 +114,40 @@ def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> It
                     "it began (run.before, such as wait_until; docs/procedure.md)"
                 )
                 break
+
+
+def uneven_rates(
+    recordings: Sequence[Recording], loads: Sequence[Load | None], heard: Collection[str]
+) -> Iterator[str]:
+    """Yield the signals that come less often in one of several equal runs, a line each.
+
+    Parameters
+    ----------
+    recordings
+        Equal runs, at least one.
+    loads
+        How busy the computer was in each of them; None where nobody has looked.
+    heard
+        Names of the signals that others publish. One of events comes as often as they do.
+    """
+    for name in heard:
+        rates = [rate_of(each.signals[name], each.end) for each in recordings]
+        often = [rate.messages / rate.duration for rate in rates if rate is not None and rate.even]
+        if len(often) < len(recordings):
+            continue
+        least, most = int(np.argmin(often)), int(np.argmax(often))
+        if often[least] * recordings[least].end >= fewest(often[most] * recordings[least].end):
+            continue
+        load = loads[least]
+        why = (
+            f"the computer was busy then: processes waited for it {percent(load.share)} of the time"
+            if load is not None and load.share >= HIGH
+            else "a simulator does not wait for its controller, or a publisher leaves some out"
+        )
+        yield (
+            f"{name}: comes {often[least]:.4g} times a second in run {least + 1} and "
+            f"{often[most]:.4g} times in run {most + 1}, which are equal: {why}"
+        )
 
 
 def _noise(seen: RecordedSignal) -> float:

@@ -68,6 +68,11 @@ class Rate:
     gap: float
     duration: float
 
+    @property
+    def even(self) -> bool:
+        """Whether messages come in even distances, so that their number can be too small."""
+        return self.most <= EVEN * self.distance
+
     def __str__(self) -> str:
         return (
             f"{self.messages:.0f} messages, every {self.distance!r} s, 90 % {self.most!r} s, "
@@ -83,6 +88,11 @@ def rate_of(seen: RecordedSignal, end: float) -> Rate | None:
     gap = float(np.max(gaps(times, end)))
     distance, most = map(float, np.quantile(np.diff(times), [0.5, 0.9]))
     return Rate(len(times), distance, most, gap, end)
+
+
+def fewest(expected: float) -> float:
+    """Return the least number of messages that is as usual, where so many are expected."""
+    return FEWEST_SHARE * expected - 1.0
 
 
 def gaps(times: Array, end: float) -> Array:
@@ -197,7 +207,7 @@ def _remarks(where: str, seen: RecordedSignal, end: float, usual: Rate) -> list[
             f"every {usual.distance:.3g} s"
         ]
     expected = usual.messages * end / usual.duration
-    if usual.most <= EVEN * usual.distance and len(times) < FEWEST_SHARE * expected - 1.0:
+    if usual.even and len(times) < fewest(expected):
         return [f"{where} has {len(times)} messages, usually about {expected:.0f}"]
     return []
 

@@ -20,6 +20,10 @@ class FailedRunError(Exception):
     """A run does not count, for the reason in one line."""
 
 
+class NotFiniteError(FailedRunError):
+    """A signal had a value that is not finite."""
+
+
 class CutShortError(FailedRunError):
     """A run was ended early, since its outcome is decided.
 
@@ -80,7 +84,7 @@ class Recorded:
         return int(np.count_nonzero(self.time >= 0.0))
 
     def check_finite(self, where: str) -> None:
-        """Raise `FailedRunError`, with the name of the signal, if a value is not finite."""
+        """Raise `NotFiniteError`, with the name of the signal, if a value is not finite."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +100,11 @@ class RecordedSignal(Recorded):
     value: Array
 
     def check_finite(self, where: str) -> None:
-        """Raise `FailedRunError`, with the name of the signal, if a value is not finite."""
+        """Raise `NotFiniteError`, with the name of the signal, if a value is not finite."""
         wrong = np.flatnonzero(~np.isfinite(self.value))
         if len(wrong):
             when = self.time[wrong[0]]
-            raise FailedRunError(f"{where} is {self.value[wrong[0]]:g} at {when:.3f} s")
+            raise NotFiniteError(f"{where} is {self.value[wrong[0]]:g} at {when:.3f} s")
 
 
 @dataclass(frozen=True)
@@ -187,6 +191,11 @@ class Recording:
                 k = int(gaps.argmax())
                 if gaps[k] > largest:
                     raise _gap(name, spec, seen, gaps[k], times[k], largest)
+
+    def check_finite(self, specs: Mapping[str, Signal]) -> None:
+        """Raise `NotFiniteError` if a value of a signal is not finite."""
+        for name, spec in specs.items():
+            self.seen(name).check_finite(named(name, spec))
 
     def check_latest(
         self,

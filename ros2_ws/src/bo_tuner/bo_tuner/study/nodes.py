@@ -14,6 +14,9 @@ PARAMETER_FILE = "{parameter_file}"
 """Stands in `command` and `launch` for the file with the values that a node starts with."""
 WORKER = "{worker}"
 """Stands in `command`, `launch` and `env` for the number of the worker that starts it, from 1."""
+FAILURE, IGNORE = "failure", "ignore"
+DEATHS = (FAILURE, IGNORE)
+"""What the end of a node in a run can mean."""
 USE_SIM_TIME = "use_sim_time"
 """Parameter of every node: whether its clock is that of a simulation."""
 
@@ -56,6 +59,12 @@ class NodeSpec:
         Set once, before the first trial.
     inprocess_parameters : mapping from str to value
         Override `parameters` on the in-process backend.
+    death : str
+        What it means that the node, which the tuner has started, ends by itself in a run: with
+        `failure` the parameters have failed if it does so twice in the same test run; with `ignore`
+        it does so whatever they are, as some simulators do: the test run is made again.
+    start_timeout : float
+        Longest time [s] that the node takes to appear and answer once it is started.
     unwatched : tuple of str
         Parameters that the node changes by itself: names, or patterns such as ``STAT_*``. They are
         neither held nor compared.
@@ -75,6 +84,8 @@ class NodeSpec:
     object: str | None = None
     parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
     inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+    death: str = FAILURE
+    start_timeout: float = 20.0
     unwatched: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -99,6 +110,9 @@ class NodeSpec:
         for key in ("parameters", "inprocess_parameters"):
             object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
 
+        checks.choice(self.death, DEATHS, "death")
+        timeout = checks.timeout(self.start_timeout, "start_timeout")
+        object.__setattr__(self, "start_timeout", timeout)
         self._check_unwatched()
 
     def unwatched_by(self, name: str) -> str:

@@ -235,9 +235,9 @@ class Run:
                         key_path = (*path, "publish", *below, "follow", name)
                         with findings.under():
                             checks.reference(signal, "signal", signals, *key_path)
-            if step.restart:
+            for key in step.restarts:
                 with findings.under():
-                    checks.reference(step.restart, "node", nodes, *path, "restart")
+                    checks.reference(key, "node", nodes, *path, "restart")
         for condition, path in self.conditions:
             with findings.under():
                 expression(without_contexts(condition), signals, *path)

@@ -7,6 +7,7 @@ from typing import Any
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.building import Findings, arguments, build, under
+from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Publish, build_publish, check_message
 from bo_tuner.study.signals import GRAPH_NAME
 
@@ -15,7 +16,11 @@ TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 @dataclass(frozen=True, kw_only=True)
 class Call:
-    """A call of a service; if its answer has a field `success`, that must be true.
+    """A call of a service, which says in its answer whether it was done.
+
+    It was not if one of these is false: `success`, `ok`, `mode_sent`, `status.success`,
+    `result.successful`, `results[].successful`; or if a code in `return_code`, `result.result` or
+    `error_code.val` is not that of a success.
 
     Attributes
     ----------
@@ -23,17 +28,27 @@ class Call:
         Service, of any type that is installed.
     request : mapping
         Fields of the request by name; those that are left out are zero.
+    expect : mapping
+        Values by field, such as `{status.code: 0}`, that the answer must have, where other fields
+        than those above tell it, or these tell something else; of an array each item.
     timeout : float
         Longest time [s] until the answer.
     """
 
     service: str
     request: Mapping[str, object] = field(default_factory=dict)
+    expect: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     timeout: float = 5.0
 
     def __post_init__(self) -> None:
         checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
         check_message(self.request, "request")
+        check_message(self.expect, "expect")
+        for name, value in self.expect.items():
+            with under("expect", name):
+                field_path(name)
+                if not isinstance(value, (bool, int, float, str)):
+                    raise StudyError(f"expected a single value, found {checks.show(value)}")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
@@ -184,8 +199,9 @@ class Step:
         Changes the state of a lifecycle node.
     set : SetParameter, optional
         Sets a parameter of a node.
-    restart : str
-        Node of the study, started by the tuner, that is ended and started anew.
+    restart : str or tuple of str
+        Node of the study, started by the tuner, that is ended and started anew, or several that
+        come up together.
     wait_until : WaitUntil, optional
         Waits for a condition on signals.
     wait : float, optional
@@ -198,9 +214,16 @@ class Step:
     send_goal: SendGoal | None = None
     lifecycle: Lifecycle | None = None
     set: SetParameter | None = None
-    restart: str = ""
+    restart: str | tuple[str, ...] = ""
     wait_until: WaitUntil | None = None
     wait: float | None = None
+
+    @property
+    def restarts(self) -> tuple[str, ...]:
+        """The nodes that are started anew."""
+        if isinstance(self.restart, str):
+            return (self.restart,) if self.restart else ()
+        return self.restart
 
     @property
     def waits(self) -> bool:
@@ -208,7 +231,12 @@ class Step:
         return self.wait is not None or self.wait_until is not None
 
     def __post_init__(self) -> None:
-        checks.text(self.restart, "restart")
+        if not isinstance(self.restart, str):
+            nodes = checks.sequence(self.restart, "a node, or a list of nodes", "restart")
+            names = tuple(checks.text(name, "restart", k) for k, name in enumerate(nodes))
+            if not names:
+                raise StudyError("expected a node, or a list of nodes", ("restart",))
+            object.__setattr__(self, "restart", names)
         if self.stop != "":
             checks.matching(self.stop, GRAPH_NAME, "a topic name such as /setpoint", "stop")
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]

@@ -7,15 +7,21 @@ sequence for given q, in whatever order results come; those that come early wait
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Generic
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, RunError
 from bo_tuner.plans import Event, EventKind, Plan, Runs, TaskT
-from bo_tuner.trials import Evaluation
+from bo_tuner.trials import DEATHS, DIED, DIED_ANYWAY, Evaluation, Outcome
 from bo_tuner.tuning.gate import OPEN, Gate
 from bo_tuner.tuning.losses import Losses
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+
+DEADLY = 2
+"""Runs of a test run in which a node dies until that is a failure of the parameters."""
+MOST_DEATHS = 10
+"""Runs of a test run in which a node dies that does so anyway, until it is lost."""
 
 
 class Driver:
@@ -68,21 +74,28 @@ class Driver:
         """Carry out a plan; yields each task when the plan was told of it, in their order.
 
         An evaluation that was lost or disturbed is run again at once, as often as the plan has it.
+        One in which a node dies twice has failed; one in which a node dies that does so whatever
+        the parameters is run until it comes to its end, up to `MOST_DEATHS` times.
 
         Raises
         ------
         RunError
-            If three tasks in a row were lost with their nodes or disturbed.
+            If three tasks in a row were lost with their nodes or disturbed, or the backend, which
+            was open, cannot go on.
         """
         steps = Steps(plan, self._observer, window=self._window, gate=self._gate)
         yield from steps.begin()
-        while not steps.over:
-            ran = False
-            for evaluation in self._backend.run(steps.due()):
-                ran = True
-                yield from steps.take(evaluation)
-            if not steps.over and not ran:
-                raise BackendError("the backend has given no result")
+        try:
+            while not steps.over:
+                ran = False
+                for evaluation in self._backend.run(steps.due()):
+                    ran = True
+                    yield from steps.take(evaluation)
+                if not steps.over and not ran:
+                    raise BackendError("the backend has given no result")
+        except BackendError as error:
+            # Nodes that cannot be had are bad input; those that are gone since are not.
+            raise RunError(str(error)) from error
 
 
 class Steps(Generic[TaskT]):
@@ -136,6 +149,7 @@ class Steps(Generic[TaskT]):
         BackendError
             If it was not due.
         """
+        evaluation = self._window.judged(evaluation)
         self._observer.evaluation(evaluation)
         self._pass_gate()
         self._window.take(evaluation)
@@ -202,20 +216,41 @@ class _Planned(Generic[TaskT]):
         self.running = False
         self.lost: Evaluation | None = None
         self._attempts = attempts
-        self._failed = 0
+        self._failed = self._died = self._died_anyway = 0
+
+    def judged(self, evaluation: Evaluation) -> Evaluation:
+        """Return a result, with what the runs before it make of it."""
+        outcome = evaluation.outcome
+        if not outcome.unusable:
+            if not self._died_anyway:
+                return evaluation
+            details = {**outcome.details, DEATHS: str(self._died_anyway)}
+            return replace(evaluation, outcome=replace(outcome, details=details))
+        if DIED in outcome.details and self._died + 1 == DEADLY:
+            return replace(evaluation, outcome=outcome.died_of_parameters())
+        return evaluation
 
     def take(self, evaluation: Evaluation) -> None:
         """Take a result, unless its evaluation is to be run again."""
         self.running = False
         unusable = evaluation.outcome.unusable
-        if unusable and self._failed + 1 < self._attempts:
-            self._failed += 1
+        if unusable and self._is_due_again(evaluation.outcome):
             return
         if unusable and self.lost is None:
             self.lost = evaluation
-        self._failed = 0
+        self._failed = self._died = self._died_anyway = 0
         self.task.tell(evaluation)
         self.next = self.task.ask()
+
+    def _is_due_again(self, outcome: Outcome) -> bool:
+        if DIED in outcome.details:
+            self._died += 1
+            return True
+        if DIED_ANYWAY in outcome.details:
+            self._died_anyway += 1
+            return self._died_anyway < MOST_DEATHS
+        self._failed += 1
+        return self._failed < self._attempts
 
 
 class _Window(Generic[TaskT]):
@@ -265,13 +300,19 @@ class _Window(Generic[TaskT]):
         waiting = (p for p in self.tasks if p.next is not None and not p.running)
         return next(waiting, None)
 
+    def judged(self, evaluation: Evaluation) -> Evaluation:
+        """Return a result, with what earlier runs of the same make of it."""
+        return self._awaiting(evaluation).judged(evaluation)
+
     def take(self, evaluation: Evaluation) -> None:
         """Give a result to its task."""
+        self._awaiting(evaluation).take(evaluation)
+
+    def _awaiting(self, evaluation: Evaluation) -> _Planned[TaskT]:
         for planned in self.tasks:
             awaited = planned.next if planned.running else None
             if awaited is not None and _place(awaited) == _place(evaluation):
-                planned.take(evaluation)
-                return
+                return planned
         raise BackendError(f"the backend has run {evaluation.place}, which was not asked for")
 
     def ended(self) -> _Planned[TaskT] | None:

@@ -16,12 +16,13 @@ from bo_tuner.backends.ros.bringup import Bringup
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import (
+    DiedError,
     DisturbedError,
     LostError,
     RefusedError,
     UnpreparedError,
 )
-from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
+from bo_tuner.backends.ros.guard.link import LEASE, GuardActedError, GuardLink, GuardSilentError
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
@@ -48,17 +49,21 @@ from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     CutShortError,
     FailedRunError,
+    NotFiniteError,
     Recording,
 )
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.processor_load import with_children
+from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
+    DIED,
+    DIED_ANYWAY,
     DISTURBED,
     HOLDS,
     NOTE,
@@ -74,10 +79,10 @@ from bo_tuner.trials import (
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 
-
-FORGOTTEN = 1.5
-"""Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
-
+ENDING = 1.0
+"""Time [s] that a process takes to end once nothing is heard of it any more."""
+AGAIN = 0.5
+"""Time [s] between two attempts to leave the machine safe while its guard is silent."""
 
 AtAbort = Callable[[Evaluation, Outcome, Sequence[LatestMessage]], object]
 """Takes an evaluation whose run was aborted, its outcome, and the messages until then."""
@@ -339,7 +344,7 @@ class RosBackend(SequentialBackend):
                 continue
             self._latest_run = None
             reason = brief(f"run {k + 1} of {count} to warm up: {outcome.reason}")
-            details = dict(outcome.details)
+            details = {k: v for k, v in outcome.details.items() if k not in (DIED, DIED_ANYWAY)}
             if not outcome.unusable:
                 details[UNPREPARED] = reason
             return dataclasses.replace(outcome, reason=reason, details=details)
@@ -417,10 +422,8 @@ class RosBackend(SequentialBackend):
         What the guard sets and publishes would else be taken for somebody else's doing.
         """
         try:
-            if self._guard is not None and outcome.state is not EvaluationState.COMPLETE:
-                # The guard publishes ten states a second, but has set the nodes already.
-                self._opened.tuner.spin_for(SPIN_PERIOD)
-            self._look_at_guard()
+            # The guard publishes ten states a second, but has set the nodes already.
+            self._await_guard(0.0 if outcome.state is EvaluationState.COMPLETE else SPIN_PERIOD)
         except GuardActedError as acted:
             return self._overruled(acted)
         return outcome
@@ -447,8 +450,9 @@ class RosBackend(SequentialBackend):
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: {**held, **assignments.get(key, {})} for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
+        in_force = False
         try:
-            self._look_at_guard()
+            self._await_guard()
             if self._guard is not None and self._guard.unheeded is not None:
                 # It has acted after the last evaluation, such as while a node was waited for.
                 raise self._guard.unheeded
@@ -463,6 +467,9 @@ class RosBackend(SequentialBackend):
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure)
+            # One that has ended before did not do so with these values.
+            self._started.check()
+            in_force = True
             said = client.evaluate(wanted, kept, run, self._park_after_run)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)
@@ -482,7 +489,9 @@ class RosBackend(SequentialBackend):
             reason = brief(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
         except LostError as loss:
-            return Outcome(EvaluationState.LOST, {}, brief(str(loss)))
+            loss = self._death_behind(loss)
+            death = self._death(loss) if in_force else {}
+            return Outcome(EvaluationState.LOST, {}, brief(str(loss)), death)
         details = {
             **result.details,
             "ignored_results": str(client.results.take_ignored()),
@@ -493,6 +502,25 @@ class RosBackend(SequentialBackend):
         if remarks := self._rates.remarks(self.recording):
             details[NOTE] = brief("; ".join(remarks))
         return dataclasses.replace(result, details=details)
+
+    def _death_behind(self, loss: LostError) -> LostError:
+        """Return that a node has died, if that is why it is lost: its topics may go ahead of it."""
+        if isinstance(loss, DiedError) or not self._started.processes:
+            return loss
+        try:
+            with self._opened.tuner.watched_by(self._look):
+                self._opened.tuner.wait_until(lambda: self._started.has_ended, ENDING)
+            self._started.check()
+        except DiedError as death:
+            return death
+        return loss
+
+    def _death(self, loss: LostError) -> dict[str, str]:
+        """Return details on a node that has died with the values of an evaluation in force."""
+        if not isinstance(loss, DiedError):
+            return {}
+        is_failure = self._study.nodes[loss.key].death == FAILURE
+        return {DIED if is_failure else DIED_ANYWAY: loss.key}
 
     def _counts(self) -> dict[str, str]:
         ramped = self._opened.client.approach.take_seconds()
@@ -568,9 +596,15 @@ class RosBackend(SequentialBackend):
             raise disturbance from error
         if isinstance(error, DisturbedError):
             raise error
-        # A run may have failed for want of a node.
-        for key in self._study.nodes:
-            client.parameters.expect_answer(key)
+        # A run may have failed for want of a node; one that has died of values that are not finite
+        # has not taken the reason along.
+        try:
+            for key in self._study.nodes:
+                client.parameters.expect_answer(key)
+        except DiedError:
+            if not isinstance(error, NotFiniteError):
+                raise
+            return
         if gone := unpublished or procedure.unpublished:
             raise LostError(gone)
 
@@ -584,7 +618,7 @@ class RosBackend(SequentialBackend):
         if state is EvaluationState.COMPLETE:
             # What was not parked right after a run is not watched until the next one.
             return safe_state.take_unfinished() and safe_state.park(at_once=True)
-        if state is EvaluationState.LOST:
+        if state is EvaluationState.LOST or self._started.has_ended:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
             if (problems := safe_state.stop()) and self._attach:
                 self._expect_to_be_known(problems)
@@ -609,7 +643,7 @@ class RosBackend(SequentialBackend):
         self._suspension.look()
         # A shorter gap is that of a busy computer, unless the guard has found it too long.
         seconds = self._suspension.longest if self._taken_over else self._suspension.seconds
-        if seconds > FORGOTTEN:
+        if seconds > LEASE:
             raise BackendError(
                 f"this process was stopped for {seconds:.0f} s, and ROS took it for dead: "
                 f"{'; '.join(problems)}; look at the machine, then resume the run"
@@ -729,7 +763,32 @@ class RosBackend(SequentialBackend):
 
     def _look_at_guard(self) -> None:
         if self._guard is not None:
-            self._guard.look()
+            self._guard.look(at_rest=self._safe_state is None)
+
+    def _await_guard(self, period: float = 0.0) -> None:
+        """See for a period [s] what the guard does; if it is silent, wait with the machine safe.
+
+        It is left safe first, and again as long as ROS does not carry that.
+        """
+        guard, tuner = self._guard, self._opened.tuner
+        if guard is None:
+            return
+
+        def look() -> None:
+            self._look()
+            self._look_at_guard()
+
+        # A node that has ended keeps nobody from seeing to the machine.
+        with tuner.watched_by(look):
+            with contextlib.suppress(GuardSilentError):
+                self._look_at_guard()
+                if not guard.is_silent:
+                    tuner.spin_for(period)
+            if not guard.is_silent:
+                return
+            problems = self._opened.safe_state.stop()
+            while not tuner.wait_until(lambda: not guard.is_silent, AGAIN):
+                problems = problems and self._opened.safe_state.stop()
 
     def _is_interrupted(self) -> bool:
         try:

@@ -1,6 +1,8 @@
 """Brings the nodes of a study up: started or attached to, discovered, restarted when lost."""
 
 import os
+import time
+from collections.abc import Sequence
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
@@ -13,7 +15,6 @@ from bo_tuner.backends.ros.tuner_node import END_OTHERS, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.study import Study
 
-DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
 LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
@@ -82,7 +83,7 @@ class Bringup:
             if look_around:
                 self._refuse_running()
             self._started.start()
-        self._wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+        self._wait_for_nodes(ATTACH_TIMEOUT if self._attach else None)
         if self._attach:
             # That the nodes are discovered does not mean that another tuner is, too.
             tuner.spin_for(LOOK_AROUND)
@@ -91,27 +92,30 @@ class Bringup:
             raise BackendError(f"{twins}; {END_OTHERS}")
         self._settle_all()
 
-    def restart(self, key: str) -> None:
-        """Restart a node that the tuner has started, and set the parameters that it must have.
+    def restart(self, keys: Sequence[str]) -> None:
+        """Restart nodes that the tuner has started, and set the parameters that they must have.
 
         Raises
         ------
         LostError
-            If it does not come back.
+            If one does not come back.
         """
         presence = self._client.presence
         self._suspension.look()
-        self._started.stop_one(key)
+        for key in keys:
+            self._started.stop_one(key)
         self._suspension.skip()
-        ended = {key, *self._client.start_values.started_by(key)}
+        started_by = self._client.start_values.started_by
+        ended = {*keys, *(other for key in keys for other in started_by(key))}
         self._tuner.wait_until(lambda: ended <= set(presence.absent()), LEASE)
         self._client.start_values.between(())
-        try:
-            self._started.start_one(key)
-        except (BackendError, StudyError) as error:
-            raise LostError(f"{key} is not started anew: {error}") from error
+        for key in keys:
+            try:
+                self._started.start_one(key)
+            except (BackendError, StudyError) as error:
+                raise LostError(f"{key} is not started anew: {error}") from error
         # Others may run in the same process.
-        for anew in dict.fromkeys((key, *self._wait_for_nodes())):
+        for anew in dict.fromkeys((*keys, *self._wait_for_nodes())):
             self._client.assign_again(anew)
         self._client.start_values.after()
 
@@ -130,9 +134,8 @@ class Bringup:
         if self._attach:
             if missing := client.presence.missing():
                 names = " and ".join(self._study.nodes[key].node for key in missing)
-                tuner.warn(
-                    f"a test run was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}"
-                )
+                longest = max(self._study.nodes[key].start_timeout for key in missing)
+                tuner.warn(f"a test run was lost: waiting up to {longest:g} s for {names}")
         else:
             self._suspension.look()
             self._started.stop()
@@ -150,19 +153,27 @@ class Bringup:
         self._settle_all()
         InitialParameters(self._study, tuner, client.parameters).set_constants()
 
-    def _wait_for_nodes(self, timeout: float = DISCOVERY_TIMEOUT) -> list[str]:
+    def _wait_for_nodes(self, timeout: float | None = None) -> list[str]:
         """Wait for all nodes; if one does not come, say what its program has printed."""
-        presence = self._client.presence
+        presence, nodes = self._client.presence, self._study.nodes
+        begun = time.monotonic()
         try:
-            return presence.wait_for_nodes(timeout)
+            return presence.wait_for_nodes(
+                {k: timeout or spec.start_timeout for k, spec in nodes.items()}
+            )
         except LostError as loss:
             running = self._started.processes
             if any(item.exit_reason is not None for item in running.values()):
                 # That is what it says already.
                 raise
-            of_absent = [running[key] for key in presence.absent() if key in running]
-            said = (f"{item.name} runs, {item.said}" for item in of_absent or running.values())
-            raise LostError("; ".join([str(loss), *said])) from loss
+            absent = [key for key in presence.absent() if key in running]
+            said = [f"{running[k].name} runs, {running[k].said}" for k in absent or running]
+            waited = [
+                f"it had {nodes[key].start_timeout:g} s (nodes.{key}.start_timeout)"
+                for key in absent
+                if time.monotonic() > begun + nodes[key].start_timeout
+            ]
+            raise LostError("; ".join([str(loss), *waited, *said])) from loss
 
     def _settle_all(self) -> None:
         try:

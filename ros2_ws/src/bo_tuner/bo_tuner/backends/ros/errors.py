@@ -5,6 +5,20 @@ class LostError(Exception):
     """A node died, or is not there."""
 
 
+class DiedError(LostError):
+    """A node that the tuner has started has ended by itself.
+
+    Attributes
+    ----------
+    key
+        Of the node in the study.
+    """
+
+    def __init__(self, reason: str, key: str) -> None:
+        super().__init__(reason)
+        self.key = key
+
+
 class SilentError(LostError):
     """A node does not answer in time."""
 

@@ -66,7 +66,7 @@ def field_reader(cls: Any, field: Field) -> Callable[[Any], float]:
 
 def _check_number(cls: Any, path: FieldPath) -> None:
     """Refuse a path that does not lead to one number."""
-    kind = _kind_at(cls, path)
+    kind = kind_at(cls, path)
     shown = _shown(path)
     if isinstance(kind, NamespacedType):
         fields = ", ".join(field_types(_class_of(kind)))
@@ -104,7 +104,7 @@ def _single(cls: Any, call: FieldCall) -> Callable[[Any], float]:
 
 def _angle(cls: Any, call: FieldCall) -> Callable[[Any], float]:
     (path,) = call.arguments
-    kind = _kind_at(cls, path)  # type: ignore[arg-type]
+    kind = kind_at(cls, path)  # type: ignore[arg-type]
     shown = _shown(path)  # type: ignore[arg-type]
     if not isinstance(kind, NamespacedType) or _name(kind) != QUATERNION:
         raise StudyError(f"{call.function} is of a quaternion; {shown} is {_described(kind)}")
@@ -123,10 +123,10 @@ def _length(cls: Any, call: FieldCall) -> Callable[[Any], float]:
         values = _values(cls, argument, call)
         return lambda message: float(len(values(message)))
     path = argument
-    kind = _kind_at(cls, path, spread=True)
+    kind = kind_at(cls, path, spread=True)
     if not isinstance(kind, AbstractNestedType):
         raise StudyError(f"len is of an array; {_shown(path)} is {_described(kind)}")
-    return lambda message: float(sum(map(len, _all(message, path, last=False))))
+    return lambda message: float(sum(map(len, all_at(message, path, last=False))))
 
 
 def _values(cls: Any, argument: Argument, call: FieldCall) -> Callable[[Any], Array]:
@@ -142,7 +142,7 @@ def _values(cls: Any, argument: Argument, call: FieldCall) -> Callable[[Any], Ar
         single = _single(cls, argument)
         return lambda message: np.array([single(message)])
     path = argument
-    kind = _kind_at(cls, path, spread=True)
+    kind = kind_at(cls, path, spread=True)
     if isinstance(kind, AbstractNestedType):
         kind = kind.value_type
     names: list[str] = []
@@ -159,7 +159,7 @@ def _values(cls: Any, argument: Argument, call: FieldCall) -> Callable[[Any], Ar
         raise StudyError(f"{call.function} is of numbers; {_shown(path)} is {_described(kind)}")
 
     def read(message: Any) -> Array:
-        items = _all(message, path)
+        items = all_at(message, path)
         if names:
             items = [getattr(item, name) for item in items for name in names]
         values = [np.atleast_1d(np.asarray(item, np.float64)) for item in items]
@@ -168,7 +168,7 @@ def _values(cls: Any, argument: Argument, call: FieldCall) -> Callable[[Any], Ar
     return read
 
 
-def _kind_at(cls: Any, path: FieldPath, spread: bool = False) -> AbstractType:
+def kind_at(cls: Any, path: FieldPath, spread: bool = False) -> AbstractType:
     """Return the type of what a path leads to; with `spread` through all items of an array."""
     here: Any = cls
     kind: AbstractType | None = None
@@ -220,7 +220,7 @@ def _followed(message: Any, path: FieldPath) -> Any:
     return value
 
 
-def _all(message: Any, path: FieldPath, last: bool = True) -> list[Any]:
+def all_at(message: Any, path: FieldPath, last: bool = True) -> list[Any]:
     """Return all that a path leads to, through all items of the arrays on it.
 
     An array of numbers at its end is one of them; one of messages is taken apart as well, unless

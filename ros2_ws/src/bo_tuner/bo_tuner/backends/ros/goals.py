@@ -8,6 +8,7 @@ from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, get_action_names_and_types
 from rclpy.task import Future
 
+from bo_tuner.backends.ros.answers import said
 from bo_tuner.backends.ros.errors import LostError, SilentError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
@@ -202,7 +203,5 @@ class Goal:
 
 def _reason(result: Any) -> str:
     """Return what an action says of its end, if it has one of the usual fields."""
-    fields = ("error_msg", "error_string", "message", "error_code")
-    said = [brief(str(getattr(result, name, ""))) for name in fields]
-    reasons = [text for text in said if text and text != "0"]
-    return f": {reasons[0]}" if reasons else ""
+    reason = said(result) or brief(str(getattr(result, "error_code", 0)))
+    return "" if reason == "0" else f": {reason}"

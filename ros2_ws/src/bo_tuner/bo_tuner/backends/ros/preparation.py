@@ -97,8 +97,8 @@ class Preparation:
             if step.send_goal is not None:
                 with under("send_goal"):
                     return Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
-            if step.restart:
-                self._check_restart(step.restart)
+            for key in step.restarts:
+                self._check_restart(key)
         return None
 
     def _publication(self, publish: Publish, phase: str | int) -> Publication | Stream:

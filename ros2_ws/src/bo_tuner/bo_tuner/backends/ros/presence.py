@@ -1,6 +1,7 @@
 """Which of a study's nodes are there, were started anew, or run more than once."""
 
 import time
+from collections.abc import Mapping
 
 from rclpy.client import Client
 from rclpy.expand_topic_name import expand_topic_name
@@ -65,8 +66,13 @@ class Presence:
                     keys.append(key)
         return keys
 
-    def wait_for_nodes(self, timeout: float) -> list[str]:
+    def wait_for_nodes(self, timeouts: Mapping[str, float]) -> list[str]:
         """Wait until every node is discovered and answers.
+
+        Parameters
+        ----------
+        timeouts
+            By node key how long [s] that may take.
 
         Returns
         -------
@@ -76,18 +82,19 @@ class Presence:
         Raises
         ------
         LostError
-            If one does not within `timeout` seconds.
+            If one does not in time.
         """
-        deadline = time.monotonic() + timeout
+        begun = time.monotonic()
         while absent := self.absent():
-            if time.monotonic() > deadline:
-                names = [self._study.nodes[key].node for key in absent]
+            late = [key for key in absent if time.monotonic() > begun + timeouts[key]]
+            if late:
+                names = [self._study.nodes[key].node for key in late]
                 # It may be the tuner that has started them.
                 raise LostError(others.absent(names, self._node, start=""))
             self._tuner.spin_once()
         for key, client in self._parameters.clients.items():
-            client.expect_answers(deadline)
-            self.meet(key, deadline)
+            client.expect_answers(begun + timeouts[key])
+            self.meet(key, begun + timeouts[key])
         return self.restarted()
 
     def meet(self, key: str, deadline: float) -> None:

@@ -100,7 +100,7 @@ class Procedure:
         run: Run,
         tuner: TunerNode,
         parameters: NodeParameters,
-        restart: Callable[[str], None] | None,
+        restart: Callable[[Sequence[str]], None] | None,
         guard: GuardLink | None = None,
     ) -> None:
         self._run = run
@@ -386,6 +386,10 @@ class Procedure:
                 self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
             self.before_abort = self._latest_messages.now()
             raise
+        except LostError:
+            # Of values that are not finite a node dies, whichever was noticed first.
+            self._recorder.recording(self._recorder.seconds).check_finite(self._study.signals)
+            raise
         finally:
             self._is_recording = False
             self._streams.stop_all()
@@ -463,7 +467,7 @@ class Procedure:
         elif step.wait_until is not None:
             self._wait_until(path, step.wait_until)
         elif step.restart and self._restart is not None:
-            self._restart(step.restart)
+            self._restart(step.restarts)
         elif step.stop:
             self._streams.release(self._tuner.node.resolve_topic_name(step.stop))
         else:

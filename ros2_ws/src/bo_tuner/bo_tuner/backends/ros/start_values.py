@@ -5,7 +5,7 @@ Such a node accepts another value at any time, and reads it back, but goes on as
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED, LifecycleNode
@@ -66,7 +66,7 @@ class StartValues:
         self._lifecycles: dict[str, LifecycleNode | None] = {}
         self._targets: dict[str, str] = {}
         self._configured: set[str] = set()
-        self.restart: Callable[[str], None] = lambda key: None
+        self.restart: Callable[[Sequence[str]], None] = lambda keys: None
         self.between: Callable[[Collection[str]], object] = lambda names: None
         self.after: Callable[[], object] = lambda: None
         self._starts: list[float] = []
@@ -272,7 +272,7 @@ class StartValues:
             self._remember_state(key)
             self._in_force.pop(key, None)
         try:
-            self.restart(starter)
+            self.restart([starter])
         except LostError as loss:
             process = self._started.processes.get(starter)
             if process is not None and (reason := process.exit_reason) is not None:

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.errors import DiedError
 from bo_tuner.backends.ros.processes import NodeProcess, find_executable, search_path, stop_all
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.atomic import write_atomically
@@ -92,17 +92,22 @@ class StartedNodes:
         self.processes.clear()
         stop_all(processes)
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether one has ended by itself."""
+        return any(process.exit_reason is not None for process in self.processes.values())
+
     def check(self) -> None:
         """Check that all still run.
 
         Raises
         ------
-        LostError
+        DiedError
             If one has ended.
         """
-        for process in self.processes.values():
+        for key, process in self.processes.items():
             if process.exit_reason is not None:
-                raise LostError(process.exit_reason)
+                raise DiedError(process.exit_reason, key)
 
     def _start(self, key: str, command: list[str]) -> None:
         spec = self._nodes[key]

@@ -1,5 +1,6 @@
 """The steps of a run, resolved in the graph beforehand: mistakes show before the first run."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -7,6 +8,7 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
 
 from bo_tuner.backends.ros import others
+from bo_tuner.backends.ros.answers import check_expected, refusal
 from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
@@ -15,7 +17,6 @@ from bo_tuner.errors import KeyPath, StudyError, dotted
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
 from bo_tuner.study.steps import Call, Lifecycle, SetParameter, Step
-from bo_tuner.text import brief
 
 CONNECT_TIMEOUT = 5.0
 """Time [s] to find a topic, a service or an action."""
@@ -57,6 +58,7 @@ class ServiceCall:
     request: Any
     path: KeyPath
     timeout: float
+    expected: Mapping[str, object]
 
     @classmethod
     def prepare(cls, tuner: TunerNode, call: Call, path: KeyPath) -> "ServiceCall":
@@ -65,12 +67,14 @@ class ServiceCall:
         Raises
         ------
         StudyError
-            If there is no such service, or its requests do not have the fields.
+            If there is no such service, or its requests or answers do not have the fields.
         """
         kind, client = _service(tuner, call.service)
         with under("call", "request"):
             request = make_message(kind.Request, call.request)
-        return cls(tuner, client, kind, request, path, call.timeout)
+        with under("call", "expect"):
+            check_expected(kind.Response, call.expect)
+        return cls(tuner, client, kind, request, path, call.timeout, call.expect)
 
     def filled(self, step: Step) -> "ServiceCall":
         """Return the call with the request of a step."""
@@ -85,8 +89,7 @@ class ServiceCall:
         response = self.tuner.call(
             self.service, self.request, f"the node that {dotted(self.path)} calls", self.timeout
         )
-        if getattr(response, "success", True) is False:
-            reason = brief(getattr(response, "message", "")) or "no reason given"
+        if reason := refusal(response, self.expected):
             raise FailedRunError(f"{self.service.srv_name} refused: {reason}")
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance
+from bo_tuner.evidence.certificate.deaths import Deaths
 from bo_tuner.evidence.certificate.findings import EarlierInBrief, Findings
 from bo_tuner.evidence.certificate.parameter_sensitivity import ParameterSensitivity
 from bo_tuner.evidence.certificate.search_width import SearchWidth
@@ -69,6 +70,8 @@ class Certificate:
         Robustness against the context, for each worst-case constraint of which it is known.
     parameter_sensitivity
         Robustness to steps in the parameters; None if not known.
+    deaths
+        How often a node died in runs that were made again; None if none is ignored.
     warnings
         Warnings that do not affect the verdict.
     provenance
@@ -100,6 +103,7 @@ class Certificate:
     training_gaps: tuple[Gap, ...]
     context_tolerances: tuple[ContextTolerance, ...]
     parameter_sensitivity: ParameterSensitivity | None
+    deaths: Deaths | None
     warnings: tuple[str, ...]
     provenance: Mapping[str, str]
     finished: str

@@ -9,6 +9,7 @@ from pathlib import Path
 from bo_tuner.evidence.busy import high_load, load_in_words
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
+from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
 from bo_tuner.evidence.certificate.evaluations_file import evaluations_csv
 from bo_tuner.evidence.certificate.findings import Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
@@ -81,6 +82,9 @@ def make_certificate(
         _held(study, tuned),
         parameter_sensitivity(study, trial.parameters, surrogates),
     )
+    others = [e for e in record.evaluations if e.parameter_set != trial.parameter_set]
+    others += evidence[DEFAULT].evaluations if DEFAULT in evidence else ()
+    deaths = deaths_in(study, tuned.evaluations, others, level)
     made_by = provenance(study, backend, record.algorithm)
     metric = study.metrics[study.objective.metric]
     return Certificate(
@@ -109,7 +113,9 @@ def make_certificate(
         ),
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         parameter_sensitivity=sensitivity,
+        deaths=deaths,
         warnings=(
+            *(() if deaths is None else deaths_in_words(deaths, level)),
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
             *_busy(study, findings, tuned),
             *_rounded(findings, held),

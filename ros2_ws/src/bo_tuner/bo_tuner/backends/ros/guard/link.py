@@ -41,11 +41,14 @@ START = 60.0
 FRESH = 0.35
 """Age [s] of a state from which on a newer one is waited for: this process may have been stopped,
 and a guard have acted meanwhile."""
-STOPPED = 1.0
-"""Time [s] between two checks after which this process may have been stopped, or have computed."""
+DOUBT = 1.0
+"""Time [s] that a process which was off the processor waits for a state before it has the machine
+left safe: a guard that lives is heard ten times in it."""
+LEASE = 1.5
+"""Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
 DEAD, FORGOTTEN = 3.0, 25.0
 """Time [s] without a state after which a guard counts as dead, and the same for a process that was
-stopped itself for so long that the middleware has to discover all others anew."""
+stopped itself for longer than `LEASE`: the middleware has to discover all others anew."""
 HEARD = 3.0
 """Time [s] to hear the state of a guard that is discovered."""
 ANSWER = 10.0
@@ -75,6 +78,13 @@ class GuardActedError(LostError):
         self.takes_over = takes_over
         self.on_condition = on_condition
         self.ends = ends
+
+
+class GuardSilentError(LostError):
+    """Nothing is heard of the guard since this process was off the processor.
+
+    It may have acted; it may have been off the processor, too, and then nobody has.
+    """
 
 
 class _Wire(Protocol):
@@ -191,6 +201,8 @@ class GuardLink:
     unheeded : GuardActedError or None
         The last act that `look` raised, until it is handled: a wait for a node may have caught it
         as one of many reasons why the node is not there.
+    is_silent : bool
+        Whether `look` has raised that the guard is silent, and it still is.
     """
 
     def __init__(
@@ -206,6 +218,7 @@ class GuardLink:
         self._heard: dict[str, float] = {}
         self._phase, self._run, self._acts = IDLE, 0, 0
         self.unheeded: GuardActedError | None = None
+        self.is_silent = False
         self._is_begun = False
         self._ended = ""
         self._checked = self._waited = self._stopped = 0.0
@@ -275,13 +288,21 @@ class GuardLink:
         finally:
             self._turn(IDLE)
 
-    def look(self) -> None:
+    def look(self, *, at_rest: bool) -> None:
         """See whether the guard is there and has not acted.
+
+        Parameters
+        ----------
+        at_rest
+            Whether the machine has no values of a trial yet, so that a guard that is silent can be
+            waited for.
 
         Raises
         ------
         GuardActedError
             Once, if it has acted.
+        GuardSilentError
+            Once, if it has to be waited for: first the machine is to be left safe.
         BackendError
             If it has ended.
         """
@@ -292,14 +313,15 @@ class GuardLink:
         self._take()
         now = time.monotonic()
         gap, self._checked = now - self._checked, now
-        # Then nothing was missed, and the machine is watched while the guard is waited for.
-        is_awake = gap < AWAKE
+        # Then nothing was missed: the machine is watched, or safe, while the guard is waited for.
+        is_awake = gap < AWAKE or self.is_silent
+        doubted = now + DOUBT
         if not is_awake:
             # A process that was stopped, and is slow now, waits no shorter.
             self._waited = max(self._waited, now + DEAD)
         # The clock is that of the stamps at which messages came in.
         while time.time() - self._heard.get(self._name, 0.0) > FRESH:
-            if gap > STOPPED:
+            if gap > LEASE and not self.is_silent:
                 self._waited, self._stopped = now + FORGOTTEN, gap
             problem = self._wire.problem
             if problem or now > self._waited:
@@ -310,10 +332,16 @@ class GuardLink:
                 raise BackendError(self._ended)
             if is_awake:
                 return
+            if not at_rest and now > doubted:
+                self.is_silent = True
+                raise GuardSilentError(
+                    "the guard of the nodes is silent since this process was off the processor"
+                )
             time.sleep(POLL_PERIOD)
             now = time.monotonic()
             gap, self._checked = now - self._checked, now
             self._take()
+        self.is_silent = False
         self._waited, self._stopped = time.monotonic() + DEAD, 0.0
         state = self._states[self._name]
         # While it acts, nobody is to be in its way.

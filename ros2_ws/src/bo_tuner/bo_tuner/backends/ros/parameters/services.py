@@ -143,13 +143,17 @@ class ParameterClient:
         for kind in self._clients:
             if kind in SETTING or (kind is not GetParameters and not self.offers(kind)):
                 continue
+            # A request to a node that is not discovered in full is lost; one that is slow is not
+            # asked again and again before it has answered.
+            attempt = ATTEMPT
             while True:
                 try:
-                    self._tuner.complete([self._calling(kind, kind.Request())], ATTEMPT)
+                    self._tuner.complete([self._calling(kind, kind.Request())], attempt)
                     break
                 except SilentError:
                     if time.monotonic() > deadline:
                         raise
+                    attempt *= 2.0
 
     def names(self) -> Calls:
         """List the parameters; none if the node does not list them."""
