@@ -14,6 +14,7 @@ from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.optimizers.base import Hopeless, Proposal
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.trials import CHECKS, EvaluationState, Stage, TrialState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.journaling import JournalObserver
@@ -201,7 +202,11 @@ def test_failures_and_runs_that_are_cut_short_are_told_apart():
 
 @pytest.mark.parametrize("name", ["I", "V", "safe"])
 def test_methods_that_need_whole_runs_refuse_it(name):
-    assert problem_of(name, short_study()) == (
-        f"{name} needs whole runs, and the study has `budget.cut_short`; expected one of boundary"
+    # Of the methods only the safe one takes a study that asks for a safe search.
+    more = {"safe_search": SafeSearch()} if name == "safe" else {}
+    others = "" if more else "; expected one of boundary"
+    whole, cut = (dataclasses.replace(short_study(cut=cut), **more) for cut in (False, True))
+    assert problem_of(name, cut) == (
+        f"{name} needs whole runs, and the study has `budget.cut_short`{others}"
     )
-    assert problem_of(name, short_study(cut=False)) == ""
+    assert problem_of(name, whole) == ""

@@ -76,7 +76,6 @@ def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
         "reason": outcome.reason,
         **_columns("metrics", outcome.metrics),
         **_columns("details", outcome.details),
-        **({} if outcome.load is None else _columns("load", asdict(outcome.load))),
     }
 
 
