@@ -340,7 +340,7 @@ class TestLimit:
         capsys.readouterr()
         assert validate.run([str(record.path)], Interruption()) == 0
         told = capsys.readouterr().out
-        assert "shown to stay within it by the mean over contexts and noise, if" in told
+        assert "is shown to stay within all limits, if no rare" in told
         assert "of the others: mean over contexts and noise at most 0.9" in told
         page = Analysis(record)
         assert page.verdict.certificate == page.certificate.verdict == "PASS"

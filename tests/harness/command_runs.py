@@ -1,5 +1,6 @@
 """Runs of the command `tune` on a small object, which are killed, resumed and compared."""
 
+import csv
 import shutil
 from pathlib import Path
 
@@ -8,6 +9,19 @@ from commands import Fork, finish
 from waiting import count_in
 
 RESULTS = ("summary.json", "trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
+
+
+def results_of(run):
+    """Return the text of each file of results, without how busy the computer was."""
+    return [_results(run / file) for file in RESULTS]
+
+
+def _results(path):
+    if path.suffix != ".csv":
+        return path.read_text()
+    with path.open(newline="") as file:
+        rows = csv.DictReader(file)
+        return [{k: v for k, v in row.items() if not k.startswith("load.")} for row in rows]
 
 
 class Runs:
@@ -50,7 +64,7 @@ class Runs:
         return count_in(self._counter(name))
 
     def results(self, name):
-        return [(self.latest(name) / file).read_bytes() for file in RESULTS]
+        return results_of(self.latest(name))
 
 
 def noisy_runs(folder, make_study, module):

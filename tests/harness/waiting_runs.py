@@ -1,6 +1,6 @@
 """Runs of the command `tune` with several workers, on an object that waits and can be killed."""
 
-from command_runs import RESULTS
+from command_runs import results_of
 from commands import Fork, finish
 
 from bo_tuner.study.study_file import study_to_yaml
@@ -74,7 +74,7 @@ class Runs:
         return self.results(name)
 
     def results(self, name):
-        return [(self.latest(name) / file).read_bytes() for file in RESULTS]
+        return results_of(self.latest(name))
 
 
 def waiting_study(make_study):

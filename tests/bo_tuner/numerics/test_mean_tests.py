@@ -127,3 +127,13 @@ def test_two_kinds_bound_nothing_without_a_range():
     x = np.array([0.1, 0.101, 0.099, 0.102] * 30 + [0.3, 0.301, 0.302] * 5)
     assert mean_bound(x, CONFIDENCE, NormalOrSkewed()) == math.inf
     assert mean_bound(x, CONFIDENCE, Betting(0.0, 1.0)) < 0.3
+
+
+@pytest.mark.parametrize("farthest", [-math.inf, 0.29, 0.5, 0.99])
+@pytest.mark.parametrize("spread", [0.0, 1e-16, 1e-3])
+def test_what_is_shown_has_a_bound_within_the_limit(farthest, spread):
+    """Runs without noise beside larger ones in other contexts as well."""
+    values = 0.29 + spread * np.random.default_rng(0).standard_normal(2 * LEAST)
+    test = NormalOrSkewed(farthest)
+    assert is_mean_shown(values, 1.0, CONFIDENCE, test)
+    assert values.mean() <= mean_bound(values, CONFIDENCE, test) <= 1.0

@@ -1,5 +1,7 @@
 """The ranking, on trials of a known function."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -316,3 +318,125 @@ class TestManyTrials:
         found = OF_TRIALS.models(study, trials, start=start).warm_starts
         for name, values in start.items():
             np.testing.assert_allclose(found[name], values)
+
+
+def rotated(x):
+    """Return x (d,) turned, so that no function is separable."""
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(len(x), len(x))))[0]
+    return turn @ x
+
+
+def katsuura(x):
+    powers = 2.0 ** np.arange(1, 33)
+    rough = (np.abs(powers * x[:, None] - np.round(powers * x[:, None])) / powers).sum(axis=1)
+    return np.prod(1.0 + np.arange(1, len(x) + 1) * rough) ** (10.0 / len(x) ** 1.2)
+
+
+WEIGHTS = 10.0 ** np.array([0.0, 3.0, 6.0])
+
+LANDSCAPES = {
+    "sphere": lambda x: x @ x,
+    "ellipsoid": lambda x: WEIGHTS @ rotated(x) ** 2,
+    "discus": lambda x: 1e6 * rotated(x)[0] ** 2 + rotated(x)[1:] @ rotated(x)[1:],
+    "bent cigar": lambda x: rotated(x)[0] ** 2 + 1e6 * rotated(x)[1:] @ rotated(x)[1:],
+    "sharp ridge": lambda x: x[0] ** 2 + 100.0 * np.linalg.norm(x[1:]),
+    "different powers": lambda x: np.sqrt((np.abs(rotated(x)) ** [2.0, 4.0, 6.0]).sum()),
+    "Rosenbrock": lambda x: sum(100 * (x[:-1] ** 2 - x[1:]) ** 2 + (x[:-1] - 1) ** 2),
+    "Rastrigin": lambda x: 10.0 * (3 - np.cos(2 * np.pi * x).sum()) + x @ x - 450.0,
+    "Weierstrass": lambda x: sum(0.5**k * np.cos(2 * np.pi * 3**k * (x + 0.5)).sum() for k in R12),
+    "Schaffer": lambda x: np.mean(pairs(x) + pairs(x) * np.sin(50.0 * pairs(x) ** 0.4) ** 2) ** 2,
+    "linear slope": lambda x: [1.0, 10.0, 100.0] @ (5.0 - x),
+    "Katsuura": katsuura,
+    "step": lambda x: 0.1 * max(abs(rotated(x)[0]) / 1e4, (np.floor(0.5 + rotated(x)) ** 2).sum()),
+    "a narrow hole": lambda x: 430.0 - 900.0 * np.exp(-50.0 * ((x - 0.7) ** 2).sum()),
+}
+"""Functions like those of BBOB (Hansen and others 2009), in three variables from -5 to 5."""
+
+R12 = range(12)
+
+
+def pairs(x):
+    return np.sqrt(x[:-1] ** 2 + x[1:] ** 2) ** 0.5
+
+
+class TestWithoutNoise:
+    BOX = NODE | {"type": "double", "bounds": [-5.0, 5.0], "default": 0.0}
+    NAMES = ("x", "y", "z")
+
+    def study(self, make_study, **sections):
+        parameters = dict.fromkeys(self.NAMES, self.BOX)
+        return make_study(parameters=parameters, noise="none", **{"contexts": {}} | sections)
+
+    def runs(self, study, make_trial, cost, peak=lambda x: 0.5):
+        """One run at each point of a design, and one in the narrow hole."""
+        space = study.search_space()
+        cube = space.latin_hypercube(25, np.random.default_rng(3))
+        sets = [*map(space.to_parameters, cube), dict.fromkeys(self.NAMES, 0.7)]
+        points = [np.array(list(parameters.values())) for parameters in sets]
+        trials = [
+            make_trial(k, parameters, [float(cost(x))], peak(x))
+            for k, (parameters, x) in enumerate(zip(sets, points, strict=True))
+        ]
+        return trials if study.contexts else [without_context(trial) for trial in trials]
+
+    @pytest.mark.parametrize("method", ["boundary", "IV"])
+    @pytest.mark.parametrize("cost", LANDSCAPES.values(), ids=LANDSCAPES)
+    def test_the_first_is_the_best_run(self, make_study, make_trial, cost, method):
+        study = self.study(make_study, constraints={})
+        trials = self.runs(study, make_trial, cost)
+        best = min(trials, key=lambda trial: trial.observations("error")[0])
+        ranking = METHODS[method].ranking
+        models = ranking.models(study, trials)
+        first, *others = ranking.ranked_by(models, study, trials)
+        assert first.trial.parameters == best.parameters
+        assert first.objective == best.observations("error")[0]
+        assert len(others) == len(trials) - 1
+        assert ranking.first_by(models, study, trials).trial.parameters == best.parameters
+
+    @pytest.mark.parametrize("kind", ["chance", "worst_case"])
+    def test_the_first_is_the_best_of_the_runs_within_the_limit(self, make_study, make_trial, kind):
+        """The metric alternates about the limit, finer than a model can tell."""
+        limit = {"kind": kind, "metric": "peak", "upper": 1.0}
+        limit |= {"probability": 0.9} if kind == "chance" else {}
+        study = self.study(make_study, constraints={"peak": limit})
+        trials = self.runs(
+            study, make_trial, LANDSCAPES["sphere"], lambda x: 1.0 + np.sin(40.0 * x.sum())
+        )
+        kept = [t for t in trials if t.evaluations[0].outcome.metrics["peak"] <= 1.0]
+        assert 5 < len(kept) < len(trials) - 5
+        ranked = METHODS["boundary"].ranking.rank(study, trials)
+        order = sorted(kept, key=lambda t: t.observations("error")[0])
+        assert [c.trial.number for c in ranked[: len(kept)]] == [t.number for t in order]
+        assert all(c.believed_feasible for c in ranked[: len(kept)])
+        assert not any(c.believed_feasible for c in ranked[len(kept) :])
+
+    @pytest.mark.parametrize("cost", [LANDSCAPES["Rastrigin"], katsuura])
+    def test_models_go_through_the_runs(self, make_study, make_trial, cost):
+        """What is rough is no noise."""
+        study = self.study(make_study, constraints={})
+        trials = self.runs(study, make_trial, cost)
+        model = METHODS["boundary"].ranking.models(study, trials).objective
+        x = study.search_space().cube_of(trial.parameters for trial in trials)
+        values = [trial.observations("error")[0] for trial in trials]
+        assert np.abs(model.predict_mean(x) - values).max() < 1e-3 * np.std(values)
+
+    def test_a_run_beyond_a_limit_of_every_context_refutes_a_set(self, make_study, make_trial):
+        """A single spike, beside which all is far within the limit."""
+        contexts = {"load": NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}}
+        study = self.study(make_study, contexts=contexts)
+        trials = self.runs(study, make_trial, LANDSCAPES["sphere"], lambda x: 0.1)
+        best = min(trials, key=lambda trial: trial.observations("error")[0])
+        spiked = make_trial(best.number, best.parameters, best.observations("error"), 1.001)
+        trials[best.number] = spiked
+        ranking = METHODS["boundary"].ranking
+        ranked = ranking.rank(study, trials)
+        (found,) = [c for c in ranked if c.trial.number == best.number]
+        assert (found.feasibility, found.believed_feasible) == (0.0, False)
+        assert found.violation == pytest.approx(0.001)
+        assert ranked[0].believed_feasible
+
+
+def without_context(trial):
+    evaluations = tuple(replace(e, context={}) for e in trial.evaluations)
+    worst = {name: replace(case, context={}) for name, case in trial.worst_cases.items()}
+    return replace(trial, evaluations=evaluations, worst_cases=worst)

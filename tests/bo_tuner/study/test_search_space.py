@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.search_space import RESOLUTION, SearchSpace
 
 few_examples = settings(max_examples=60)
 
@@ -131,8 +131,41 @@ class TestMapping:
         again = space.to_parameters(point)
         assert again == pytest.approx(parameters, rel=1e-12, abs=1e-12)
         assert space.key(again) == pytest.approx(space.key(parameters), abs=2e-5)
-        np.testing.assert_allclose(space.repair(cube[None])[0], point, atol=1e-12)
+        # Half of the decimal place that a double is rounded to.
+        np.testing.assert_allclose(space.repair(cube[None])[0], point, atol=RESOLUTION / 2 + 1e-12)
         assert space.to_parameters(space.to_cube(space.defaults)) == pytest.approx(space.defaults)
+
+    @pytest.mark.parametrize(
+        ("bounds", "fields", "digits"),
+        [
+            ((0.0, 100.0), {}, 6),
+            ((0.0, 1 / 3), {}, 7),
+            ((1e-4, 10.0), {"scale": "log"}, 6),
+            ((0.0, 1000.0), {"scale": "symlog"}, 7),
+            ((0.0, 1.0), {"step": 0.1}, 1),
+        ],
+    )
+    def test_doubles_have_no_noise_digits(self, bounds, fields, digits):
+        """As many significant digits as the resolution takes, and the bounds as they are given."""
+        space = SearchSpace([double("x", bounds, bounds[1], **fields)])
+        for position in np.linspace(0.0, 1.0, 201)[1:-1]:
+            value = space.to_parameters([position])["x"]
+            assert value == float(f"{value:.{digits}g}")
+            if "step" not in fields:
+                assert abs(space.to_cube({"x": value})[0] - position) <= RESOLUTION
+        assert [space.to_parameters([z])["x"] for z in (0.0, 1.0)] == list(bounds)
+
+    def test_rounding_keeps_order_and_conditions(self):
+        """x and y meet at a value that has more digits than the wider one is rounded to."""
+        spaces = [
+            SearchSpace([double("x", (0.0, 100.0)), double("y", (0.0, 1.0))], [("x", "y")]),
+            SearchSpace(
+                [double("x", (0.0, 100.0), 0.0), double("y", (0.0, 1.0), 0.5)], where=["x <= y / 3"]
+            ),
+        ]
+        for space in spaces:
+            for point in np.random.default_rng(0).random((100, 2)):
+                space.permitted(space.to_parameters(point * [0.01, 1.0]))
 
     @pytest.mark.parametrize(
         ("parameters", "problem"),

@@ -1,6 +1,7 @@
 """Robustness: drifts against responses whose breaking point is known, and narrow optima."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -104,9 +105,8 @@ class TestDrift:
     def test_a_limit_on_single_runs_breaks_where_their_quantile_does(self, make_study, level):
         """0.6 + 0.8 (load - 1) + z 0.1 at 1, with z the normal quantile."""
         limit = {"kind": "worst_case", "metric": "peak", "upper": LIMIT, "probability": level}
-        study = plane(make_study).replace(
-            constraints=make_study(constraints={"peak": limit}).constraints
-        )
+        constraints = make_study(constraints={"peak": limit}).constraints
+        study = replace(plane(make_study), constraints=constraints)
         evaluations = evaluations_of(
             study, lambda load, wear: 0.6 + 0.8 * (load - 1), 150, 0.1, seed=4
         )

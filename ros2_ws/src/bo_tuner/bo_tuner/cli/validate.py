@@ -455,7 +455,7 @@ def _not_the_result(verdict: Verdict) -> str:
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
     """Print the verdict, and at most `MOST_LINES` below it; the report has the others."""
     out, certificate = plain_console(), read_certificate(path, study)
-    out.print(verdict.headline)
+    print_line(out, verdict.headline, "")
     steps = next_steps(verdict, str(from_here(path.parent.parent)))[:MOST_STEPS]
     # With the path, those of the commands and that of the report.
     for line in certificate_lines(verdict, certificate, MOST_LINES - 2 - len(steps)):

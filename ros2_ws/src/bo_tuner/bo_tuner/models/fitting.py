@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bo_tuner.models.categories import Coding, coded, coded_fit
 from bo_tuner.models.censoring import Censored
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
+from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.observations import censored_observations, joint_observations
 from bo_tuner.models.protocol import FitModel, Fitted, Model
@@ -150,9 +151,16 @@ class Fitting:
             start=self._start.get(name),
             keep=self._keep,
             censored=censored,
+            priors=self._priors(c.shape[1]),
         )
         self.models[name] = process
         return process
+
+    def _priors(self, contexts: int) -> Hyperpriors | None:
+        """Return the priors of a process with so many context columns; None for the default."""
+        if not self.study.is_noiseless:
+            return None
+        return Hyperpriors.noiseless(len(self.coding.spread(self.minimum)) + contexts)
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
         """Return the numbers of the complete trials that are outliers of an objective."""

@@ -6,13 +6,16 @@ deviation. Hyperparameters are estimated on the logarithmic scale: with φ = log
 the mode of the prior is the median of θ, over θ itself it would lie lower.)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bo_tuner.numerics.arrays import Array
+
+NUGGET = 1e-4
+"""Least noise, in standardized responses; it keeps covariances of exact ones well conditioned."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,15 @@ class Hyperpriors:
     noise: LogNormal
 
     @classmethod
+    def noiseless(cls, dimension: int) -> Self:
+        """Return the default priors with the noise fixed at a nugget, its least value.
+
+        For responses that are known to be exact.
+        """
+        priors = cls.default(dimension)
+        return replace(priors, noise=LogNormal(NUGGET, 1.0, NUGGET, NUGGET))
+
+    @classmethod
     def default(cls, dimension: int) -> Self:
         """Return the default priors for inputs of dimension d.
 
@@ -104,12 +116,12 @@ class Hyperpriors:
           in the cube.
         - Signal: median 1 (the responses are standardized); long length scales need more.
         - Noise: median 0.1 with a wide spread, because replicates determine it well. Its lower
-          bound of 1e-4 keeps covariance matrices of exact responses well conditioned.
+          bound is the `NUGGET`.
         """
         return cls(
             length_scale=LogNormal(min(0.5 * dimension**0.5, 20.0), 1.0, 0.01, 20.0),
             signal=LogNormal(1.0, 1.0, 0.05, 20.0),
-            noise=LogNormal(0.1, 1.5, 1e-4, 3.0),
+            noise=LogNormal(0.1, 1.5, NUGGET, 3.0),
         )
 
     def _each(self, dimension: int) -> list[LogNormal]:

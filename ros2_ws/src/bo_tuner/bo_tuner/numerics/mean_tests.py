@@ -146,6 +146,9 @@ def mean_bound(values: ArrayLike, confidence: float, test: MeanTest) -> float:
     low = float(sample.mean())
     spread = max(float(sample.std()), 1e-9 * max(abs(low), 1.0))
     high = low + 1e6 * spread
+    if isinstance(test, NormalOrSkewed):
+        # Of values that are all alike the spread says nothing, and the largest one elsewhere does.
+        high = max(high, test.farthest + spread)
     if isinstance(test, Betting):
         high = max(low, test.high)
     elif not reaches(high, enough):

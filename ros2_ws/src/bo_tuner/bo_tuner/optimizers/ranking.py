@@ -8,6 +8,10 @@ slightly lower cost. With several objectives, the cost is that of the compromise
 Neighbours are one step of an integer away. A real parameter has none: where a limit is active, a
 step beyond it loses as much as its arbitrary length makes it, and the best parameter sets would
 have the largest penalties. A gorge that is narrower than the length scales is smooth to the models.
+
+Of a simulator without noise the models have nothing to add to what was run: a parameter set that
+was beyond a limit in a context where it must hold is not feasible. With one context only, the
+ranking is by the values of the runs, without models or penalties, and the first is the best run.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +31,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import Evaluation, Trial, TrialState
 
 TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.
@@ -189,7 +193,7 @@ class Ranking(Generic[S_co]):
     ) -> list[Candidate]:
         """Rank trials, see `rank`, by surrogates that were fitted to them."""
         estimates = _Estimates(models, study, self.required)
-        complete = self.comparable(models, trials)
+        complete = self.comparable(models, study, trials)
         blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
         return sorted((c for block in blocks for c in estimates.candidates(block)), key=_place)
 
@@ -198,7 +202,7 @@ class Ranking(Generic[S_co]):
     ) -> Candidate | None:
         """Return the first of `ranked_by`, None without one; of many trials it asks about few."""
         estimates = _Estimates(models, study, self.required)
-        complete = self.comparable(models, trials)
+        complete = self.comparable(models, study, trials)
         if not complete:
             return None
         cost = estimates.cost(complete)
@@ -222,7 +226,7 @@ class Ranking(Generic[S_co]):
         point that was not tried does not have.
         """
         estimates = _Estimates(models, study, self.required)
-        complete = self.comparable(models, trials)
+        complete = self.comparable(models, study, trials)
         if not complete:
             return None
         cost = estimates.cost(complete)
@@ -235,15 +239,19 @@ class Ranking(Generic[S_co]):
                 return float(cost[block[kept.argmax()]])
         return None
 
-    def comparable(self, models: Surrogates, trials: Sequence[Trial]) -> list[Trial]:
-        """Return the complete trials, except outliers; `ranked_by` ranks these."""
+    def comparable(self, models: Surrogates, study: Study, trials: Sequence[Trial]) -> list[Trial]:
+        """Return the complete trials, except outliers; `ranked_by` ranks these.
+
+        Of runs that tell all, none is an outlier.
+        """
         if models.objective is None:
             return []
+        outliers = frozenset() if study.a_run_tells_all else models.outliers
         # The data of the objective's model exclude the outliers, so it cannot judge them.
         return [
             t
             for t in self.sets(trials)
-            if t.state is TrialState.COMPLETE and t.number not in models.outliers
+            if t.state is TrialState.COMPLETE and t.number not in outliers
         ]
 
 
@@ -265,14 +273,25 @@ class _Estimates:
         self._space = study.search_space()
         self._required = required
         self._several = len(study.objectives) > 1
+        self._by_values = study.a_run_tells_all
+        limits = study.worst_case_constraints if study.is_noiseless else ()
+        self._seen_limits = tuple(study.constraints.values()) if self._by_values else limits
 
     def cost(self, trials: Sequence[Trial]) -> Array:
-        """Return the posterior mean (n,) of the cost of trials."""
-        return self._objective.predict_mean(self._points(trials))
+        """Return the cost (n,) of trials: its posterior mean, or that of runs that tell all."""
+        # The cost of a compromise is relative to the front, which the models have.
+        if not self._by_values or self._several:
+            return self._objective.predict_mean(self._points(trials))
+        objective = self._study.objective
+        values = [_complete(trial)[0].outcome.metrics[objective.metric] for trial in trials]
+        return objective.to_cost(np.array(values))
 
     def feasibility(self, trials: Sequence[Trial]) -> Array:
         """Return the probability (n,) that trials keep all constraints."""
-        return self._models.feasibility(self._points(trials))
+        kept = self._seen(trials) <= 0.0
+        if self._by_values:
+            return kept.astype(np.float64)
+        return np.where(kept, self._models.feasibility(self._points(trials)), 0.0)
 
     def believed_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
         """Return which (n,) of the trials count as feasible."""
@@ -284,17 +303,38 @@ class _Estimates:
         No others are believed feasible: where the mean exceeds a limit, that limit is kept with a
         probability below one half, and the mean costs less than the variance in every context.
         """
-        return relative_excess(self._models, self._points(trials)) <= 0.0
+        return self._excess(trials) <= 0.0
+
+    def _excess(self, trials: Sequence[Trial]) -> Array:
+        """Return the largest excess (n,) of trials over a limit, relative to the limit's size."""
+        seen = self._seen(trials)
+        if self._by_values:
+            return seen
+        return np.maximum(seen, relative_excess(self._models, self._points(trials)))
+
+    def _seen(self, trials: Sequence[Trial]) -> Array:
+        """Return the same of runs without noise that refute a limit by themselves."""
+        largest = [
+            max(
+                (
+                    limit.excess(evaluation.outcome.metrics[limit.metric])
+                    for limit in self._seen_limits
+                    for evaluation in _complete(trial)
+                ),
+                default=-np.inf,
+            )
+            for trial in trials
+        ]
+        return np.array(largest)
 
     def candidates(self, trials: Sequence[Trial]) -> list[Candidate]:
         """Estimate trials; at most `BLOCK` of them, for speed with little memory."""
-        models, study = self._models, self._study
-        x = self._points(trials)
-        cost = self._objective.predict_mean(x)
+        study, x = self._study, self._points(trials)
+        cost = self.cost(trials)
         penalties = self._penalties(trials, cost)
         score = self._penalized(cost, penalties)
         feasibility = self.feasibility(trials)
-        excess = relative_excess(models, x)
+        excess = self._excess(trials)
         estimates = self._of_each(x)
         candidates = []
         for k, trial in enumerate(trials):
@@ -335,6 +375,8 @@ class _Estimates:
 
     def _penalties(self, trials: Sequence[Trial], cost: Array) -> Array:
         """Return the penalties (n,) of trials with a `cost` (n,)."""
+        if self._by_values:
+            return np.zeros(len(trials))
         around = [self._space.integer_neighbour_points(trial.parameters) for trial in trials]
         owner = np.repeat(np.arange(len(trials)), [len(points) for points in around])
         if not len(owner):
@@ -362,6 +404,10 @@ class _Estimates:
 
     def _points(self, trials: Sequence[Trial]) -> Array:
         return self._space.cube_of(trial.parameters for trial in trials)
+
+
+def _complete(trial: Trial) -> list[Evaluation]:
+    return [evaluation for evaluation in trial.evaluations if evaluation.outcome.complete]
 
 
 def intolerable(loss: Array) -> Array:

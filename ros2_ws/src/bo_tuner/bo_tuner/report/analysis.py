@@ -152,7 +152,7 @@ class Analysis:
     @cached_property
     def comparable(self) -> list[Trial]:
         """The trials of `ranked`, in the order of the run."""
-        return self._ranking.comparable(self.models, self.trials)
+        return self._ranking.comparable(self.models, self.study, self.trials)
 
     @property
     def certificate(self) -> Certificate | None:

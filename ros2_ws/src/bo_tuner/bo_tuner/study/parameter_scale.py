@@ -9,6 +9,8 @@ symlog
     thousandth of the upper bound, and linear below it, down to 0.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -36,3 +38,15 @@ def unscaled(scale: str, positions: ArrayLike, upper: Array) -> Array:
     if scale == LOG:
         return np.exp(s)
     return np.expm1(s) * (upper / DECADES) if scale == SYMLOG else s
+
+
+def places_at(scale: str, value: float, upper: float, places: int) -> int:
+    """Return the decimal place of a value v that is as fine as one of s(v).
+
+    A step of s(v) is at least as large as one of v on the linear scale, of v divided by v on the
+    logarithmic one, and by the larger of v and v₀ on the other.
+    """
+    if scale == LINEAR:
+        return places
+    size = max(value, upper / DECADES) if scale == SYMLOG else value
+    return places - math.floor(math.log10(size))

@@ -20,7 +20,7 @@ from bo_tuner.study.conditions import KEY, check_shares
 from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parameter_scale import LOG, SYMLOG, scaled, unscaled
+from bo_tuner.study.parameter_scale import LOG, SYMLOG, places_at, scaled, unscaled
 from bo_tuner.study.parameter_space import ParameterSpace
 from bo_tuner.trials import Value
 
@@ -141,11 +141,15 @@ class SearchSpace:
         return dict(self._space.defaults)
 
     def to_parameters(self, cube: ArrayLike) -> dict[str, Value]:
-        """Return the repaired parameter set at a point (d,) of the unit cube."""
+        """Return the repaired parameter set at a point (d,) of the unit cube.
+
+        Doubles are rounded to the decimal place at or below `RESOLUTION` times their range, on a
+        scale to that of their size, unless that breaks the order or a condition.
+        """
         point = np.asarray(cube, dtype=np.float64)
         if point.shape != (self.dimension,):
             raise ParameterError(f"cube: expected shape ({self.dimension},), found {point.shape}")
-        return self._space.complete(self._values(point[None])[0])
+        return self._space.complete(self._rounded(self._values(point[None]))[0])
 
     def to_cube(self, parameters: Mapping[str, Value]) -> Array:
         """Return the point (d,) of the unit cube for a parameter set."""
@@ -374,6 +378,25 @@ class SearchSpace:
     def _values(self, positions: Array) -> Array:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
         return self._conforming(self._free_values(positions))
+
+    def _rounded(self, values: Array) -> Array:
+        """Return one row of values (1, d) without the noise digits that the cube leaves."""
+        row = [
+            value if item.is_integer or not item.is_number else round(value, self._place(k, value))
+            for k, (item, value) in enumerate(zip(self._tuned, values[0].tolist(), strict=True))
+        ]
+        at_bound = (values == self._low) | (values == self._high)
+        rounded = np.where(at_bound, values, np.clip([row], self._low, self._high))
+        permitted = self._order.satisfied(rounded) & self._space.holds(rounded)
+        return rounded if permitted.all() else values
+
+    def _place(self, column: int, value: float) -> int:
+        """Return the decimal place that a double is rounded to."""
+        item, places = self._tuned[column], self._places[column]
+        if item.step is not None or places is None:
+            # A multiple of the step, which is to stay one.
+            return 9 - math.floor(math.log10(item.step or 1.0))
+        return places_at(item.scale, value, float(self.upper[column]), places)
 
     def _free_values(self, positions: Array) -> Array:
         """Return tuned values (n, d) at positions (n, d), permitted but for the conditions."""

@@ -357,6 +357,11 @@ class Study:
         return self.noise == NONE
 
     @property
+    def a_run_tells_all(self) -> bool:
+        """Whether all runs of a parameter set have the same metrics: no noise, and one context."""
+        return self.is_noiseless and not self.contexts and not self.measured
+
+    @property
     def responses(self) -> list[str]:
         """Names of the metrics that may depend on the parameters: all but the measured contexts."""
         return [name for name in self.metrics if name not in self.measured]

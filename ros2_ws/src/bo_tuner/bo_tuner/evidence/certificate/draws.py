@@ -22,7 +22,7 @@ REPEATS = 3
 
 def least_draws(study: Study) -> int:
     """Return the least number of draws; without noise and contexts all would be the same."""
-    return 1 if study.is_noiseless and not study.contexts else LEAST_DRAWS
+    return 1 if study.a_run_tells_all else LEAST_DRAWS
 
 
 class DrawPlan(CertificatePlan):

@@ -184,7 +184,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
 
     def around(self, surrogates: PooledSurrogates) -> Box | None:
         """Return the box around the least violating parameter set, see `Approach`."""
-        known = self._ranking.comparable(surrogates, self.trials)
+        known = self._ranking.comparable(surrogates, self.study, self.trials)
         return self._approach.box(surrogates, self.study, known)
 
     def hopeless(self, surrogates: PooledSurrogates, parameters: Mapping[str, Value]) -> Hopeless:
