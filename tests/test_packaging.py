@@ -56,7 +56,7 @@ PIP_PACKAGES = {
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}
 # Parts of Python, or of extras: imported only when they are asked for.
 NOT_DECLARED = {
-    *sys.stdlib_module_names, "setuptools", "cloudpickle", "distributed",
+    *sys.stdlib_module_names, "setuptools", "cloudpickle", "dask", "distributed",
     "ConfigSpace", "botorch", "cma", "cobyqa", "gpytorch", "greenlet", "optuna", "pandas", "smac",
     "torch",
 }  # fmt: skip

@@ -14,7 +14,7 @@ from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
 
-COMMANDS = (("report",), ("replay",), ("validate", "--draws", "100"))
+COMMANDS = (("report",), ("replay",), ("validate", "--draws", "120"))
 
 
 @pytest.fixture(scope="module")
