@@ -39,7 +39,10 @@ from bo_tuner.backends.ros.survey import _ends, _look
 from bo_tuner.cli import check, init, tune
 from bo_tuner.cli.chooser import numbers
 from bo_tuner.errors import StudyError
+from bo_tuner.study.descriptors import Described
 from bo_tuner.study.fields import parsed_field
+from bo_tuner.study.offers import parameter_offers
+from bo_tuner.study.seen import Seen, SeenNode, SeenTopic
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 pytestmark = pytest.mark.ros
@@ -161,23 +164,21 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
     assert list(load_study(tmp_path / "study.yaml").parameters) == ["late"]
 
 
-def test_a_plant_whose_controller_is_not_there_is_not_tuned(empty_domain, tmp_path):
+def test_a_plant_whose_controller_is_not_there_is_not_tuned(capsys):
     """A simulator has noise, and hears a command that nobody gives yet."""
-
-    def simulator(context):
-        node = Node("sim", context=context)
-        node.declare_parameter("vibration", 0.1)
-        node.declare_parameter("gyro_bias", 0.01)
-        angle = node.create_publisher(Float64, "angle", 10)
-        node.create_subscription(Float64, "torque", lambda _: None, 10)
-        node.create_timer(0.01, lambda: angle.publish(Float64()))
-        return node
-
-    with at_work(simulator):
-        code, out, err = run("init", folder=tmp_path)
-    assert code == 2
-    assert "note: sim: a plant by its topics and parameters; no node that controls it" in out
-    assert err.startswith("error: --nodes: no name tells which to take; name some of sim")
+    names = ("vibration", "gyro_bias")
+    simulator = SeenNode("sim", {name: Described("double", 0.1) for name in names})
+    topics = (
+        SeenTopic("/angle", "std_msgs/msg/Float64", {"data": 0.0}, ("sim",), ()),
+        SeenTopic("/torque", "std_msgs/msg/Float64", {"data": 0.0}, (), ("sim",)),
+    )
+    offers = {"sim": parameter_offers(simulator)[0]}
+    assert init._suggested_nodes(Seen((simulator,), topics), offers) == []
+    assert capsys.readouterr().out.startswith("note: sim: a plant by its topics and parameters;")
+    # One that closes a loop of its own, with gains, is tuned.
+    closed = SeenNode("sim", simulator.parameters | {"kp": Described("double", 0.1)})
+    offers = {"sim": parameter_offers(closed)[0]}
+    assert init._suggested_nodes(Seen((closed,), topics), offers) == ["sim"]
 
 
 class Lidar(Node):
