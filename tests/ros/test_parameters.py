@@ -97,7 +97,7 @@ REFUSED = [
     (
         "mpc_controller",
         {"return_time": "guessed"},
-        "return_time: 'guessed' is not one of measured, modelled",
+        "return_time: 'guessed' is not one of measured, cpu, modelled",
     ),
     (
         "mpc_controller",
