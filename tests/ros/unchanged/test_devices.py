@@ -19,7 +19,7 @@ from servo import SAFE, System, failure, gain, run, study
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.guard.guard import Guard, PipeBeats
 from bo_tuner.backends.ros.guard.messages import IDLE, Beat
-from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.guard.plan import Patience, Plan
 from bo_tuner.deploy.apply import ApplyError, set_values
 from bo_tuner.deploy.bundle import differences
 from bo_tuner.deploy.live_parameters import LiveParameters
@@ -161,7 +161,14 @@ def test_the_guard_leaves_it_safe(device, kind):
     beats, told = os.pipe()
     with os.fdopen(beats), os.fdopen(told, "wb") as pipe:
         guard = Guard(
-            plan, [], PipeBeats(beats), name="g", timeout=9.0, attached=True, record=None, say=print
+            plan,
+            [],
+            PipeBeats(beats),
+            name="g",
+            patience=Patience(9.0, 9.0),
+            attached=True,
+            record=None,
+            say=print,
         )
         try:
             guard.open(wait=False, alone=False)
