@@ -292,7 +292,7 @@ class TestChecks:
 
     def check(self, client, workers, *timed):
         cluster = RunningCluster("tcp://s:1", workers, self.NEEDS, timed)
-        cluster._check(client, cluster._wait_for_workers(client, lambda: None))
+        cluster._check(client, cluster._wait_for_workers(client, lambda: None), lambda: None)
 
     def test_too_few(self, monkeypatch):
         monkeypatch.setattr(clusters, "STARTING", 0.0)

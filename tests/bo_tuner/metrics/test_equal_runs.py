@@ -6,6 +6,7 @@ from signal_runs import signal_study
 
 from bo_tuner.metrics.equal_runs import (
     all_stand,
+    from_the_run_before,
     standing,
     uneven_rates,
     unlike_starts,
@@ -147,3 +148,26 @@ def test_messages_that_come_less_often_in_one_of_two_equal_runs(first):
 )
 def test_messages_that_come_as_often_or_of_events(runs):
     assert not [*uneven_rates(runs, [None, None], HEARD)]
+
+
+@pytest.mark.parametrize(("age", "told"), [(5.0, 1), (0.01, 0)])
+def test_a_signal_that_is_published_in_runs_only(age, told):
+    """Between runs it is silent; what was only not heard yet before run 1 goes on at its rate."""
+    in_run = TIME[TIME >= 0.0]
+    first, last = in_run, np.concatenate([[-age], in_run])
+    runs = [
+        Recording({"setpoint": STEP, "angle": RecordedSignal(time, np.ones(time.shape))}, 2.0)
+        for time in (first, last)
+    ]
+    lines = list(from_the_run_before(runs, HEARD))
+    assert len(lines) == told
+    assert all("it is published in runs only" in line for line in lines)
+
+
+def test_a_signal_of_single_messages_that_is_published_in_runs_only():
+    runs = [
+        run(0.0, result=RecordedSignal(np.array(time), np.ones(len(time))))
+        for time in ([1.0], [-4.0, 1.0])
+    ]
+    (line,) = from_the_run_before(runs, ["result"])
+    assert line.startswith("result: has a value at the start of run 2")

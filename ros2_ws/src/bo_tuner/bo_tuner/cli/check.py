@@ -38,6 +38,7 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.metrics.equal_runs import (
     all_stand,
+    from_the_run_before,
     standing,
     uneven_rates,
     unlike_starts,
@@ -317,12 +318,7 @@ def _show_motion(
         for name in standing(recordings, heard)
     ]
     notes += unmoved(study, recordings[-1], heard)
-    began = [{n for n, s in item.signals.items() if np.any(s.time < 0.0)} for item in recordings]
-    notes += [
-        f"{name}: has a value at the start of run {RUNS} and none at that of run 1: it is "
-        "published in runs only (docs/procedure.md, signals at the start)"
-        for name in sorted((began[-1] - began[0]).intersection(heard))
-    ]
+    notes += from_the_run_before(recordings, heard)
     notes += unlike_starts(recordings, heard)
     notes += uneven_rates(recordings, [e.outcome.load for e in done], heard)
     for note in notes:

@@ -458,7 +458,7 @@ def _report(verdict: Verdict, study: Study, path: Path) -> None:
     print_line(out, verdict.headline, "")
     steps = next_steps(verdict, str(from_here(path.parent.parent)))[:MOST_STEPS]
     # With the path, those of the commands and that of the report.
-    for line in certificate_lines(verdict, certificate, MOST_LINES - 2 - len(steps)):
+    for line in certificate_lines(verdict, study, certificate, MOST_LINES - 2 - len(steps)):
         print_line(out, f"  {line}", "    ")
     out.print(f"certificate: {from_here(path)}", soft_wrap=True)
     for step in steps:

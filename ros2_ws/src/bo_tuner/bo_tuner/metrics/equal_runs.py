@@ -20,6 +20,8 @@ STILL = 0.02
 """Share of such a measure by which it changes at least if the signal moves."""
 MESSAGES = 10
 """Messages of a run from which on the range and the noise of a signal can be estimated."""
+OLD = 10.0
+"""Periods of a signal after which a value that is the latest is of a run before."""
 UNLIKE = 0.1
 """Share of a signal's range by which it differs at most at the start of two equal runs."""
 NOISES = 4.0
@@ -114,6 +116,29 @@ def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> It
                     "it began (run.before, such as wait_until; docs/procedure.md)"
                 )
                 break
+
+
+def from_the_run_before(recordings: Sequence[Recording], heard: Collection[str]) -> Iterator[str]:
+    """Yield the signals that start the last of equal runs with a value of the one before.
+
+    Parameters
+    ----------
+    recordings
+        Equal runs, one after the other, at least one.
+    heard
+        Names of the signals that others publish.
+    """
+    first, last = recordings[0].signals, recordings[-1].signals
+    for name in sorted(heard):
+        if (first[name].time < 0.0).any() or not (last[name].time < 0.0).any():
+            continue
+        # What is published between runs, too, was only not heard yet when run 1 began.
+        often = last[name].messages >= MESSAGES
+        if not often or -last[name].time[0] > OLD * np.median(np.diff(last[name].time[1:])):
+            yield (
+                f"{name}: has a value at the start of run {len(recordings)} and none at that of "
+                "run 1: it is published in runs only (docs/procedure.md, signals at the start)"
+            )
 
 
 def uneven_rates(

@@ -15,6 +15,7 @@ from bo_tuner.evidence.certificate.findings import (
 )
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.verdict import FAIL, PASS, Verdict
+from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import shown, shown_beside
@@ -62,13 +63,15 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
     return [*rows, Row("failed test runs", "", failed), Row("verdict", "", verdicts)]
 
 
-def certificate_lines(verdict: Verdict, certificate: Certificate, most: int) -> list[str]:
+def certificate_lines(
+    verdict: Verdict, study: Study, certificate: Certificate, most: int
+) -> list[str]:
     """Return what a terminal says of a certificate: of each limit, and what speaks against it.
 
     Parameters
     ----------
-    verdict, certificate
-        The certificate, and the verdict by it.
+    verdict, study, certificate
+        The certificate, of which study, and the verdict by it.
     most
         Largest number of lines; limits that are not proven come first.
     """
@@ -76,6 +79,7 @@ def certificate_lines(verdict: Verdict, certificate: Certificate, most: int) -> 
     others += [q.gain_in_words for q in verdict.quantities if q.objective][:1]
     others += [verdict.default_in_words] if certificate.default is not None else []
     others += [f"warning: {warning}" for warning in certificate.warnings][:1]
+    others += seen_in_words(study.metrics, certificate.seen)
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
     lines = [f"{item.name}: {item.proof}: {item.reason}" for item in limits]
     if certificate.tuned.failures:
