@@ -8,7 +8,7 @@ from bo_tuner.cli import tune
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.methods.registry import SAFE
+from bo_tuner.method_names import SAFE
 from bo_tuner.methods.safe.stage_one import NO_SAFE_START
 from bo_tuner.storage.record import read_run
 
