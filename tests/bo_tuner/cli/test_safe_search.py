@@ -63,7 +63,7 @@ def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch
 
 def test_another_algorithm_is_refused_beside_it(study_file, capsys):
     options = ("--backend", "inprocess", "--study", study_file, "--algorithm", "V")
-    said = "--algorithm: V is no safe search, and the study has `safe_search`; expected one of safe"
+    said = "--algorithm: V is no safe search, and the study has `safe_search`; expected safe"
     assert said in complaint(tune, capsys, *options)
 
 
