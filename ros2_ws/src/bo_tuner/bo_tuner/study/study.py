@@ -15,6 +15,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
+from bo_tuner.study.configuring import check_parked, configured_by_steps
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.growing import check_cut_short, decisive, why_not
@@ -310,7 +311,8 @@ class Study:
         with findings.under():
             self._check_park()
         with findings.under():
-            self._check_parked_configuration()
+            if self.park.between_runs:
+                check_parked(self.configured_by_steps)
         with findings.under():
             self._check_ramp()
         with findings.under():
@@ -493,6 +495,12 @@ class Study:
         )
 
     @property
+    def configured_by_steps(self) -> list[str]:
+        """Names of tuned nodes that steps of `before` configure in each run."""
+        keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
+        return configured_by_steps(self.run, frozenset(self.nodes[key].node for key in keys))
+
+    @property
     def start_names(self) -> dict[str, frozenset[str]]:
         """Names of the parameters that nodes take only while they start, by node key."""
         return start_names(self.nodes, self.parameters, self.contexts, self.seed_parameter)
@@ -670,27 +678,6 @@ class Study:
                 f"permitted ({problem}); leave out ramp, or this rule",
                 ("run", "ramp"),
             )
-
-    def _check_parked_configuration(self) -> None:
-        """Refuse to have a tuned node configured in `before` with its safe parameters.
-
-        If it reads them only then, it would keep them in the run, and nobody would notice.
-        """
-        if self.run is None or not self.park.between_runs:
-            return
-        keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
-        tuned = [f"/{self.nodes[key].node.lstrip('/')}" for key in keys]
-        for step in self.run.before:
-            change = step.lifecycle
-            if change is None or change.transition != "configure":
-                continue
-            # The name may have a namespace, which the study does not know, ahead of it.
-            if any(f"/{change.node}".endswith(node) for node in tuned):
-                raise StudyError(
-                    f"a step of run.before configures {change.node}, which has the safe parameters "
-                    "then and may keep them in the run; expected false",
-                    ("park", "between_runs"),
-                )
 
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:

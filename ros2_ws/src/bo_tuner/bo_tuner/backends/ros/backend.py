@@ -55,6 +55,7 @@ from bo_tuner.metrics.recording import (
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.processor_load import with_children
+from bo_tuner.study.configuring import stays_in_force
 from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
@@ -228,7 +229,8 @@ class RosBackend(SequentialBackend):
                 self._run_log or self._log_directory,
                 is_repeat=self._run_log is not None,
             )
-            for remark in client.parameters.take_remarks():
+            staying = stays_in_force(self._study.configured_by_steps) if self._attach else ()
+            for remark in (*client.parameters.take_remarks(), *staying):
                 tuner.warn(remark)
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
