@@ -110,7 +110,10 @@ def test_after_a_refusal_the_next_brings_all_back(step):
 
 def test_the_reason_of_a_refusal_is_told():
     manager = Manager(refuses=["activate"])
-    with pytest.raises(RefusedError, match=r"^switch_controller refused .*: its interface is cl"):
+    with pytest.raises(
+        RefusedError,
+        match=r"refused activate_controllers \[.arm.*strictness 2: its interface is claimed",
+    ):
         controlled(manager).configure_anew()
 
 

@@ -44,7 +44,7 @@ def stays_in_force(configured: list[str]) -> Iterator[str]:
         yield (
             f"a step of run.before configures {node}: what it read then stays in force after the "
             "end, when its parameters are set back; with reconfigure under this node in place of "
-            "the step (docs/interfaces.md) the tuner, its guard and apply bring values into force"
+            "the step (docs/procedure.md) the tuner, its guard and apply bring values into force"
         )
 
 

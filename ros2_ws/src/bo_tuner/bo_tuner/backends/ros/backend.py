@@ -412,7 +412,9 @@ class RosBackend(SequentialBackend):
             # The outcome of a complete run does not say what went wrong after it.
             self._opened.tuner.warn(text)
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
-        return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
+        said = [problem for problem in problems if problem not in outcome.reason]
+        reason = brief("; ".join(dict.fromkeys([outcome.reason, *said])))
+        return dataclasses.replace(outcome, reason=reason)
 
     def _tell_of_abort(self, planned: Evaluation, outcome: Outcome) -> None:
         if self._procedure is not None and self._procedure.before_abort:

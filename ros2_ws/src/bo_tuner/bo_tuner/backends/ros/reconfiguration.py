@@ -11,7 +11,6 @@ from bo_tuner.backends.ros.steps import LifecycleChange, PreparedStep, ServiceCa
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study import checks
 from bo_tuner.study.building import under
 from bo_tuner.study.nodes import CONTROLLER_MANAGER, NodeSpec
 from bo_tuner.study.steps import Step
@@ -197,5 +196,6 @@ class ControlledNode:
         kind, client = self._services[service]
         answer = self._tuner.call(client, kind.Request(**request), CONTROLLER_MANAGER, CHANGE)
         if reason := refusal(answer, {}):
-            raise RefusedError(f"{client.srv_name} refused {checks.show(request)}: {reason}")
+            asked = ", ".join(f"{key} {value}" for key, value in request.items() if value)
+            raise RefusedError(f"{client.srv_name} refused {asked}: {reason}")
         return answer
