@@ -55,7 +55,7 @@ CASES = (*EXPERIMENTS, WIDE)
 SHIPPED = "as shipped"
 
 
-BOUNDARY = Boundary(ROW)
+BOUNDARY = Boundary()
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ from common import opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.method_names import DEFAULT_METHOD
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study

@@ -21,7 +21,8 @@ from common import check_end, opened, provenance, result_parser, start_command, 
 from identify import machine_study, runs_of
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.method_names import DEFAULT_METHOD
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.study.limits import broken_limits

@@ -24,8 +24,9 @@ from scipy.optimize import differential_evolution
 
 import bo_tuner as bt
 from bo_tuner.backends.function import FunctionBackend
+from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.protocol import Method
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TrialState, count_evaluations

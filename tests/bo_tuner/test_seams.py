@@ -5,20 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import yaml
+from offering import offer
 from report_runs import axis_study, run_study
 
 from bo_tuner.acquisition.acquisition import Acquisition
 from bo_tuner.cli import validate
 from bo_tuner.cli.report import run
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.paper.searches import Joint
 from bo_tuner.methods.protocol import AnswerSearch, Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.searches import SearchRule, searches_of
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.models.pooled_models import PooledModels
-from bo_tuner.models.trial_models import TrialModels, over_contexts
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, DesignedOptimizer, Proposal
 from bo_tuner.optimizers.ranking import Ranking
 from bo_tuner.report.analysis import Analysis
@@ -29,7 +28,9 @@ from bo_tuner.trials import Stage
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import choose_answer
-from bo_tuner.worst_case.reinterpolation_search import ReinterpolationSearch
+from tuning_benchmark.paper.reinterpolation_search import ReinterpolationSearch
+from tuning_benchmark.paper.searches import Joint
+from tuning_benchmark.paper.trial_models import TrialModels, over_contexts
 
 
 def valley(gain, load, seed):
@@ -284,7 +285,6 @@ class Halving(DesignedOptimizer):
 class Halves(Method):
     """A method of one's own, which answers with its last parameter set."""
 
-    title = "halves"
     ranking = Ranking(TrialModels(reject_outliers=False))
 
     def optimizer(self, study):
@@ -303,6 +303,9 @@ class Halves(Method):
 
     def most_evaluations(self, study):
         return 2 * study.budget.trials
+
+
+HALVES = Halves()
 
 
 class MeanOverContexts(OnMean):
@@ -354,7 +357,7 @@ class TestLimit:
 class TestMethod:
     def test_what_it_must_say_is_asked_for_when_it_is_made(self):
         class Silent(Method):
-            title = "silent"
+            pass
 
         with pytest.raises(TypeError, match=r"abstract.*answer_search.*optimizer.*ranking"):
             Silent()
@@ -366,8 +369,9 @@ class TestMethod:
         assert "constraints.peak" in Halves().refusal(study, study, [], ["peak"])
 
     def test_it_is_run_from_the_first_trial_to_the_report(self, tmp_path, monkeypatch, capsys):
-        """By the commands, once it is registered."""
-        monkeypatch.setitem(METHODS, "halves", Halves())
+        """By the commands, once a package offers it."""
+        offer(tmp_path / "site", "half_methods", halves=f"{__name__}:HALVES")
+        monkeypatch.syspath_prepend(tmp_path / "site")
         budget = {"trials": 4, "initial_trials": 1, "validation_draws": 4}
         text = yaml.safe_dump(axis_study(budget=budget))
         record = read_run(run_study(tmp_path, text, "--algorithm", "halves"))

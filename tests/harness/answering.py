@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from bo_tuner.methods.paper.check import CandidateCheck
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.observer import NOBODY
 from bo_tuner.tuning.summary import choose_answer
+from tuning_benchmark.paper.check import CandidateCheck
 
 
 def recommend(study, backend, trials, method="IV", *, most_checked=6, observer=NOBODY):

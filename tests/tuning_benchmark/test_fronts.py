@@ -21,7 +21,7 @@ def test_a_sampler_takes_part_with_the_same_initial_design(name):
     peer = fronts.PEERS[name](study, 1)
     backend = InProcessBackend(study)
     backend.open()
-    trials = list(Tuning(study, Driver(backend), peer_method("peer", peer)))
+    trials = list(Tuning(study, Driver(backend), peer_method(peer)))
     ours = list(Tuning(study.replace(trials=6), Driver(backend), fronts.METHODS["II"]))
     backend.close()
     assert [t.parameters for t in trials[:6]] == [t.parameters for t in ours]

@@ -4,6 +4,13 @@ from xml.etree import ElementTree
 from setuptools import find_packages, setup
 
 NAME = "tuning_benchmark"
+METHODS = {
+    "I": "Bayesian optimization on the nominal model",
+    "II": "random sampling in stage one",
+    "III": "Bayesian optimization without outlier detection",
+    "IV": "Bayesian optimization with outlier detection",
+    "V": "as IV, with one joint model of parameter set and context",
+}
 
 
 def shared(folder):
@@ -49,6 +56,12 @@ setup(
         ],
         "test": ["pytest"],
     },
-    entry_points={"console_scripts": [f"benchmark = {NAME}.__main__:benchmark"]},
+    entry_points={
+        "console_scripts": [f"benchmark = {NAME}.__main__:benchmark"],
+        "bo_tuner.methods": [
+            f"{name}: {title} = {NAME}.paper.algorithms:ALGORITHM_{name}"
+            for name, title in METHODS.items()
+        ],
+    },
     zip_safe=False,
 )

@@ -5,11 +5,11 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.acquisition.acquisition import Acquisition, best_at_data, constrained_improvement
-from bo_tuner.models.constraints import SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.surrogates import Surrogates
+from tuning_benchmark.paper.constraints import SurrogateConstraint
 
 THETA = Hyperparameters(np.array([0.3, 0.5]), 1.0, 0.3)
 

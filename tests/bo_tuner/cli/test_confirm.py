@@ -10,7 +10,8 @@ from terminals import converse
 
 from bo_tuner.cli import tune
 from bo_tuner.cli.confirm import described, refused_in
-from bo_tuner.methods.registry import METHODS, SAFE
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage.record import read_run
 

@@ -8,7 +8,7 @@ from bo_tuner.cli import tune
 from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.methods.registry import SAFE
+from bo_tuner.method_names import SAFE
 from bo_tuner.methods.safe.stage_one import NO_SAFE_START
 from bo_tuner.storage.record import read_run
 
@@ -63,7 +63,7 @@ def test_a_study_asks_for_it_by_itself(tmp_path, make_study, capsys, monkeypatch
 
 def test_another_algorithm_is_refused_beside_it(study_file, capsys):
     options = ("--backend", "inprocess", "--study", study_file, "--algorithm", "V")
-    said = "--algorithm: V is no safe search, and the study has `safe_search`; expected one of safe"
+    said = "--algorithm: V is no safe search, and the study has `safe_search`; expected safe"
     assert said in complaint(tune, capsys, *options)
 
 

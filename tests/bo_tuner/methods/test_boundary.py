@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from bo_tuner.method_names import BOUNDARY
 from bo_tuner.methods.boundary.settling import with_repetitions
 from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance
-from bo_tuner.methods.registry import BOUNDARY, METHODS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning

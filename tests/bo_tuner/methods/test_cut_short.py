@@ -204,7 +204,7 @@ def test_failures_and_runs_that_are_cut_short_are_told_apart():
 def test_methods_that_need_whole_runs_refuse_it(name):
     # Of the methods only the safe one takes a study that asks for a safe search.
     more = {"safe_search": SafeSearch()} if name == "safe" else {}
-    others = "" if more else "; expected one of boundary"
+    others = "" if more else "; expected boundary"
     whole, cut = (dataclasses.replace(short_study(cut=cut), **more) for cut in (False, True))
     assert problem_of(name, cut) == (
         f"{name} needs whole runs, and the study has `budget.cut_short`{others}"

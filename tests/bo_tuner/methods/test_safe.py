@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from functions import Watcher
 
-from bo_tuner.methods.registry import METHODS, SAFE, method_of
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.methods.safe.stage_one import NO_SAFE_START, START_REFUSED
 from bo_tuner.methods.safe.trust import FIRST, IN_A_ROW, trust_after
 from bo_tuner.plans import EventKind

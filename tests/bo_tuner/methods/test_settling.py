@@ -9,10 +9,11 @@ from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
+from bo_tuner.method_names import BOUNDARY
 from bo_tuner.methods.boundary.judging import judgements, required_of, runs_until
 from bo_tuner.methods.boundary.repetition import NEAR
 from bo_tuner.methods.boundary.settling import with_known_repetitions, with_repetitions
-from bo_tuner.methods.registry import BOUNDARY, METHODS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.repetitions import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.estimates import estimated

@@ -10,13 +10,13 @@ from command_runs import Runs
 from scipy.stats import norm
 
 from bo_tuner.methods.outlook import Outlook
-from bo_tuner.methods.paper.method import PaperMethod
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.numerics.particle_swarm import maximize
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
+from tuning_benchmark.paper.method import PaperMethod
 
 ALGORITHM, BOUNDARY = METHODS["IV"], METHODS["boundary"]
 BUDGET = {

@@ -8,8 +8,8 @@ from scipy.stats import norm
 
 from bo_tuner.models.fitting import fitted_after
 from bo_tuner.models.pooled_models import PooledModels
-from bo_tuner.models.trial_models import TrialModels, over_contexts
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome, Stage, TrialState
+from tuning_benchmark.paper.trial_models import TrialModels, over_contexts
 
 COMPLETE = TrialState.COMPLETE
 NODE = {"node": "axis"}

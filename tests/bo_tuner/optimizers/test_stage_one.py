@@ -6,9 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bo_tuner.methods.paper.random_search import RandomSearch
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.trials import (
     DISTURBED,
@@ -18,6 +16,8 @@ from bo_tuner.trials import (
     Stage,
     TrialState,
 )
+from tuning_benchmark.paper.random_search import RandomSearch
+from tuning_benchmark.paper.trial_models import TrialModels
 
 NODE = {"node": "axis"}
 OPTIMUM = 0.3

@@ -3,7 +3,8 @@
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.methods.registry import METHODS, SAFE
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 NODE = {"node": "axis"}

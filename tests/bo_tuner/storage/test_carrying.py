@@ -9,7 +9,8 @@ from functions import NODE
 from signal_runs import outcome_of, record_run, signal_study
 
 from bo_tuner.errors import RunRecordError
-from bo_tuner.methods.registry import METHODS, SAFE
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.storage.carrying import carry_over, check_comparable, is_carried, remeasured

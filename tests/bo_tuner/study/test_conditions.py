@@ -5,7 +5,8 @@ import pytest
 from functions import make_study
 
 from bo_tuner.errors import ConditionError, StudyError
-from bo_tuner.methods.registry import METHODS, SAFE
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import INITIAL
 from bo_tuner.report.grid import permitted
 from bo_tuner.study.parameter import Parameter

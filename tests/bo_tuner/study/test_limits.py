@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, norm, ttest_1samp
 
-from bo_tuner.methods.paper.check import with_check
 from bo_tuner.methods.repetitions import most_check_evaluations
 from bo_tuner.monitoring.progress import describe
 from bo_tuner.study.limits import (
@@ -25,6 +24,7 @@ from bo_tuner.text import JOIN
 from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.validation import validate
+from tuning_benchmark.paper.check import with_check
 
 CHANCE = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
 

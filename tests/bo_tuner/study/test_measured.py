@@ -132,7 +132,7 @@ def test_other_algorithms_refuse_it_in_a_line():
     for name in METHODS.keys() - {"boundary", "safe"}:
         assert problem_of(name, of_study) == (
             f"{name} knows nothing of what is measured, and the study measures 'wind'; "
-            "expected one of boundary"
+            "expected boundary"
         )
     # A safe search is asked for by the study.
     assert not any(problem_of(n, study(measured=[])) for n in METHODS.keys() - {"safe"})

@@ -7,7 +7,7 @@ from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.worst_case.constraint_searches import ConstraintSearch, WorstCaseSearches
-from bo_tuner.worst_case.reinterpolation_search import OBSERVED, ReinterpolationSearch
+from tuning_benchmark.paper.reinterpolation_search import OBSERVED, ReinterpolationSearch
 
 SPACE = ContextSpace({"load": Uniform(bounds=(0.0, 4.0))})
 

@@ -17,7 +17,8 @@ from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.method_names import DEFAULT_METHOD
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState

@@ -10,7 +10,8 @@ from short_cuts import SHORT, small_study
 from tuner import environment_of_nodes
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.method_names import DEFAULT_METHOD
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import TrialState
 from bo_tuner.tuning.driver import Driver

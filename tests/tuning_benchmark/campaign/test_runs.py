@@ -4,13 +4,13 @@ import pytest
 from valley import true_worst
 
 from bo_tuner.methods.boundary.stage_one import new_point
-from bo_tuner.methods.paper import check
-from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import Stage, count_checks
 from tuning_benchmark.campaign.division import divided
 from tuning_benchmark.campaign.runs import Run, RunSize, run_and_judge
 from tuning_benchmark.experiments.experiment import Row
+from tuning_benchmark.paper import check
+from tuning_benchmark.paper.searches import EachTrial
 
 JUDGE = "valley:Judge"
 IV = Row(name="IV", algorithm="IV")

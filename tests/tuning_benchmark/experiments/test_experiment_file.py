@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.methods.registry import BOUNDARY, METHODS, SAFE
+from bo_tuner.method_names import BOUNDARY, SAFE
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.study_file import load_study
 from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
 

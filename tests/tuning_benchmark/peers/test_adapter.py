@@ -5,7 +5,7 @@ from valley import Draws
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.models.observations import single_evaluation_worst_cases
+from tuning_benchmark.paper.single_evaluations import single_evaluation_worst_cases
 from tuning_benchmark.peers.adapter import PeerOptimizer, observation
 from tuning_benchmark.peers.optimizer import Observation, best_observed
 

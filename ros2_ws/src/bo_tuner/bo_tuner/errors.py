@@ -137,5 +137,9 @@ class MissingPackageError(BoTunerError, ImportError):
     """A package that is installed only on request is missing."""
 
 
+class MethodError(BoTunerError, ImportError):
+    """A method that another package offers cannot be loaded."""
+
+
 class OutputError(BoTunerError, OSError):
     """A file or folder of results cannot be written."""

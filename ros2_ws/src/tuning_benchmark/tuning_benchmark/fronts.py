@@ -28,7 +28,7 @@ from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.campaign import provenance
-from tuning_benchmark.pages.fronts import RECORD, TITLES
+from tuning_benchmark.pages.fronts import RECORD
 from tuning_benchmark.peers.adapter import peer_method
 from tuning_benchmark.peers.optuna_fronts import OptunaFront, nsga2, tpe
 from tuning_benchmark.problems.two_objectives import TwoObjectives
@@ -75,8 +75,7 @@ def run(problem: TwoObjectives, name: str, seed: int) -> Run:
         if name in PEERS:
             peer = PEERS[name](study, seed)
             # The second stage is the same for all.
-            method = peer_method(TITLES[name], peer)
-            trials = list(Tuning(study, Driver(backend), method))
+            trials = list(Tuning(study, Driver(backend), peer_method(peer)))
             front = peer.recommend()
         else:
             trials = list(Tuning(study, Driver(backend), METHODS[name]))

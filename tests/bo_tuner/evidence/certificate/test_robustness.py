@@ -22,7 +22,6 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     parameter_sensitivity,
 )
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
@@ -36,6 +35,7 @@ from bo_tuner.trials import (
 )
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
+from tuning_benchmark.paper.trial_models import TrialModels
 
 LIMIT = 1.0
 NODE = {"node": "axis"}

@@ -19,6 +19,7 @@ from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import (
     BackendError,
     JournalError,
+    MethodError,
     OutputError,
     RunError,
     RunRecordError,
@@ -153,7 +154,7 @@ def guarded(run: Run) -> Run:
             for each in (error, *error.others):
                 say_error(f"error: {each}")
             return EXIT_USAGE
-        except (OutputError, BackendError, JournalError, RunRecordError) as error:
+        except (OutputError, BackendError, JournalError, MethodError, RunRecordError) as error:
             say_error(f"error: {error}")
             return EXIT_FAULT if _is_full(error) else EXIT_USAGE
         except (RunError, Interrupted) as error:

@@ -26,7 +26,8 @@ from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.method_names import DEFAULT_METHOD
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.display import Output, Result
 from bo_tuner.monitoring.monitor import Advisor, make_display

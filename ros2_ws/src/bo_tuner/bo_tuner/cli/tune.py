@@ -34,7 +34,8 @@ from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import METHODS, SAFE, method_of, problem_of
+from bo_tuner.method_names import SAFE
+from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.monitoring.display import Output, plain_console
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again

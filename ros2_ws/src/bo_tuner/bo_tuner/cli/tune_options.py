@@ -9,7 +9,7 @@ from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.web_options import add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS, SAFE
+from bo_tuner.method_names import DEFAULT_METHOD, SAFE, titles
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
@@ -144,11 +144,11 @@ def _add_known(group: Group) -> None:
 
 
 def _add_method(group: Group) -> None:
-    titles = {name: method.title for name, method in METHODS.items() if name != SAFE}
+    offered = {name: title for name, title in titles().items() if name != SAFE}
     group.add_argument(
         "--algorithm",
-        choices=tuple(titles),
-        help="; ".join(f"{name}: {title}" for name, title in titles.items())
+        choices=tuple(offered),
+        help="; ".join(f"{name}: {title}" for name, title in offered.items())
         + f" (default: {DEFAULT_METHOD}; a study with safe_search has one of its own)",
     )
     group.add_argument(

@@ -47,8 +47,6 @@ class Method(Protocol):
 
     Attributes
     ----------
-    title : str
-        Short description.
     cuts_short : bool
         Whether runs of its trials may be cut short; otherwise it needs whole ones.
     takes_simulations : bool
@@ -57,7 +55,6 @@ class Method(Protocol):
         Of the trials, by its surrogates.
     """
 
-    title: str
     cuts_short: ClassVar[bool] = False
     takes_simulations: ClassVar[bool] = False
 

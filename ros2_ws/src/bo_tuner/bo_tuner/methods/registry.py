@@ -1,43 +1,56 @@
-"""Methods by name: `boundary`, the default; `safe`; I to IV of the paper (Sec. 5.1); V, joint."""
+"""Methods by name, each loaded when it is asked for."""
 
+from collections.abc import Iterator, Mapping
+from typing import cast
+
+from bo_tuner.errors import MethodError
+from bo_tuner.method_names import BOUNDARY, DEFAULT_METHOD, SAFE, offered, titles
 from bo_tuner.methods.boundary.method import Boundary
-from bo_tuner.methods.contexts import NominalContext
-from bo_tuner.methods.paper.check import CandidateCheck
-from bo_tuner.methods.paper.method import PaperMethod
-from bo_tuner.methods.paper.random_search import RandomSearch
-from bo_tuner.methods.paper.searches import Joint, NoSearch
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.safe.method import Safe
-from bo_tuner.models.trial_models import TrialModels, over_contexts
+from bo_tuner.study import named_code
 from bo_tuner.study.study import Study
 
-BOUNDARY, SAFE = "boundary", "safe"
-DEFAULT_METHOD = BOUNDARY
 
-METHODS: dict[str, Method] = {
-    "I": PaperMethod(
-        "Bayesian optimization on the nominal model",
-        contexts=NominalContext(),
-        search=NoSearch(),
-        searched=0,
-        check=CandidateCheck(0),
-    ),
-    "II": PaperMethod("random sampling in stage one", stage_one=RandomSearch),
-    "III": PaperMethod(
-        "Bayesian optimization without outlier detection",
-        models=TrialModels(reject_outliers=False),
-    ),
-    "IV": PaperMethod("Bayesian optimization with outlier detection"),
-    "V": PaperMethod(
-        "as IV, with one joint model of parameter set and context",
-        models=TrialModels(worst_case=over_contexts),
-        search=Joint(),
-    ),
-    BOUNDARY: Boundary(
-        "search, then repeated runs at the boundary of the limits, all pooled in one joint model"
-    ),
-    SAFE: Safe("as boundary, in bounded steps among what is expected to keep all limits"),
-}
+class Methods(Mapping[str, Method]):
+    """The methods of the tuner and of other packages; see `bo_tuner.method_names`.
+
+    Raises
+    ------
+    MethodError
+        By a look-up, if the method of another package cannot be loaded. One line.
+    """
+
+    def __init__(self, own: Mapping[str, Method]) -> None:
+        self._own = own
+
+    def __getitem__(self, name: str) -> Method:
+        return self._own[name] if name in self._own else _load(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in titles()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(titles())
+
+    def __len__(self) -> int:
+        return len(titles())
+
+
+METHODS = Methods({BOUNDARY: Boundary(), SAFE: Safe()})
+
+
+def _load(name: str) -> Method:
+    entry = offered()[name]
+    what = f"the algorithm {name} of the package {entry.dist.name if entry.dist else entry.module}"
+    try:
+        method: object = entry.load()
+    except named_code.faults() as error:
+        raise MethodError(f"{what} cannot be loaded: {named_code.described(error)}") from error
+    if Method not in type(method).__mro__:
+        found = type(method).__name__
+        raise MethodError(f"{what}: {entry.value}: expected a Method, found an object of {found}")
+    return cast(Method, method)
 
 
 def method_of(study: Study) -> str:
@@ -50,8 +63,9 @@ def problem_of(name: str, study: Study) -> str:
     problem = _problem(name, study)
     if not problem:
         return ""
-    others = ", ".join(other for other in METHODS if not _problem(other, study))
-    return f"{name} {problem}" + (f"; expected one of {others}" if others else "")
+    own = method_of(study)
+    expected = "" if own == name or _problem(own, study) else f"; expected {own}"
+    return f"{name} {problem}{expected}"
 
 
 def _problem(name: str, study: Study) -> str:

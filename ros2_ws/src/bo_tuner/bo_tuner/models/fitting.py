@@ -1,6 +1,6 @@
 """What all fits share: points, observations, outliers, and when hyperparameters are fitted.
 
-`trial_models` and `pooled_models` say which models these are.
+`pooled_models` says which models these are.
 """
 
 from collections.abc import Callable, Mapping, Sequence

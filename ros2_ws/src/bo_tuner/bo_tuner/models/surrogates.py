@@ -1,6 +1,6 @@
 """What a method models of parameter sets: objective, limits, failures, outliers (Sec. 4.1).
 
-`trial_models` and `pooled_models` make them.
+`pooled_models` makes them.
 """
 
 from collections.abc import Mapping, Sequence

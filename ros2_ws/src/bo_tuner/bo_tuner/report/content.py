@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from bo_tuner.evidence.next_steps import Step
 from bo_tuner.figures.figure import Figure
-from bo_tuner.methods.registry import DEFAULT_METHOD
+from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
 

@@ -11,6 +11,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 
+from bo_tuner.method_names import package_of
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
@@ -18,6 +19,8 @@ from bo_tuner.study.study_file import study_to_yaml
 PACKAGES = ("bo_tuner", "numpy", "scipy", "rclpy")
 OWN_PACKAGE = "bo_tuner"
 SOURCES = "sources_sha256"
+METHOD_PACKAGE = "algorithm_package"
+"""Key of the package that offers the algorithm; none for one of the tuner."""
 STOP_EARLY = "stop_early"
 """Key of the option: a run that goes on keeps it."""
 WINDOW = "window"
@@ -48,7 +51,10 @@ COMMIT = "commit-"
 
 def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
     """Return what works on a run: versions, sources, machine, backend, algorithm and seed."""
+    offered_by = package_of(algorithm)
     packages = [*PACKAGES, *(node.package for node in study.nodes.values() if node.package)]
+    if offered_by:
+        packages.append(offered_by)
     return (
         {
             "study": study.name,
@@ -56,6 +62,7 @@ def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
             "seed": str(study.seed),
             "backend": backend,
             "algorithm": algorithm,
+            **({METHOD_PACKAGE: offered_by} if offered_by else {}),
             "started": datetime.now().astimezone().isoformat(timespec="seconds"),
             "host": platform.node(),
             "process": str(os.getpid()),

@@ -8,12 +8,14 @@ from functools import cached_property
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
+from bo_tuner.method_names import DEFAULT_METHOD, titles
 from bo_tuner.methods.protocol import Method
-from bo_tuner.methods.registry import DEFAULT_METHOD, METHODS
+from bo_tuner.methods.registry import METHODS
 from bo_tuner.plans import Event, finished_after
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
+    METHOD_PACKAGE,
     NAMESPACE,
     RECORD,
     RECORD_LIMIT,
@@ -143,9 +145,8 @@ def read_run(path: Path) -> RunRecord:
     provenance = dict(content.sessions[0])
     provenance.pop(STUDY_YAML, None)
     algorithm = provenance.get("algorithm", "")
-    if algorithm not in METHODS:
-        named = checks.quoted(algorithm) if algorithm else "none"
-        raise RunRecordError(f"{path / JOURNAL}: no known algorithm in its provenance: {named}")
+    if algorithm not in titles():
+        raise RunRecordError(f"{path / JOURNAL}: {_unknown(algorithm, provenance)}")
     return RunRecord(
         path=path,
         study=study,
@@ -184,6 +185,15 @@ def record_of_study(study: Study, path: Path, backend: str) -> RunRecord:
         summary=None,
         damage="",
     )
+
+
+def _unknown(algorithm: str, provenance: Mapping[str, str]) -> str:
+    """Return why the algorithm of a run is none that there is here."""
+    named = checks.quoted(algorithm) if algorithm else "none"
+    if package := provenance.get(METHOD_PACKAGE):
+        owner = checks.quoted(package)
+        return f"its algorithm {named} is of the package {owner}, which is not installed"
+    return f"no known algorithm in its provenance: {named}"
 
 
 def _size(text: str) -> int | None:

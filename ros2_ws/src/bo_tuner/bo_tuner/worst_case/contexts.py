@@ -1,6 +1,6 @@
-"""Shared parts of the worst-case searches: priors, swarm and starting contexts."""
+"""Shared parts of the worst-case searches: priors and swarm."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
@@ -9,15 +9,12 @@ from bo_tuner.models.hyperpriors import Hyperpriors, LogNormal
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.trials import Context, WorstCase
+from bo_tuner.trials import Context
 
 SEARCH_EFFORT = SwarmSettings(particles=40, iterations=25, stall=6)
 
 DECIDED = 2.0
 """Standard deviations between the constrained quantity and the limit that end a search."""
-
-DISTINCT = 0.1
-"""Contexts closer than this in every coordinate of the unit cube count as equal."""
 
 # A few evaluations cannot distinguish noise from a short length scale. The priors state what is
 # expected of a plant in a bounded box: a smooth response, on which the context has more influence
@@ -72,41 +69,3 @@ def maximize_over_contexts(
         settings=SEARCH_EFFORT,
     )
     return space.to_dict(space.to_contexts(maximum.position[None])[0]), maximum.value
-
-
-def worst_contexts_nearby(
-    point: Array,
-    tried: Array,
-    worst_cases: Sequence[WorstCase],
-    space: ContextSpace,
-    count: int,
-) -> list[Context]:
-    """Return the worst contexts of the nearest parameter sets, without duplicates.
-
-    Parameters
-    ----------
-    point
-        Parameter set (d,) in the unit cube.
-    tried
-        Parameter sets (n, d) with a known worst case.
-    worst_cases
-        Worst cases of the n parameter sets.
-    space
-        The context space.
-    count
-        Largest number of contexts; they are taken from 1.5 times as many neighbours.
-    """
-    if space.dimension == 0:
-        return []
-    chosen: list[Context] = []
-    nearest = np.argsort(((tried - point) ** 2).sum(axis=1), kind="stable")
-    for index in nearest[: count + (count + 1) // 2]:
-        candidate = worst_cases[int(index)].context
-        if all(_distance(candidate, other, space) > DISTINCT for other in chosen):
-            chosen.append(candidate)
-    return [dict(context) for context in chosen[:count]]
-
-
-def _distance(a: Context, b: Context, space: ContextSpace) -> float:
-    rows = space.cube_of([a, b])
-    return float(np.abs(rows[0] - rows[1]).max())

@@ -10,10 +10,10 @@ import math
 from bo_tuner.methods.boundary.method import Boundary
 from bo_tuner.methods.boundary.settling import Repetitions
 from bo_tuner.methods.boundary.stage_one import new_point
-from bo_tuner.methods.paper.method import PaperMethod
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.repetitions import most_check_evaluations
 from bo_tuner.study.study import Study
+from tuning_benchmark.paper.method import PaperMethod
 
 
 def divided(method: Method, study: Study, evaluations: int, reserved: int) -> tuple[Method, int]:

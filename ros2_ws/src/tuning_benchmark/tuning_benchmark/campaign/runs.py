@@ -10,8 +10,6 @@ import numpy as np
 
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.boundary.method import Boundary
-from bo_tuner.methods.paper.method import PaperMethod
-from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.registry import METHODS
@@ -22,7 +20,6 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
-from bo_tuner.worst_case.reinterpolation_search import OBSERVED
 from tuning_benchmark.campaign.division import divided, further_trials
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
 from tuning_benchmark.campaign.timed_backend import TimedBackend
@@ -30,6 +27,9 @@ from tuning_benchmark.experiments import plugins
 from tuning_benchmark.experiments.experiment import OWN, RANDOM, Row
 from tuning_benchmark.judging.neighbours import judge_neighbours
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of, verdict_record
+from tuning_benchmark.paper.method import PaperMethod
+from tuning_benchmark.paper.reinterpolation_search import OBSERVED
+from tuning_benchmark.paper.searches import EachTrial
 from tuning_benchmark.peers.adapter import PeerOptimizer, peer_method
 
 MOMENTS = 24
@@ -102,7 +102,7 @@ class Run:
         self._peer: PeerOptimizer | None = None
         if row.optimizer:
             self._peer = PeerOptimizer(whole, plugins.load(row.optimizer)(whole, seed))
-            method = peer_method(row.optimizer, self._peer)
+            method = peer_method(self._peer)
         method = _with_choices(method or METHODS[row.algorithm], row)
         self._evaluations = size.evaluations
         # As many checks as the evaluations allow: what one row spends more, the others lack.
@@ -201,7 +201,7 @@ def _with_choices(method: Method, row: Row) -> Method:
     if row.neighbour_starts is not None:
         search = dataclasses.replace(search, neighbour_starts=row.neighbour_starts)
     if not isinstance(method, (PaperMethod, Boundary)):
-        raise StudyError(f"{row.name}: {method.title} has no other search for the worst context")
+        raise StudyError(f"{row.name}: {row.algorithm} has no other search for the worst context")
     return dataclasses.replace(method, search=search)
 
 

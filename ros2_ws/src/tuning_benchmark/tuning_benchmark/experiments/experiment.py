@@ -11,8 +11,8 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR
 from tuning_benchmark.experiments.optima import Optimum, optimum_of
+from tuning_benchmark.paper.reinterpolation_search import OBSERVED, POSTERIOR
 
 RANDOM, WORST_CASE, OWN = "random", "worst_case", "own"
 

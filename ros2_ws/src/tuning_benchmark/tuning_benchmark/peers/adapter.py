@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bo_tuner.errors import ParameterError
-from bo_tuner.methods.paper.check import CandidateCheck
-from bo_tuner.methods.paper.method import PaperMethod
-from bo_tuner.models.observations import single_evaluation_margin
 from bo_tuner.optimizers import base
 from bo_tuner.optimizers.base import DesignedOptimizer, Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, Value
+from tuning_benchmark.paper.check import CandidateCheck
+from tuning_benchmark.paper.method import PaperMethod
+from tuning_benchmark.paper.single_evaluations import single_evaluation_margin
 from tuning_benchmark.peers.optimizer import Observation, Optimizer, best_observed
 
 ORIGIN = "asked"
@@ -91,9 +91,9 @@ class PeerOptimizer:
         self._optimizer.tell(observation(self._study, trial, self._trials))
 
 
-def peer_method(title: str, peer: base.Optimizer) -> PaperMethod:
+def peer_method(peer: base.Optimizer) -> PaperMethod:
     """Return the method of the paper whose proposals come from another optimizer."""
-    return PaperMethod(title, stage_one=lambda _: peer, check=CandidateCheck(0))
+    return PaperMethod(stage_one=lambda _: peer, check=CandidateCheck(0))
 
 
 def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observation:

@@ -63,8 +63,6 @@ class Boundary(Method):
 
     Attributes
     ----------
-    title
-        Short description.
     models
         Fits the models of all evaluations.
     acquisition
@@ -94,7 +92,6 @@ class Boundary(Method):
     cuts_short: ClassVar[bool] = True
     takes_simulations: ClassVar[bool] = True
 
-    title: str
     models: PooledModels = field(default_factory=PooledModels)
     acquisition: AcquisitionRule = constrained_improvement
     schedule: Schedule = field(default_factory=Schedule)

@@ -6,14 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
-from bo_tuner.methods.contexts import DrawnContexts, FirstContexts
+from bo_tuner.methods.contexts import DrawnContexts
 from bo_tuner.methods.outlook import Outlook, draws_of_outlook
-from bo_tuner.methods.paper.check import CandidateCheck, CheckedAnswer, with_checks
-from bo_tuner.methods.paper.searches import EachTrial
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.searches import SearchRule, search_evaluations, searches_of
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
-from bo_tuner.models.trial_models import TrialModels
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,
@@ -24,6 +21,10 @@ from bo_tuner.optimizers.ranking import Ranking
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Evaluation, Stage, Trial
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
+from tuning_benchmark.paper.check import CandidateCheck, CheckedAnswer, with_checks
+from tuning_benchmark.paper.contexts import FirstContexts
+from tuning_benchmark.paper.searches import EachTrial
+from tuning_benchmark.paper.trial_models import TrialModels
 
 StageOne = Callable[[Study], Optimizer]
 """Makes an optimizer of stage one."""
@@ -35,8 +36,6 @@ class PaperMethod(Method):
 
     Attributes
     ----------
-    title
-        Short description.
     models
         Fits the surrogates.
     acquisition
@@ -54,7 +53,6 @@ class PaperMethod(Method):
         Of the candidates before the answer.
     """
 
-    title: str
     models: FitSurrogates[Surrogates] = field(default_factory=TrialModels)
     acquisition: AcquisitionRule = constrained_improvement
     stage_one: StageOne | None = None

@@ -6,8 +6,8 @@ import pytest
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, TruncatedNormal, Uniform
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import worst_contexts_nearby
-from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
+from tuning_benchmark.paper.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
+from tuning_benchmark.paper.searches import worst_contexts_nearby
 
 LOAD = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 DRAWN = 5

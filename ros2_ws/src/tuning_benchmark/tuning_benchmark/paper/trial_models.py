@@ -10,16 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from bo_tuner.models.constraints import (
-    BELIEVED_FEASIBLE,
-    JointConstraint,
-    LimitedResponse,
-    SurrogateConstraint,
-    log_feasibility,
-)
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE, LimitedResponse, log_feasibility
 from bo_tuner.models.fitting import Fitting
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.observations import single_evaluation_worst_cases
 from bo_tuner.models.protocol import FitModel, Model
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.surrogates import Surrogates
@@ -28,6 +21,8 @@ from bo_tuner.study.constraint import OBJECTIVE, Constraint
 from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
+from tuning_benchmark.paper.constraints import JointConstraint, SurrogateConstraint
+from tuning_benchmark.paper.single_evaluations import single_evaluation_worst_cases
 
 
 class WorstCaseModel(Protocol):

@@ -8,13 +8,17 @@ import numpy as np
 from bo_tuner.methods.searches import ModelSearch, SearchRule
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.observations import joint_observations
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
-from bo_tuner.worst_case.contexts import worst_contexts_nearby
-from bo_tuner.worst_case.joint_search import JointSearch
-from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
+from bo_tuner.trials import Context, Trial, TrialState, WorstCase
+from tuning_benchmark.paper.joint_search import JointSearch
+from tuning_benchmark.paper.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
+
+DISTINCT = 0.1
+"""Contexts closer than this in every coordinate of the unit cube count as equal."""
 
 
 @dataclass(frozen=True)
@@ -114,3 +118,41 @@ class Joint(ModelSearch):
             constraint.sign * y,
             proposal.hyperparameters.get(constraint.name) or None,
         )
+
+
+def worst_contexts_nearby(
+    point: Array,
+    tried: Array,
+    worst_cases: Sequence[WorstCase],
+    space: ContextSpace,
+    count: int,
+) -> list[Context]:
+    """Return the worst contexts of the nearest parameter sets, without duplicates.
+
+    Parameters
+    ----------
+    point
+        Parameter set (d,) in the unit cube.
+    tried
+        Parameter sets (n, d) with a known worst case.
+    worst_cases
+        Worst cases of the n parameter sets.
+    space
+        The context space.
+    count
+        Largest number of contexts; they are taken from 1.5 times as many neighbours.
+    """
+    if space.dimension == 0:
+        return []
+    chosen: list[Context] = []
+    nearest = np.argsort(((tried - point) ** 2).sum(axis=1), kind="stable")
+    for index in nearest[: count + (count + 1) // 2]:
+        candidate = worst_cases[int(index)].context
+        if all(_distance(candidate, other, space) > DISTINCT for other in chosen):
+            chosen.append(candidate)
+    return [dict(context) for context in chosen[:count]]
+
+
+def _distance(a: Context, b: Context, space: ContextSpace) -> float:
+    rows = space.cube_of([a, b])
+    return float(np.abs(rows[0] - rows[1]).max())

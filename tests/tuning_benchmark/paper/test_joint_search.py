@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.models.constraints import JointConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.context_space import CANDIDATES, MOST_CORNER_DIMENSIONS, ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
-from bo_tuner.worst_case.joint_search import JointSearch
+from tuning_benchmark.paper.constraints import JointConstraint
+from tuning_benchmark.paper.joint_search import JointSearch
 
 NOISE = 0.01
 
