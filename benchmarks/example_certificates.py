@@ -40,6 +40,7 @@ class Flights(SequentialBackend):
     name = "judge"
 
     def __init__(self, study: Study, judge: Any) -> None:
+        super().__init__(study)
         self._study = study
         self._judge = judge
 
