@@ -13,6 +13,7 @@ from bo_tuner.evidence.at_bounds import AtBound
 from bo_tuner.evidence.busy import HighLoad, load_in_words
 from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
 from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.estimates import Estimate
 from bo_tuner.evidence.infeasible import Infeasible
 from bo_tuner.evidence.infeasible_words import advice_in_words, reasons_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict
@@ -69,6 +70,8 @@ class Quantity:
         Name of its metric, what screens call that, and the unit.
     default, tuned
         The values; NaN if not known.
+    estimates
+        What they are the values of, if they are means over draws; else None.
     difference
         Their difference, with an interval unless the values are single extremes.
     change
@@ -102,6 +105,7 @@ class Quantity:
     limit: float
     bound: float
     remark: str
+    estimates: tuple[Estimate, Estimate] | None = None
     draws: str = ""
     objective: bool = False
     constraint: str = ""
@@ -115,6 +119,16 @@ class Quantity:
         if isnan(limit):
             return shown(self.default), shown(self.tuned)
         return shown_beside(self.default, limit), shown_beside(self.tuned, limit)
+
+    @property
+    def basis(self) -> str:
+        """Of which runs the numbers are, and of how many draws each if that differs."""
+        kinds = []
+        if self.estimates is not None:
+            default, tuned = self.estimates
+            one = default.kind == tuned.kind or not default.count
+            kinds = [tuned.kind] if one else [f"default by {default.kind}, tuned by {tuned.kind}"]
+        return "; ".join(filter(None, (*kinds, self.draws)))
 
     @property
     def limit_in_words(self) -> str:
@@ -496,11 +510,11 @@ class Verdict:
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:
-        """From how many draws the numbers are where that differs, those alike in a line."""
+        """Of which runs the numbers are, those alike in a line."""
         by_draws: dict[str, list[str]] = {}
         for quantity in self.quantities:
-            if quantity.draws:
-                by_draws.setdefault(quantity.draws, []).append(quantity.label)
+            if quantity.basis:
+                by_draws.setdefault(quantity.basis, []).append(quantity.label)
         return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
 
     def to_mapping(self) -> dict[str, object]:
@@ -522,7 +536,18 @@ class Verdict:
             },
             "confidence_of_differences": CONFIDENCE,
             "quantities": without_nan(
-                [asdict(q) | {"change": str(q.change)} for q in self.quantities]
+                [
+                    asdict(q)
+                    | {
+                        "change": str(q.change),
+                        "estimates": q.estimates
+                        and {
+                            side: asdict(estimate)
+                            for side, estimate in zip((DEFAULT, TUNED), q.estimates, strict=True)
+                        },
+                    }
+                    for q in self.quantities
+                ]
             ),
             "at_bounds": [asdict(bound) for bound in self.at_bounds],
             "infeasible": self.infeasible and without_nan(asdict(self.infeasible)),
