@@ -129,6 +129,7 @@ def main() -> None:
     parser.add_argument(
         "--records", type=Path, default=BENCHMARKS.parent / "docs" / "records", metavar="DIR"
     )
+    parser.add_argument("--runs", type=int, metavar="N", help="of each case; all unless given")
     arguments = parser.parse_args()
     result: dict[str, Any] = {"provenance": provenance(), "cases": {}}
     rows = []
@@ -137,7 +138,7 @@ def main() -> None:
         case = experiment.cases[case_name]
         truth = truth_of(case.study, experiment.judge)
         runs = []
-        for seed, answer in answers(arguments.records, name, case_name):
+        for seed, answer in answers(arguments.records, name, case_name)[: arguments.runs]:
             study, parameters = case.study.replace(seed=seed), answer["parameters"]
             run: dict[str, Any] = {"seed": seed, "believed": answer["believed"]}
             run["feasible"] = answer["truth"]["feasible"]

@@ -49,6 +49,27 @@ def certificates(result: Result) -> list[str]:
     ]
 
 
+def example_certificates(result: Result) -> list[str]:
+    """Tell what the certificates of the third-party examples take."""
+    rows = [
+        [
+            example,
+            run["seed"],
+            "PASS" if run["passed"] else "FAIL",
+            run["evaluations"],
+            f"{run['evaluations'] / run['least']:.1f}",
+        ]
+        for example, runs in result["examples"].items()
+        for run in runs
+    ]
+    return [
+        "Results of the [third-party systems](examples.md) that were tuned over ROS, certified in "
+        "process: their flights are those of the example's own judge, and nothing is known of "
+        "their worst contexts.",
+        markdown(["example", "seed", "verdict", "flights", "times the least"], rows),
+    ]
+
+
 def false_passes(result: Result) -> list[str]:
     """Tell how often parameter sets that break a limit pass, and after how many runs."""
     rows = []

@@ -21,7 +21,7 @@ from bo_tuner.evidence.observed import Observed
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.text import counted, shown, shown_beside, uncapitalized
 from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.effects import ParameterEffects
 
@@ -359,7 +359,7 @@ class Verdict:
                     return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
             case State.UNPROVEN:
-                return f"Not proven: {_uncapitalized(_standing_in_words(self._tuned_limits))}"
+                return f"Not proven: {uncapitalized(_standing_in_words(self._tuned_limits))}"
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
@@ -379,7 +379,7 @@ class Verdict:
         runs = max((limit.runs for limit in self._default_limits.values()), default=0)
         times = f"{over} times" if over > runs else f"{over}"
         beside = f" (default: {times})" if over and not self.is_default else ""
-        return f"{_uncapitalized(text)}{beside}"
+        return f"{uncapitalized(text)}{beside}"
 
     @property
     def trust(self) -> str:
@@ -477,10 +477,11 @@ class Verdict:
             change: [q for q in self.quantities if q.change is change] for change in Change
         }
         better, lower = by_change[Change.BETTER], by_change[Change.LOWER]
+        refuted = self.state is State.INFEASIBLE
         changes = [
             f"{title}: {', '.join(q.gain_in_words for q in chosen)}."
             for title, chosen in (
-                ("Better", better),
+                ("Better, but not within the limits" if refuted else "Better", better),
                 ("Lower", lower),
                 ("Worse", by_change[Change.WORSE]),
                 ("Higher", by_change[Change.HIGHER]),
@@ -511,11 +512,14 @@ class Verdict:
     @property
     def draws_in_words(self) -> tuple[str, ...]:
         """Of which runs the numbers are, those alike in a line."""
-        by_draws: dict[str, list[str]] = {}
+        by_basis: dict[str, list[str]] = {}
         for quantity in self.quantities:
             if quantity.basis:
-                by_draws.setdefault(quantity.basis, []).append(quantity.label)
-        return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
+                by_basis.setdefault(quantity.basis, []).append(quantity.label)
+        means = {q.basis for q in self.quantities if q.estimates is not None}
+        if len(by_basis) == len(means) == 1:
+            return (f"means: {means.pop()}",)
+        return tuple(f"{', '.join(labels)}: {basis}" for basis, labels in by_basis.items())
 
     def to_mapping(self) -> dict[str, object]:
         """Return the verdict as it stands in files and events; a number not known is None."""
@@ -568,10 +572,6 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
         return 2 if quantity.constraint else 3
 
     return tuple(sorted(quantities, key=rank))
-
-
-def _uncapitalized(text: str) -> str:
-    return text[:1].lower() + text[1:]
 
 
 def _keeps_in_words(standing: Standing, limits: Mapping[str, LimitVerdict]) -> str:
