@@ -16,6 +16,7 @@ def certificates(result: Result) -> list[str]:
             *(f"{found['passed']} of {found['certified']}" for found in (answer, infeasible)),
             *(f"{answer['median_evaluations']:g}", answer["most_evaluations"]),
             f"{answer['median_of_least']:.1f}",
+            case.get("commit", result["provenance"]["commit"])[:10],
         ]
         for case in result["cases"].values()
         for answer, infeasible in [(case["answer"], case["infeasible"])]
@@ -43,6 +44,7 @@ def certificates(result: Result) -> list[str]:
                 "evaluations, median",
                 "largest",
                 "times the least",
+                "commit",
             ],
             rows,
         ),
