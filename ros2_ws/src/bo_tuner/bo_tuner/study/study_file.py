@@ -211,8 +211,7 @@ def study_from_mapping(mapping: object) -> Study:
 
 def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
     """Return what a study is made of; what is wrong with a part goes to `findings`."""
-    if not isinstance(mapping, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(mapping)}")
+    mapping = checks.mapping(mapping)
     with findings.under():
         arguments(Study, mapping)
     values = {key: item for key, item in mapping.items() if key in _SECTIONS}
@@ -406,8 +405,7 @@ def _build_named(section: str, cls: type[Any], value: object, findings: Findings
 
 def _build_context(name: str, value: object) -> ContextVariable:
     """Separate the keys of the variable from those of its distribution, on the same level."""
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    value = checks.mapping(value)
     if "distribution" not in value:
         raise StudyError(f"missing; expected one of {', '.join(DISTRIBUTIONS)}", ("distribution",))
     kind = checks.choice(value["distribution"], tuple(DISTRIBUTIONS), "distribution")
