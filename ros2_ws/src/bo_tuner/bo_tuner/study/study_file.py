@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.errors import BackendError, KeyPath, StudyError
-from bo_tuner.interruption import waited_for
+from bo_tuner.interruption import content_of_file
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -89,7 +89,6 @@ def load_study(
     describe: Describe | None = None,
     *,
     of_function: bool = False,
-    interrupted: Callable[[], None] = lambda: None,
 ) -> Study:
     """Read a study.
 
@@ -102,8 +101,6 @@ def load_study(
         be left open.
     of_function : bool
         Whether a file without nodes describes a study of a function, which becomes its only node.
-    interrupted : callable, optional
-        Called while the file is waited for; raises what shall end that.
 
     Returns
     -------
@@ -127,7 +124,7 @@ def load_study(
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
-    text = read_text(Path(name_or_path), source, interrupted)
+    text = read_text(Path(name_or_path), source)
     study = parse_study(text, source, describe, of_function=of_function)
     return _in_folder(study, Path(name_or_path).resolve().parent, source)
 
@@ -344,30 +341,16 @@ def is_path(text: str) -> bool:
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
-def read_text(path: Path, source: str, interrupted: Callable[[], None] = lambda: None) -> str:
+def read_text(path: Path, source: str) -> str:
     """Read a file of the user; errors call it `source`.
-
-    Parameters
-    ----------
-    path
-        Of the file, which may be a pipe, or lie where nothing answers.
-    source
-        Its name.
-    interrupted
-        Called while waiting; raises what shall end the wait.
 
     Raises
     ------
     StudyError
         If it cannot be read, is too large, or is no UTF-8 text.
     """
-
-    def content_of_file() -> bytes:
-        with path.open("rb") as file:
-            return file.read(MAX_BYTES + 1)
-
     try:
-        content = waited_for(content_of_file, check=interrupted)
+        content = content_of_file(path, MAX_BYTES)
     except OSError as error:
         problem = f"cannot be read: {error.strerror or error}"
         raise StudyError(problem, source=source) from None
