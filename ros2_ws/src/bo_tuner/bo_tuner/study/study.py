@@ -446,6 +446,7 @@ class Study:
             If it is not a parameter set of the study.
         """
         space = self.search_space()
+        checks.mapping(given)
         try:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
