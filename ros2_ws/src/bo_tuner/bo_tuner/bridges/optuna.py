@@ -190,8 +190,9 @@ def _suggested(name: str, value: Value, distribution: BaseDistribution) -> Any:
         return value
     choices = distribution.choices if isinstance(distribution, CategoricalDistribution) else ()
     # Of different types 1 would be True.
-    same = [choice for choice in choices if type(choice) is type(value) and choice == value]
-    if not (same or (same := [choice for choice in choices if str(choice) == value])):
+    equal = (choice for choice in choices if type(choice) is type(value) and choice == value)
+    same = [*equal, *(choice for choice in choices if str(choice) == value)]
+    if not same or same[0] is None:
         found = ", ".join(map(checks.show, choices))
         raise StudyError(f"expected choices with {checks.show(value)}, found {found}", (name,))
     return same[0]
