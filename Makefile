@@ -74,7 +74,8 @@ interfaces: setup $(VENV)/.colcon $(VENV)/.interfaces
 	$(BIN)/python requirements/repair_exports.py
 	PATH='$(CURDIR)/$(BIN)':"$$PATH" AMENT_PREFIX_PATH='$(CURDIR)/$(VENV)' \
 		CMAKE_PREFIX_PATH='$(CURDIR)/$(VENV)' $(BIN)/colcon --log-base $(VENV)/log/colcon build \
-		--base-paths '$(INTERFACES)' --build-base $(VENV)/build --install-base $(VENV) --merge-install
+		--base-paths '$(INTERFACES)' --build-base $(VENV)/build --install-base $(VENV) --merge-install \
+		--cmake-args -DBUILD_TESTING=OFF
 	@rm -rf $(VENV)/build
 
 tune: setup

@@ -20,7 +20,7 @@ from typing import Any
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 import numpy as np
-from common import BENCHMARKS, opened, provenance, result_parser, table, write_result
+from common import BENCHMARKS, opened, provenance, read_result, result_parser, table, write_result
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.evidence.certificate.certification import Certification
@@ -129,10 +129,19 @@ def main() -> None:
     parser.add_argument(
         "--records", type=Path, default=BENCHMARKS.parent / "docs" / "records", metavar="DIR"
     )
+    names = [case for _, case in CASES]
+    parser.add_argument("cases", nargs="*", help=f"of {', '.join(names)}; all unless given")
     arguments = parser.parse_args()
-    result: dict[str, Any] = {"provenance": provenance(), "cases": {}}
+    if unknown := set(arguments.cases) - {*names}:
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    known = read_result(arguments.result) or {"cases": {}}
+    for case in known["cases"].values():
+        case.setdefault("commit", known["provenance"]["commit"])
+    result: dict[str, Any] = {"provenance": provenance(), "cases": known["cases"]}
     rows = []
     for name, case_name in CASES:
+        if arguments.cases and case_name not in arguments.cases:
+            continue
         experiment = load_experiment(name)
         case = experiment.cases[case_name]
         truth = truth_of(case.study, experiment.judge)
@@ -154,6 +163,7 @@ def main() -> None:
             runs.append(run)
             print(f"{case_name} {seed}: {run}", flush=True)
         counts: dict[str, Any] = {"title": case.title, "runs": runs}
+        counts["commit"] = result["provenance"]["commit"]
         for which in ("answer", "infeasible"):
             found = counts[which] = summary([run[which] for run in runs if which in run])
             if found:

@@ -7,19 +7,21 @@ time is taken from then on. Where all of them were off for longer than the lease
 have to discover each other anew.
 """
 
+import argparse
 import contextlib
 import multiprocessing
 import os
-import shutil
 import signal
 import statistics
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from busy_computer import busy
 from common import provenance, result_parser, table, write_result
 from guard_faults import (
     KILLED,
@@ -44,6 +46,9 @@ PATIENCE = 1.5
 LEASE = 2.0
 """Time [s] after which ROS takes a process for dead, by the profile of the tests."""
 SEED = 1
+LOADS = (0, 8)
+"""Numbers of busy programs beside them."""
+WITHIN, BEYOND = "within the lease", "beyond the lease"
 
 
 def work(folder: str) -> None:
@@ -137,49 +142,66 @@ def trial(observer: Observer, node: int, rng: np.random.Generator) -> dict[str, 
         return found
 
 
+def series(job: int, jobs: int, arguments: argparse.Namespace) -> list[dict[str, Any] | None]:
+    """Make the schedules of one job, in its own ROS domain, until the time is over."""
+    os.environ.update(isolated_environment(arguments.domain + job))
+    until = time.monotonic() + 60.0 * arguments.minutes
+    rng = np.random.default_rng([SEED, job])
+    made: list[dict[str, Any] | None] = []
+    with tempfile.TemporaryDirectory() as state, machine() as (_, pid):
+        os.environ["XDG_STATE_HOME"] = state
+        observer = Observer()
+        try:
+            while len(made) * jobs + job < arguments.schedules and time.monotonic() < until:
+                made.append(trial(observer, pid.pid, rng))
+        finally:
+            observer.close()
+    return made
+
+
+def figures(found: list[dict[str, Any]], discovery: bool) -> dict[str, Any] | None:
+    """Return how long the machine went on after a stop message was due; None if it never was."""
+    seconds = [f["seconds"] for f in found if f.get("discovery") is discovery]
+    if not seconds:
+        return None
+    return {
+        "schedules": len(seconds),
+        "within 2 s": sum(s <= 2.0 for s in seconds),
+        "median": statistics.median(seconds),
+        "worst": max(seconds),
+    }
+
+
 def main() -> None:
     """Make the schedules and write the result."""
     parser = result_parser(__doc__ or "", "freezes.json")
     parser.add_argument("--schedules", type=int, default=200, help="schedules of freezes")
-    parser.add_argument("--domain", type=int, default=88, help="ROS domain")
+    parser.add_argument("--minutes", type=float, default=60.0, help="the longest time of each load")
+    parser.add_argument("--jobs", type=int, default=1, help="schedules at once")
+    parser.add_argument("--domain", type=int, default=88, help="ROS domain of the first of them")
     arguments = parser.parse_args()
-    os.environ.update(isolated_environment(arguments.domain))
-    state = tempfile.mkdtemp()
-    os.environ["XDG_STATE_HOME"] = state
-    result: dict[str, Any] = {"provenance": provenance(), "seed": SEED}
-    rng = np.random.default_rng(SEED)
-    made: list[dict[str, Any] | None] = []
-    try:
-        with machine() as (_, pid):
-            observer = Observer()
-            try:
-                # Ctrl-C ends them, with what there is by then.
-                with contextlib.suppress(KeyboardInterrupt):
-                    for _ in range(arguments.schedules):
-                        made.append(trial(observer, pid.pid, rng))
-            finally:
-                observer.close()
-    finally:
-        shutil.rmtree(state)
-    found = [schedule for schedule in made if schedule is not None]
-    result["schedules"] = found
-    result["not begun"] = len(made) - len(found)
+    result: dict[str, Any] = {"provenance": provenance(), "seed": SEED, "jobs": arguments.jobs}
     rows = []
-    for discovery in (False, True):
-        seconds = [f["seconds"] for f in found if f.get("discovery") is discovery]
-        if seconds:
-            row = {
-                "schedules": len(seconds),
-                "within 2 s": sum(s <= 2.0 for s in seconds),
-                "median": statistics.median(seconds),
-                "worst": max(seconds),
-            }
-            name = "beyond the lease" if discovery else "within the lease"
-            result[name] = row
-            rows.append([name, *row.values()])
-    write_result(arguments.result, result)
-    print(table(["off the processor", "schedules", "within 2 s", "median [s]", "worst"], rows))
-    print(f"left unsafe: {sum(f['left unsafe'] for f in found)} of {len(found)}")
+    for load in LOADS:
+        spawn = multiprocessing.get_context("spawn")
+        with busy(load), ProcessPoolExecutor(arguments.jobs, spawn) as pool:
+            numbers = range(arguments.jobs)
+            jobs = [pool.submit(series, k, arguments.jobs, arguments) for k in numbers]
+            made = [schedule for job in jobs for schedule in job.result()]
+        found = [schedule for schedule in made if schedule is not None]
+        row: dict[str, Any] = {
+            "schedules": found,
+            "not begun": len(made) - len(found),
+            "left unsafe": sum(f["left unsafe"] for f in found),
+        }
+        for name, discovery in ((WITHIN, False), (BEYOND, True)):
+            if (row_of := figures(found, discovery)) is not None:
+                row[name] = row_of
+                rows.append([load, name, *row_of.values()])
+        result[f"beside {load}"] = row
+        write_result(arguments.result, result)
+    header = ["busy programs", "off", "schedules", "within 2 s", "median [s]", "worst"]
+    print(table(header, rows))
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ paper and other optimizers, is in `docs/results.md`.
 
 SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
+    "example_certificates": ("Certificates of the examples", answers.example_certificates),
     "false_passes": ("Limits that are broken, and passes", answers.false_passes),
     "safe_search": ("Limits broken by a safe search", answers.safety),
     "simulation_prior": ("What a simulation is worth on the machine", answers.simulation_prior),

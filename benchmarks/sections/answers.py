@@ -16,6 +16,7 @@ def certificates(result: Result) -> list[str]:
             *(f"{found['passed']} of {found['certified']}" for found in (answer, infeasible)),
             *(f"{answer['median_evaluations']:g}", answer["most_evaluations"]),
             f"{answer['median_of_least']:.1f}",
+            case.get("commit", result["provenance"]["commit"])[:10],
         ]
         for case in result["cases"].values()
         for answer, infeasible in [(case["answer"], case["infeasible"])]
@@ -43,9 +44,31 @@ def certificates(result: Result) -> list[str]:
                 "evaluations, median",
                 "largest",
                 "times the least",
+                "commit",
             ],
             rows,
         ),
+    ]
+
+
+def example_certificates(result: Result) -> list[str]:
+    """Tell what the certificates of the third-party examples take."""
+    rows = [
+        [
+            example,
+            run["seed"],
+            "PASS" if run["passed"] else "FAIL",
+            run["evaluations"],
+            f"{run['evaluations'] / run['least']:.1f}",
+        ]
+        for example, runs in result["examples"].items()
+        for run in runs
+    ]
+    return [
+        "Results of the [third-party systems](examples.md) that were tuned over ROS, certified in "
+        "process: their flights are those of the example's own judge, and nothing is known of "
+        "their worst contexts.",
+        markdown(["example", "seed", "verdict", "flights", "times the least"], rows),
     ]
 
 

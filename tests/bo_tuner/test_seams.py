@@ -97,7 +97,7 @@ class NearestMean:
     noise_variance = 0.01
 
     @classmethod
-    def fit(cls, x, y, *, rng, minimum_length_scales=None, start=None, keep=False):
+    def fit(cls, x, y, *, rng, **_):
         points, inverse, counts = np.unique(
             np.asarray(x), axis=0, return_inverse=True, return_counts=True
         )

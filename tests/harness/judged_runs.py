@@ -24,14 +24,12 @@ def evaluations(side, parameters, values, stage=Stage.VALIDATION):
 
 
 def validation(study, found):
-    complete = [e.outcome.metrics["error"] for e in found if e.outcome.metrics]
+    complete = [e for e in found if e.outcome.metrics]
     return Validation(
         parameters=found[0].parameters,
         draws=len(found),
         failures=len(found) - len(complete),
         lost=0,
-        objective=sum(complete) / len(complete) if complete else float("nan"),
-        deviation=float("nan"),
         constraints=judge_samples(study, found),
     )
 

@@ -14,6 +14,7 @@ from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.certificate.search_width import SearchWidth
 from bo_tuner.evidence.certificate.store import certificate_text, parameters_sha256
 from bo_tuner.evidence.certificate.winners_curse import Gap
+from bo_tuner.evidence.estimates import Estimate, Source
 from bo_tuner.storage.provenance import provenance, study_sha256
 
 WORST = WorstContext(
@@ -57,7 +58,7 @@ def made_findings(study, parameters, violations, passed):
     )
     # A study without limits has nothing else to fail on.
     failures = 0 if passed or constraints else 1
-    mean = Mean(1.5, 0.02, upper=1.54, lower=1.46)
+    mean = Estimate(1.5, 0.02, 112, Source.CERTIFICATE, False, 1.46, 1.54)
     return Findings(parameters, mean, 1.9, 320, failures, "it stopped", "", 141, constraints)
 
 

@@ -7,6 +7,8 @@ parameter accepts other values at any time, and does nothing then. Words ahead o
     takes the gain when it is configured, and moves while it is active;
 ``active``
     configures and activates itself, as a launch file would do with it;
+``reload``
+    takes it when its service ~/reload is called, which says no to one above 2 if it is limited;
 ``ignores``
     has another way to its settings, and does not look at its arguments;
 ``limited``
@@ -32,6 +34,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 DEFAULT, LIMIT, CLAMP = 0.5, 2.0, 1.5
 
@@ -73,10 +76,20 @@ class Plain(Node):
             gain = CLAMP
             self.set_parameters([Parameter("gain", value=gain)])
         self.servo = Servo(self, gain)
+        self.limited = "limited" in words
+        if "reload" in words:
+            self.create_service(Trigger, "~/reload", self.reload)
         if "clock" in words:
             self.time = 0
             self.clock = self.create_publisher(Clock, "/clock", 10)
             self.create_timer(0.01, self.tick)
+
+    def reload(self, request, answer):
+        gain = self.get_parameter("gain").value
+        answer.success = not (self.limited and gain > LIMIT)
+        answer.message = "" if answer.success else f"a gain of {gain} is too high"
+        self.servo.gain = gain if answer.success else self.servo.gain
+        return answer
 
     def tick(self):
         self.time += 10_000_000

@@ -80,11 +80,19 @@ def test_what_is_none_of_the_study_is_refused(make_function_study, tmp_path, run
     study.tuner(folder).close()
 
 
-def test_what_is_no_earlier_run(make_function_study, tmp_path):
-    with pytest.raises(
-        bt.StudyError, match=r"earlier\[0\]: expected an EarlierRun, found a mapping"
-    ):
-        make_function_study().tuner(tmp_path / "run", earlier=[{"gain": 0.5}])
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        (3, "earlier: expected a list of runs, found 3"),
+        ([{"gain": 0.5}], r"earlier\[0\]: expected an EarlierRun, found a mapping"),
+        ([bt.EarlierRun([0.5])], r"earlier\[0\]: expected a mapping, found a list of 1"),
+        ([bt.EarlierRun({}, {}, 3)], r"earlier\[0\]: expected a mapping, found 3"),
+        ([bt.EarlierRun({}, failure=3)], r"earlier\[0\]\.failure: expected text, found 3"),
+    ],
+)
+def test_what_is_no_earlier_run(make_function_study, tmp_path, runs, said):
+    with pytest.raises(bt.StudyError, match=said):
+        make_function_study().tuner(tmp_path / "run", earlier=runs)
 
 
 def test_an_integer_may_stand_for_a_double(make_function_study, function, tmp_path):

@@ -125,6 +125,7 @@ class TestCertificate:
             ({"gian": 0.5}, "gian"),
             ({"gain": 7.0}, "gain"),
             ({"gain": "much"}, "gain"),
+            ([1], "expected a mapping, found a list of 1"),
         ):
             with pytest.raises(bt.StudyError, match=said):
                 bt.certify(function, study, given)

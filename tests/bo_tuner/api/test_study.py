@@ -108,6 +108,15 @@ def test_all_that_is_wrong_is_told(make_function_study):
     assert error.value.__notes__ == [str(other) for other in error.value.others]
 
 
+@pytest.mark.parametrize("holder", [dict, list])
+def test_a_part_of_itself(make_function_study, holder):
+    part = holder()
+    part.update(gain=part) if isinstance(part, dict) else part.append(part)
+    for given in ({"parameters": {"gain": part}}, {"contexts": part}, {"start": part}):
+        with pytest.raises(bt.StudyError, match="a part of it has itself as a part"):
+            make_function_study(**given)
+
+
 def test_commands_do_not_take_a_file_without_nodes_for_whole():
     with pytest.raises(bt.StudyError, match=r"parameters\.gain\.node: missing"):
         parse_study(TEXT)

@@ -101,7 +101,8 @@ def test_what_the_study_does_not_have(study, suggest, said):
 def test_studies_that_do_not_fit(study):
     sampler = BoTunerSampler(study)
     for directions in (["maximize"], ["minimize", "minimize"]):
-        with pytest.raises(bt.StudyError, match="must minimize 1 value"):
+        found = ", ".join(directions)
+        with pytest.raises(bt.StudyError, match=f"to minimize error, .* found .*: {found}$"):
             optuna.create_study(sampler=sampler, directions=directions).optimize(objective)
     enqueued = optuna.create_study(sampler=sampler)
     enqueued.enqueue_trial({"gain": 0.123})
@@ -163,6 +164,27 @@ def test_choices():
     ):
         with pytest.raises(bt.StudyError, match=said):
             optuna.create_study(sampler=BoTunerSampler(study)).optimize(suggests(*given))
+
+
+def test_choices_that_are_no_texts(tmp_path):
+    """They are texts in the study; of what is alike as text, a text comes first."""
+    choices = [None, 1, "1", 2.5, False]
+    study = bt.Study(
+        name="modes",
+        parameters={"mode": bt.Choice(["None", "1", "2.5", "False"], default="2.5")},
+        metrics=["error"],
+        objective={"metric": "error", "direction": "maximize"},
+        budget=bt.Budget(trials=4, initial_trials=3),
+    )
+    of_optuna = optuna.create_study(direction="maximize", sampler=BoTunerSampler(study))
+    of_optuna.optimize(lambda trial: float(trial.suggest_categorical("mode", choices) is None))
+    shown = {repr(trial.params["mode"]) for trial in of_optuna.trials}
+    assert {"2.5", "None"} <= shown <= {"None", "'1'", "2.5", "False"}
+    assert of_optuna.sampler.result().best == {"mode": "None"}
+    runs = earlier_runs(study, of_optuna)
+    with study.tuner(tmp_path / "again", earlier=runs[:1]) as tuner:
+        assert tuner.ask().trial == 1
+    assert runs[0].parameters == {"mode": "2.5"}
 
 
 def test_one_job_at_a_time(study):

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from commands import start
 
 from bo_tuner.cli.common import attached, in_namespace_of, run_folder
 from bo_tuner.cli.executables import module_of
@@ -24,6 +25,15 @@ def test_version(capsys, name):
         parser.parse_args(["--version"])
     assert caught.value.code == 0
     assert capsys.readouterr().out.startswith(f"{name} {version('bo_tuner')} (commit ")
+
+
+@pytest.mark.parametrize("date", ["x", "1.5", "1" * 30])
+def test_a_time_of_builds_that_is_none(date, tmp_path):
+    """NumPy reads it in an import."""
+    with start("report", "runs/a", folder=tmp_path, env={"SOURCE_DATE_EPOCH": date}) as command:
+        out, err = command.communicate()
+    said = f"error: SOURCE_DATE_EPOCH: expected whole seconds since 1970, found '{date}'\n"
+    assert (command.returncode, out, err) == (2, "", said)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -103,6 +103,22 @@ def test_a_guard_that_ends_in_a_run_is_no_bad_input(name, runs, here, gone_after
         assert json.loads(out.splitlines()[-1]).items() >= {"event": "end", "exit_code": 1}.items()
 
 
+def test_nodes_that_are_gone_between_a_run_and_its_certificate(here, monkeypatch):
+    first = iter([InProcessBackend.open])
+
+    def open_once(backend):
+        if (opened := next(first, None)) is None:
+            raise BackendError(GONE)
+        opened(backend)
+
+    monkeypatch.setattr(InProcessBackend, "open", open_once)
+    code, _, err = here(tune, *NEW, *NOTIFY, "--certify")
+    assert code == 1, err
+    assert err.count(GONE) == 1
+    said = Path("told").read_text()
+    assert said.startswith(f"1|no certificate: error: {GONE}; continue with: validate runs/")
+
+
 def test_nodes_that_are_not_there_are_bad_input(here, monkeypatch):
     """Nothing has begun, and nobody is told."""
 

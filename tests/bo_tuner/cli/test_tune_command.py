@@ -95,7 +95,8 @@ class TestRun:
         summary = json.loads((folder / "summary.json").read_text())
         assert summary["feasible"] is True
         assert summary["tuned"]["draws"] == summary["default"]["draws"] == 5
-        assert summary["tuned"]["objective"] < summary["default"]["objective"]
+        (error,) = [q for q in summary["verdict"]["quantities"] if q["objective"]]
+        assert error["tuned"] < error["default"]
         # One plain line for each trial, none broken, and the table on stdout alone.
         lines = err.splitlines()
         assert len(rows(lines)) == 5

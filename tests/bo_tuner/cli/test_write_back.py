@@ -1,11 +1,12 @@
 """``apply --write``: a result in a user's own parameter file."""
 
+import os
 import shlex
 import subprocess
 import sys
 
 import pytest
-from in_process import Uninterrupted, call
+from in_process import Uninterrupted, call, complaint
 from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.cli import apply as command
@@ -157,6 +158,12 @@ class TestNothingIsWritten:
         assert (code, out) == (2, "")
         assert err.startswith(f"error: {own}:{problem}")
         assert text is None or own.read_bytes() in (text, str(text).encode())
+
+    def test_into_a_pipe(self, record, own, capsys):
+        own.unlink()
+        os.mkfifo(own)
+        said = complaint(command, capsys, record.path, "--write", own, "--yes")
+        assert said == f"error: {own}: expected a file"
 
 
 def test_the_node_of_the_namespace_that_is_named(record, own, capsys):

@@ -55,6 +55,9 @@ class FakeNodes:
         if node in self.silent and values == NEW[node]:
             raise NodeError(f"{node}: does not answer within 5 s")
 
+    def is_configured(self, node):
+        return False
+
     def wait(self, period):
         """Time is nothing to these."""
 
@@ -113,6 +116,32 @@ class TestSetValues:
             set_values(nodes, OLD, NEW)
         assert complaint in str(caught.value)
         assert nodes.values == OLD
+
+    def test_a_node_that_is_configured_has_them_in_force_at_the_end_and_after_a_failure(self):
+        class Configured(FakeNodes):
+            def __init__(self, **trouble):
+                super().__init__(**trouble)
+                self.in_force = dict(OLD)
+
+            def is_configured(self, node):
+                return node == "drive"
+
+            def configure(self, node):
+                if self.values[node] == NEW[node] and self.refusing:
+                    raise NodeError("drive cannot be configured")
+                self.in_force = {**self.in_force, node: dict(self.values[node])}
+
+        nodes = Configured()
+        set_values(nodes, OLD, NEW)
+        assert nodes.in_force["drive"] == NEW["drive"]
+        nodes.in_force = {}
+        set_values(nodes, NEW, NEW)
+        assert nodes.in_force["drive"] == NEW["drive"]
+        nodes = Configured(refusing=("nobody",))
+        with pytest.raises(ApplyError, match="cannot be configured; previous values of drive, "):
+            set_values(nodes, OLD, NEW)
+        assert nodes.values == OLD
+        assert nodes.in_force["drive"] == OLD["drive"]
 
     def test_a_refusal_of_the_first_node_changes_nothing(self):
         nodes = FakeNodes(refusing=("drive",))

@@ -74,13 +74,17 @@ def observed(study, offset):
 def test_a_difference_that_the_context_explains_has_a_narrow_interval(make_study):
     """Half widths of 1.96 / √25 and a third of that, in standard deviations, about."""
     study = make_study(constraints={})
-    default, tuned = observed(study, 0.0), observed(study, 1.0)
+    default, tuned = observed(study, 2.0), observed(study, 3.0)
     (error,) = [q for q in quantities(study, default, tuned, {}, {}, {}) if q.metric == "error"]
     half = 0.5 * (error.difference.high - error.difference.low)
     assert 0.08 < half < 0.22
     assert error.tuned - error.default == pytest.approx(error.difference.mean)
+    known = error.default
     # Where draws failed, the contexts of the others are no sample of their distribution.
     fewer = {k: m for k, m in tuned.drawn.items() if k}
     failed = Observed(fewer, 25, contexts=tuned.contexts)
     (error,) = [q for q in quantities(study, default, failed, {}, {}, {}) if q.metric == "error"]
     assert 0.3 < 0.5 * (error.difference.high - error.difference.low) < 0.6
+    # What the other set did is no matter of the default's own draws.
+    assert error.default == known
+    assert [estimate.adjusted for estimate in error.estimates] == [True, False]

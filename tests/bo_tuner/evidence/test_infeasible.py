@@ -76,6 +76,14 @@ class TestFacts:
         assert (found.blocker, found.blocking) == (Blocker.LIMITS, ("peak", "slow"))
         assert found.loosened == ((Loosened("peak", 1.5), Loosened("slow", 1.6)),)
 
+    def test_a_limit_of_zero_is_as_large_as_the_values_beside_it(self, facts):
+        """In units a thousand times as large the same trial is the nearest."""
+        for unit in (1.0, 1000.0):
+            limits = {**MEANS, "peak": MEANS["peak"] | {"upper": 0.0}}
+            found = facts((0.2 * unit, 1.5), (1.0 * unit, 1.1), constraints=limits)
+            assert (found.nearest.trial, found.nearest.limit) == (0, "slow")
+            assert found.nearest.excess == pytest.approx(0.5)
+
     def test_the_nearest_is_so_to_all_limits_at_once(self, facts):
         """Trial 0 is the nearest to one limit, and 300 % beyond the other."""
         assert facts((1.01, 4.0), (1.5, 2.0)).nearest == Nearest(1, "slow", 2.0, 1.0)

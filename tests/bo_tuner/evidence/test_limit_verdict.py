@@ -1,7 +1,5 @@
 """What is said of a limit: a count, what it permits, and kept only where that is shown."""
 
-import math
-
 import pytest
 from scipy.stats import binomtest
 
@@ -45,7 +43,7 @@ def validation(study, evaluations):
     lost = sum(e.outcome.state is EvaluationState.LOST for e in evaluations)
     failed = sum(e.outcome.state is EvaluationState.FAILED for e in evaluations)
     return Validation(
-        dict(evaluations[0].parameters), len(evaluations), failed, lost, 1.0, math.nan,
+        dict(evaluations[0].parameters), len(evaluations), failed, lost,
         judge_samples(study, evaluations),
     )  # fmt: skip
 

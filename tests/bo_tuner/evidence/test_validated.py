@@ -29,7 +29,7 @@ def validation(study, violations):
         )
         for name, count in violations.items()
     }
-    return Validation(study.search_space().defaults, 25, 0, 0, 0.2, 0.01, samples)
+    return Validation(study.search_space().defaults, 25, 0, 0, samples)
 
 
 @pytest.mark.parametrize(
@@ -116,8 +116,6 @@ def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
         8,
         8,
         0,
-        math.nan,
-        math.nan,
         {"peak": Sample("peak", math.nan, 0, 0, 0, Standing.VIOLATED)},
     )
     found = validated(study, 0, none, none, (), (), doubt="")

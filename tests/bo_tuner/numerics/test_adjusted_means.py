@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.numerics.adjusted_means import MeanInterval, adjusted_mean
+from bo_tuner.numerics.adjusted_means import adjusted_mean
 
 
 def test_without_covariates_it_is_students_interval():
@@ -15,6 +15,8 @@ def test_without_covariates_it_is_students_interval():
     interval = stats.ttest_1samp(values, 0.0).confidence_interval(0.9)
     assert (found.low, found.high) == pytest.approx(tuple(interval), rel=1e-12)
     assert found.mean == pytest.approx(np.mean(values))
+    assert found.error == pytest.approx(stats.sem(values))
+    assert not found.adjusted
 
 
 def test_it_is_the_intercept_with_the_sandwich_of_its_variance():
@@ -30,6 +32,8 @@ def test_it_is_the_intercept_with_the_sandwich_of_its_variance():
     half = stats.t.ppf(0.975, 16) * np.sqrt(variance)
     found = adjusted_mean(values, covariates, 0.95)
     assert found.mean == pytest.approx(beta[0], rel=1e-12)
+    assert found.error == pytest.approx(np.sqrt(variance))
+    assert found.adjusted
     assert (found.low, found.high) == pytest.approx((beta[0] - half, beta[0] + half), rel=1e-9)
 
 
@@ -41,7 +45,9 @@ def test_a_response_that_the_covariates_explain_has_its_expectation_exactly():
 
 def test_equal_values_have_no_scatter():
     covariates = np.random.default_rng(4).standard_normal((10, 2))
-    assert adjusted_mean(np.full(10, 0.3), covariates, 0.95) == MeanInterval(0.3, 0.3, 0.3)
+    found = adjusted_mean(np.full(10, 0.3), covariates, 0.95)
+    assert (found.mean, found.low, found.high) == (0.3, 0.3, 0.3)
+    assert found.error < 1e-16
 
 
 @pytest.mark.parametrize("column", [np.zeros(10), np.ones(10), np.eye(10)[0]])
@@ -54,7 +60,8 @@ def test_covariates_that_the_draws_do_not_tell_apart_are_left_out(column):
 
 def test_too_few_values_bound_nothing():
     one = adjusted_mean(np.array([2.0]), np.empty((1, 0)), 0.95)
-    assert one == MeanInterval(2.0, -inf, inf)
+    assert (one.mean, one.low, one.high, one.adjusted) == (2.0, -inf, inf, False)
+    assert isnan(one.error)
     none = adjusted_mean(np.empty(0), np.empty((0, 0)), 0.95)
     assert isnan(none.mean)
     assert isinf(none.low)

@@ -410,12 +410,13 @@ class TestWithoutNoise:
         assert all(c.believed_feasible for c in ranked[: len(kept)])
         assert not any(c.believed_feasible for c in ranked[len(kept) :])
 
+    @pytest.mark.parametrize("method", ["boundary", "IV", "V"])
     @pytest.mark.parametrize("cost", [LANDSCAPES["Rastrigin"], katsuura])
-    def test_models_go_through_the_runs(self, make_study, make_trial, cost):
+    def test_models_go_through_the_runs(self, make_study, make_trial, cost, method):
         """What is rough is no noise."""
         study = self.study(make_study, constraints={})
         trials = self.runs(study, make_trial, cost)
-        model = METHODS["boundary"].ranking.models(study, trials).objective
+        model = METHODS[method].ranking.models(study, trials).objective
         x = study.search_space().cube_of(trial.parameters for trial in trials)
         values = [trial.observations("error")[0] for trial in trials]
         assert np.abs(model.predict_mean(x) - values).max() < 1e-3 * np.std(values)

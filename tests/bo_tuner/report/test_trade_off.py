@@ -1,4 +1,4 @@
-"""The observed Pareto front, and what other limits would cost."""
+"""The Pareto front of the trials, and what other limits would cost."""
 
 import itertools
 from dataclasses import replace

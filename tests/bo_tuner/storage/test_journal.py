@@ -94,7 +94,7 @@ NOTED = Notes(
 
 class TestRoundTrip:
     @given(
-        parameters=st.dictionaries(names, finite | st.integers(-(2**63), 2**63 - 1)),
+        parameters=st.dictionaries(names, finite | st.integers(1 - 2**63, 2**63 - 1)),
         context=st.dictionaries(names, finite),
         metrics=st.dictionaries(names, measured),
         details=st.dictionaries(texts, texts),
@@ -104,16 +104,7 @@ class TestRoundTrip:
         warnings=st.lists(texts, max_size=2).map(tuple),
     )
     def test_bit_for_bit(
-        self,
-        tmp_path_factory,
-        parameters,
-        context,
-        metrics,
-        details,
-        reason,
-        load,
-        worst,
-        warnings,
+        self, tmp_path_factory, parameters, context, metrics, details, reason, load, worst, warnings
     ):
         whole = evaluation(
             context=context, outcome=Outcome(EvaluationState.COMPLETE, metrics, "", details, load)

@@ -46,6 +46,15 @@ def test_it_is_in_the_file_of_the_run():
 
 
 @pytest.mark.parametrize(
+    "way", [True, "controller_manager", [{"call": {"service": "/pid/reload"}}]]
+)
+def test_a_node_that_is_configured_anew_takes_its_values_so(way):
+    study = make({"at_start": False, "reconfigure": way})
+    assert study.start_names == make().start_names
+    assert parse_study(study_to_yaml(study)) == study
+
+
+@pytest.mark.parametrize(
     ("pid", "complaint"),
     [
         ({"at_start": ["q"]},
@@ -58,8 +67,13 @@ def test_it_is_in_the_file_of_the_run():
          "nodes.pid.at_start: expected true, or the names of parameters of the study, found text "
          "'p'"),
         ({"at_start": [1]}, "nodes.pid.at_start[0]: expected text, found 1"),
-        ({"at_start": False, "reconfigure": True},
-         "nodes.pid.reconfigure: belongs to a node with at_start; add at_start: true"),
+        ({"reconfigure": "manager"},
+         "nodes.pid.reconfigure: expected true, controller_manager, or a list of steps that are "
+         "calls or lifecycle, found text 'manager'"),
+        ({"reconfigure": [{"call": {"service": "reload"}}, {"wait": 1.0}]},
+         "nodes.pid.reconfigure[1]: expected a call or a lifecycle"),
+        ({"reconfigure": [{"call": {"servce": "reload"}}]},
+         "nodes.pid.reconfigure[0].call.servce: unknown key; did you mean 'service'?"),
         ({"at_start": False, "parameter_file": "a.yaml"},
          "nodes.pid.parameter_file: belongs to a node with at_start; add at_start: true"),
         ({"at_start": False, "command": "pid --params {parameter_file}"},

@@ -114,13 +114,28 @@ def test_a_tuned_node_is_not_configured_with_its_safe_parameters():
     parked = put([configure], "run", "before") | {"park": {"between_runs": True}}
     with pytest.raises(StudyError, match=r"^park\.between_runs: a step of run\.before"):
         study_from_mapping(parked)
+    manager = "/controller_manager"
+    switch = {
+        "service": f"{manager}/switch_controller",
+        "request": {"activate_controllers": ["pid"]},
+    }
+    for call in (
+        switch,
+        {"service": f"{manager}/configure_controller", "request": {"name": "pid"}},
+        {"service": "/pid/change_state", "request": {"transition": {"id": 1}}},
+    ):
+        with pytest.raises(StudyError, match=r"configures pid, which has the safe parameters"):
+            study_from_mapping(parked | put([{"call": call}], "run", "before"))
     astray = put([configure], "run", "before") | {"park": {"between_runs": True}}
     astray["parameters"]["kp"]["node"] = "pdi"
     with pytest.raises(StudyError, match="there is no node 'pdi'"):
         study_from_mapping(astray)
     other = {"lifecycle": {"node": "/camera", "transition": "configure"}}
+    reset = {"call": {"service": "/pid/reset"}}
+    elsewhere = {"call": switch | {"request": {"activate_controllers": ["arm"]}}}
     for allowed in (
         put([configure], "run", "before"),
+        put([reset, elsewhere], "run", "before") | {"park": {"between_runs": True}},
         put([other], "run", "before") | {"park": {"between_runs": True}},
     ):
         study_from_mapping(allowed)

@@ -3,6 +3,7 @@
 import math
 import os
 import pickle
+import signal
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
@@ -11,7 +12,10 @@ from drive_text import STUDY
 
 from bo_tuner import package_files
 from bo_tuner.errors import BoTunerError, PackageFilesError, StudyError
+from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.study import strict_yaml
+from bo_tuner.study.reference_table import read_table
 from bo_tuner.study.study_file import (
     load_study,
     parse_study,
@@ -241,16 +245,24 @@ class TestFiles:
         with pytest.raises(StudyError, match="cannot be read: File name too long"):
             load_study("a" * 5000 + ".yaml")
 
-    def test_a_pipe_into_which_nobody_writes_is_not_waited_for_beyond_a_signal(self, tmp_path):
-        class Stop(BaseException):
-            pass
-
-        def interrupted():
-            raise Stop
-
+    @pytest.mark.usefixtures("handlers")
+    @pytest.mark.parametrize(
+        "read",
+        [
+            load_study,
+            lambda path: read_parameter_set(path, load_study("benchmark")),
+            lambda path: read_table(path, "t", "r"),
+        ],
+        ids=["study", "parameters", "table"],
+    )
+    def test_a_pipe_into_which_nobody_writes_is_not_waited_for_beyond_a_signal(
+        self, tmp_path, read
+    ):
         os.mkfifo(tmp_path / "pipe.yaml")
-        with pytest.raises(Stop):
-            load_study(tmp_path / "pipe.yaml", interrupted=interrupted)
+        Interruption()
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            read(tmp_path / "pipe.yaml")
 
 
 def spec_at(package):

@@ -157,6 +157,16 @@ class TestServed:
         assert headers["Content-Type"] == "application/octet-stream"
         assert headers["Content-Disposition"] == "attachment; filename*=UTF-8''study.yaml"
 
+    def test_a_download_that_is_broken_off_is_no_fault(self, served, folder):
+        (folder / "first" / "large").write_bytes(bytes(100_000_000))
+        with socket.create_connection(("127.0.0.1", served.port)) as reader:
+            asked = f"GET /runs/first/files/large?token={served.token} HTTP/1.1\r\n"
+            reader.sendall(f"{asked}Host: 127.0.0.1:{served.port}\r\n\r\n".encode())
+            assert reader.recv(1)
+        # The next answer comes from the same loop, after that.
+        assert served.ask("/runs")[0] == 200
+        assert served.end() == (130, "interrupted by SIGINT\n")
+
     @pytest.mark.parametrize(
         "path",
         ["none", "deploy", "../second/study.yaml", "%2e%2e/second/study.yaml", ".lock",

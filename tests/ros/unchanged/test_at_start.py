@@ -351,6 +351,86 @@ def test_a_lifecycle_node_can_be_configured_anew_in_place_of_a_start(backend):
     assert pid_of(made) == first
 
 
+RELOAD = {"at_start": False, "reconfigure": [{"call": {"service": "servo/reload"}}]}
+
+
+def test_values_come_into_force_by_steps_of_the_study(running, backend):
+    """Parked between two runs, and in the end, it goes by what it had."""
+    running("reload")
+    parked = study("reload", node=RELOAD, park={"between_runs": True})
+    made = backend(parked, attach=True)
+    for gain in (1.0, 2.0):
+        # What was published last before the start is of the safe value.
+        assert run(made, gain).metrics["used"] == gain
+        assert heard() == SAFE
+    made.close()
+    assert heard() == SAFE
+
+
+def test_steps_that_say_no_fail_the_trial_and_not_the_next(running, backend):
+    running("reload", "limited")
+    made = backend(study("reload", node=RELOAD), attach=True)
+    refused = run(made, 3.0)
+    assert refused.state is EvaluationState.FAILED
+    assert "a gain of 3.0 is too high" in refused.reason
+    assert complete(made, 1.0).metrics["used"] == 1.0
+    made.close()
+    assert heard() == SAFE
+
+
+def test_steps_that_nothing_performs(running, backend):
+    running("reload")
+    astray = [{"call": {"service": "servo/reloads"}}]
+    with pytest.raises(
+        StudyError, match=r"^nodes\.servo\.reconfigure\[0\]\.call\.service: there is"
+    ):
+        backend(study("reload", node=RELOAD | {"reconfigure": astray}), attach=True)
+
+
+def test_a_node_without_the_services_of_a_manager(running, backend):
+    running()
+    where = r"^nodes\.servo\.reconfigure: "
+    with pytest.raises(StudyError, match=where + "there is no service /controller_manager/list"):
+        backend(study(node={"reconfigure": "controller_manager"}), attach=True)
+
+
+def test_a_tuner_that_is_killed_leaves_a_node_reloaded(running, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    running("reload")
+    guarded = study(
+        "reload",
+        node=RELOAD | {"command": None},
+        run={"end": {"when": "t > 50"}, "timeout": 60.0},
+        park={"parameters": {"gain": 0.25}},
+    )
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(guarded))
+    check = Fork("check", "servo.yaml", folder=tmp_path)
+    wait_until(lambda: heard("angle") > 0.1, "a run", check)
+    check.kill()
+    check.communicate()
+    wait_until(lambda: heard() == 0.25, "safe values in force")
+
+
+def test_apply_brings_values_into_force_and_back(running, empty_domain, tmp_path):
+    """Also where they read so already: what was read at the last reload cannot be told."""
+    running("reload")
+    mapping = study_to_mapping(study("reload", node=RELOAD | {"command": None}))
+    mapping["metrics"]["off"] = {"of": "abs(used - 1.5)", "measure": "maximum"}
+    mapping |= {"objective": {"metric": "off"}}
+    mapping["budget"] |= {"drawn_contexts": 1, "validation_draws": 2}
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study_from_mapping(mapping)))
+    code, _, err = finish(Fork("tune", "--study", "servo.yaml", "--attach", folder=tmp_path))
+    assert code == 0, err
+    folder = (tmp_path / "runs" / "latest").resolve()
+    gain = read_run(folder).result.parameters["gain"]
+    assert heard() == SAFE
+    for words, used in ((("--without-certificate",), gain), (("--rollback",), SAFE)):
+        code, out, err = finish(Fork("apply", folder, "--yes", *words, folder=tmp_path))
+        assert code == 0, err
+        assert "in force: servo was configured anew" in " ".join(out.split())
+        assert heard() == used
+
+
 def test_nobody_starts_the_node(backend):
     nodes = {
         "servo": {"node": "servo", "at_start": True},

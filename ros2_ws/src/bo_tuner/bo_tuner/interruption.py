@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
@@ -179,6 +180,35 @@ def waited_for(
         if error is not None:
             raise error
         return value  # type: ignore[return-value]
+
+
+def content_of_file(path: Path, most: int) -> bytes:
+    """Return a file that a user has named, which may be a pipe, or lie where nothing answers.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    most
+        Largest size [byte]; of a larger one there is a byte more.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read, or in the `PROMISED` time.
+    Interrupted
+        If the end of the command is asked for meanwhile.
+    """
+
+    def read() -> bytes:
+        with path.open("rb") as file:
+            return file.read(most + 1)
+
+    # Whoever reads files need not know who takes the signals of this process.
+    taking = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
+    if isinstance(taking, Interruption):
+        return waited_for(read, check=taking.check)
+    return waited_for(read)
 
 
 class Pause:

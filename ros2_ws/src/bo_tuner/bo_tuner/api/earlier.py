@@ -52,8 +52,8 @@ class EarlierRun:
     failure: str = ""
 
 
-def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Carried:
-    """Make trials of earlier runs, those of one parameter set in one.
+def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Carried | None:
+    """Make trials of earlier runs, those of one parameter set in one; None of none.
 
     Nobody knows how their contexts were chosen: they count as those of a search, and not as drawn.
 
@@ -73,6 +73,10 @@ def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Ca
     RunRecordError
         If the study permits none of their parameter sets.
     """
+    if not isinstance(runs, Iterable):
+        raise StudyError(f"expected a list of runs, found {checks.show(runs)}", (EARLIER,))
+    if not (runs := list(runs)):
+        return None
     if study.relative_metrics:
         raise StudyError("expected none, since limits are relative to the default", (EARLIER,))
     trials = _trials(study, runs)
@@ -97,7 +101,11 @@ def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
         try:
             values = _parameters(study, run.parameters)
             context = _context(study, run.context)
-            outcome = failed(run.failure) if run.failure else returned.outcome(run.metrics)
+            outcome = (
+                failed(checks.text(run.failure, "failure"))
+                if run.failure
+                else returned.outcome(run.metrics)
+            )
         except StudyError as error:
             raise error.under(EARLIER, index) from None
         except MetricsError as error:
@@ -106,8 +114,6 @@ def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
         stage = Stage.SEARCH if study.contexts else Stage.DRAWN
         planned = Evaluation(len(by_set) - 1, len(of_set), stage, values, context, index)
         of_set.append(replace(planned, outcome=outcome))
-    if not by_set:
-        raise StudyError("expected at least one run", (EARLIER,))
     return [_trial(number, evaluations) for number, evaluations in enumerate(by_set.values())]
 
 
@@ -136,6 +142,7 @@ def _context(study: Study, given: Mapping[str, Value]) -> Context:
 
 
 def _known(given: Mapping[str, Value], names: Iterable[str]) -> Mapping[str, Value]:
+    checks.mapping(given)
     if unknown := [name for name in given if name not in names]:
         raise StudyError(f"unknown; expected one of {', '.join(names)}", (unknown[0],))
     return given

@@ -100,8 +100,7 @@ class OpenRun:
             if folder.journal.exists():
                 known, damage = salvage(folder.journal)
                 known = withdraw_lost(folder.journal, known)
-            elif first := list(earlier):
-                carried = first_trials(study, self.method, first)
+            elif (carried := first_trials(study, self.method, earlier)) is not None:
                 known = carried.content
             self.on_record = OnRecord(study, known.to_give_again)
             self.known = continued(

@@ -79,7 +79,11 @@ class Study:
             **sections,
         }
         with _with_other_problems():
-            self._study = study_from_mapping(with_function(plain(given)))
+            try:
+                content = plain(given)
+            except RecursionError:
+                raise StudyError("a part of it has itself as a part") from None
+            self._study = study_from_mapping(with_function(content))
         returned_metrics(self._study)
 
     @classmethod

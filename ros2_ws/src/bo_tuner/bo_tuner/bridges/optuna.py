@@ -35,7 +35,7 @@ class BoTunerSampler(BaseSampler):
     """Lets an Optuna study carry out a run: each of its trials is one run, in one context.
 
     The objective suggests parameters and context variables by their names in the study, in any
-    order. It returns the metric to be minimized (several: with `further_objectives`), and sets each
+    order. It returns the metric of the objective (several: with `further_objectives`) and sets each
     other metric by ``trial.set_user_attr(name, value)``. `run` has the seed of the noise. A run
     that fails for its parameters raises ``optuna.TrialPruned``. A trial that fails otherwise, or is
     interrupted, tells nothing of them, as in Optuna: its run is made again by the next one.
@@ -88,10 +88,14 @@ class BoTunerSampler(BaseSampler):
 
     def before_trial(self, study: OptunaStudy, trial: FrozenTrial) -> None:
         """Take the trial for the run that is due."""
-        count = len(self._study.checked.objectives)
-        if study.directions != [StudyDirection.MINIMIZE] * count:
+        objectives = self._study.checked.objectives
+        expected = [StudyDirection[objective.direction.upper()] for objective in objectives]
+        if study.directions != expected:
+            wanted = [f"{o.direction} {o.metric}" for o in objectives]
+            found = [direction.name.lower() for direction in study.directions]
             raise StudyError(
-                f"the Optuna study must minimize {counted(count, 'value')}, the objectives"
+                f"expected an Optuna study to {' and '.join(wanted)}, as the study of this "
+                f"sampler, found one with {counted(len(found), 'direction')}: {', '.join(found)}"
             )
         self._trial = trial.number
         self.run(trial)
@@ -105,8 +109,11 @@ class BoTunerSampler(BaseSampler):
     def sample_relative(
         self, study: OptunaStudy, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """Return nothing, as there is no such search space."""
-        return {}
+        """Return the values of what is looked up anyway, one by one."""
+        return {
+            name: self.sample_independent(study, trial, name, distribution)
+            for name, distribution in search_space.items()
+        }
 
     def sample_independent(
         self,
@@ -127,17 +134,7 @@ class BoTunerSampler(BaseSampler):
         if param_name not in values:
             known = checks.suggestion(param_name, values)
             raise StudyError(f"is no parameter and no context of the study; {known}", (param_name,))
-        value = values[param_name]
-        if isinstance(param_distribution, FloatDistribution | IntDistribution):
-            low, high = param_distribution.low, param_distribution.high
-            if not isinstance(value, int | float) or not low <= value <= high:
-                raise StudyError(
-                    f"expected a range with {checks.show(value)}, found {low:g} to {high:g}",
-                    (param_name,),
-                )
-        elif isinstance(param_distribution, CategoricalDistribution):
-            _check_choices(param_name, value, param_distribution.choices)
-        return value
+        return _suggested(param_name, values[param_name], param_distribution)
 
     def after_trial(
         self,
@@ -174,21 +171,45 @@ class BoTunerSampler(BaseSampler):
                 study.stop()
 
 
-def _check_choices(name: str, value: Value, choices: Sequence[object]) -> None:
-    """Refuse choices without a value; Optuna would take 1 for True."""
-    if not any(type(choice) is type(value) and choice == value for choice in choices):
+def _suggested(name: str, value: Value, distribution: BaseDistribution) -> Any:
+    """Return the value of a distribution that stands for one of the study.
+
+    Choices that are no texts have theirs in the study: ``"None"`` stands for None.
+
+    Raises
+    ------
+    StudyError
+        If there is none.
+    """
+    if isinstance(distribution, FloatDistribution | IntDistribution):
+        low, high = distribution.low, distribution.high
+        if not isinstance(value, int | float) or not low <= value <= high:
+            raise StudyError(
+                f"expected a range with {checks.show(value)}, found {low:g} to {high:g}", (name,)
+            )
+        return value
+    choices = distribution.choices if isinstance(distribution, CategoricalDistribution) else ()
+    # Of different types 1 would be True.
+    equal = (choice for choice in choices if type(choice) is type(value) and choice == value)
+    same = [*equal, *(choice for choice in choices if str(choice) == value)]
+    if not same or same[0] is None:
         found = ", ".join(map(checks.show, choices))
         raise StudyError(f"expected choices with {checks.show(value)}, found {found}", (name,))
+    return same[0]
 
 
 def _check_suggested(run: Run, trial: FrozenTrial) -> None:
     """Refuse values that are not those of the run, as of a trial that was enqueued."""
     asked = {**run.context, **run.parameters}
     for name, value in trial.params.items():
-        if name in asked and asked[name] != value:
+        if name not in asked:
+            continue
+        expected = _suggested(name, asked[name], trial.distributions[name])
+        if value != expected:
             raise StudyError(
-                f"expected {checks.show(asked[name])}, as asked for, found "
-                f"{checks.show(value)}: trials cannot be enqueued, nor parameters fixed",
+                f"expected {checks.show(expected)}, as asked for, found {checks.show(value)}: "
+                "trials cannot be enqueued (the study's `start` has values to begin with), nor "
+                "parameters fixed (its `parameters` can fix them)",
                 (name,),
             )
 
@@ -226,7 +247,11 @@ def earlier_runs(study: Study, optuna_study: OptunaStudy) -> list[EarlierRun]:
     names = study.checked.parameters
     return [
         EarlierRun(
-            {name: value for name, value in trial.params.items() if name in names},
+            {
+                name: str(value) if isinstance(names[name].default, str) else value
+                for name, value in trial.params.items()
+                if name in names
+            },
             _metrics(study, trial, trial.values or []),
             {name: value for name, value in trial.params.items() if name not in names},
             PRUNED if trial.state is TrialState.PRUNED else "",

@@ -71,6 +71,7 @@ with instead: only its values change, the previous file is kept beside it.
 
 Nothing is set on nodes that take parameters only while they start (at_start in
 the study): the file to start them with is named, and that a start is needed.
+Those that take them when they are configured (reconfigure) are configured anew.
 """
 
 EPILOG = """\
@@ -181,14 +182,17 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if not live:
             return _name_file(record, trial, new, at_start)
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
-        nodes = LiveParameters(list(live), there, interruption.check)
+        specs = record.study.nodes.values()
+        reconfigured = {spec.node: spec for spec in specs if spec.reconfigure}
+        nodes = LiveParameters(list(live), there, interruption.check, reconfigured)
         with contextlib.closing(nodes):
             try:
                 now = read_values(nodes, live)
                 rows = differences(record.study, now, live)
                 _show(rows, f"{record.study.name}: {title}")
                 _remark(nodes)
-                if all(row.equal for row in rows):
+                configured = [*filter(nodes.is_configured, live)]
+                if all(row.equal for row in rows) and not configured:
                     # What an earlier one did not finish is so now.
                     (record.path / DEPLOY / UNFINISHED).unlink(missing_ok=True)
                     _forget_killed(nodes, live)
@@ -197,7 +201,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 if not arguments.yes:
                     if not sys.stdin.isatty():
                         return _refuse("no terminal to confirm on; use --yes", EXIT_USAGE)
-                    if not confirmed(f"set these on {', '.join(live)}? [y/N] ", interruption):
+                    anew = f", and configure {', '.join(configured)} anew" if configured else ""
+                    question = f"set these on {', '.join(live)}{anew}? [y/N] "
+                    if not confirmed(question, interruption):
                         say("nothing was set")
                         return EXIT_INFEASIBLE
                     if read_values(nodes, live) != now:
@@ -211,7 +217,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
 def _started(study: Study) -> list[str]:
     """Return the names of the nodes that take some parameters only while they start."""
-    return [study.nodes[key].node for key in study.start_names]
+    nodes = (study.nodes[key] for key in study.start_names)
+    return [spec.node for spec in nodes if not spec.reconfigure]
 
 
 def _name_file(
@@ -277,7 +284,9 @@ def _set(
     unfinished.unlink()
     _forget_killed(nodes, new)
     _remark(nodes)
-    say(f"set and read back on {', '.join(new)}")
+    configured = [*filter(nodes.is_configured, new)]
+    anew = f"; in force: {', '.join(configured)} was configured anew" if configured else ""
+    say(f"set and read back on {', '.join(new)}{anew}")
     if trial is not None:
         command = shlex.join(["apply", str(folder), "--rollback", *ros_arguments])
         say(f"previous values: {rollback}; restore them with: {command}")

@@ -1,7 +1,11 @@
 """What the commands return to the shell."""
 
-from bo_tuner.evidence.verdict import State, Verdict
+from typing import TYPE_CHECKING
+
 from bo_tuner.interruption import Interrupted
+
+if TYPE_CHECKING:
+    from bo_tuner.evidence.verdict import Verdict
 
 EXIT_OK = 0
 EXIT_FAULT = 1
@@ -18,8 +22,11 @@ def early_end(error: BaseException) -> tuple[str, int]:
     return f"error: {error}", EXIT_FAULT
 
 
-def exit_code(verdict: Verdict) -> int:
+def exit_code(verdict: "Verdict") -> int:
     """Return what a command that has come to a verdict returns."""
+    # It imports NumPy, which an entry point does not before it has seen to signals.
+    from bo_tuner.evidence.verdict import State
+
     if verdict.state is State.INCOMPLETE:
         return EXIT_FAULT
     return EXIT_OK if verdict.feasible else EXIT_INFEASIBLE

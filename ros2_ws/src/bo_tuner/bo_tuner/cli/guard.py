@@ -62,7 +62,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parser = make_parser()
     arguments = parser.parse_args(own)
     describe = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
-    study = load_study(arguments.study, describe, interrupted=interruption.check)
+    study = load_study(arguments.study, describe)
     waits = patience(study)
     if arguments.timeout is not None:
         waits = patience_of(Guarding(timeout=arguments.timeout))

@@ -150,7 +150,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             f"found {arguments.simulations}"
         )
     _check_output(arguments, parser)
-    study = load_study(arguments.study, interrupted=interruption.check)
+    study = load_study(arguments.study)
     box = study if arguments.contexts is None else _within(study, arguments.contexts)
     _check_simulator(box, str(arguments.study))
     machine = _machine(arguments, box)

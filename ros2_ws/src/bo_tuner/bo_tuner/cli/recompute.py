@@ -69,7 +69,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         allow_programs(record, trusted=arguments.trust, attach=True)
         study = record.study
     else:
-        study = load_study(arguments.study, interrupted=interruption.check)
+        study = load_study(arguments.study)
     table = Table()
     names = [name for name in study.metrics if name not in study.relative_metrics]
     header = ("bag", "trial", "evaluation", "stage", *names, "")

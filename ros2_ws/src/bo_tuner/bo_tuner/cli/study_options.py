@@ -84,7 +84,7 @@ def read_study(
         If the nodes cannot be asked.
     """
     describe = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
-    return load_study(named, describe if attach else None, interrupted=interruption.check)
+    return load_study(named, describe if attach else None)
 
 
 def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -> Study:

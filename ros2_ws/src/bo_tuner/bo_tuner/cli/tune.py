@@ -25,15 +25,15 @@ from bo_tuner.cli.common import (
     split_ros_arguments,
 )
 from bo_tuner.cli.confirm import NO_TERMINAL
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, early_end
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_options import changed_study, read_study, trust_given
 from bo_tuner.cli.tune_options import STUDY, make_parser
 from bo_tuner.cli.workers import workers_of
-from bo_tuner.errors import StudyError
-from bo_tuner.interruption import Interruption
+from bo_tuner.errors import BoTunerError, StudyError
+from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.method_names import SAFE
 from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.monitoring.display import Output, plain_console
@@ -55,7 +55,7 @@ from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
-from bo_tuner.terminal import print_line
+from bo_tuner.terminal import from_here, print_line
 from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
@@ -164,7 +164,15 @@ def _run(
         folder.discard()
         raise
     if arguments.certify and code == EXIT_OK and not arguments.time.over:
-        return _certify(arguments, folder.path, ros_arguments, interruption)
+        try:
+            return _certify(arguments, folder.path, ros_arguments, interruption)
+        except (BoTunerError, Interrupted) as error:
+            # Such as of nodes that are gone between the run and its certificate.
+            said, code = early_end(error)
+            headline = f"no certificate: {said}; continue with: validate {from_here(folder.path)}"
+            session.warn(headline)
+            notify(arguments.notify, folder.path, code, headline, session.warn)
+            return code
     headline = session.headline
     if arguments.certify and code in (EXIT_OK, EXIT_INFEASIBLE):
         why = headline
@@ -193,7 +201,7 @@ def _certify(
         command += ["--scheduler", address, "--workers", str(count)]
     if arguments.notify is not None:
         command += ["--notify", arguments.notify]
-    code = validate.run([*command, *ros_arguments], interruption)
+    code = validate.certify([*command, *ros_arguments], interruption)
     if not limit.endless:
         print_line(plain_console(stderr=True), f"{limit.outcome}, with the certificate", "  ")
     return code

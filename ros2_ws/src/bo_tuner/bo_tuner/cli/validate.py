@@ -211,9 +211,8 @@ def make_parser() -> Parser:
     return parser
 
 
-@guarded
-def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command: a `common.Run`."""
+def certify(argv: Sequence[str], interruption: Interruption) -> int:
+    """Do what the command does, and raise the errors of what has not begun."""
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
@@ -328,6 +327,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 show(f"report: {from_here(folder.path / REPORT)}")
     notify(arguments.notify, folder.path, code, headline, show)
     return code
+
+
+run = guarded(certify)
 
 
 def _check_kind(arguments: argparse.Namespace, parser: Parser) -> None:

@@ -50,6 +50,9 @@ def write_back(
     """
     # A link may lead to the file that is meant, such as into the sources of a workspace.
     place = path.resolve()
+    if place.exists() and not place.is_file():
+        # A pipe would be read twice.
+        raise StudyError("expected a file", source=str(path))
     text = read_text(place, str(path))
     data = place.read_bytes()
     new = _edited(text, path, values, namespace)

@@ -59,6 +59,12 @@ class Nodes(Protocol):
             If the node does not answer; it may have set them.
         """
 
+    def is_configured(self, node: str) -> bool:
+        """Return whether a node takes its values only when it is configured."""
+
+    def configure(self, node: str) -> None:
+        """Have a node that `is_configured` take its values; raises `NodeError` if it does not."""
+
     def wait(self, period: float) -> None:
         """Wait for so many seconds; raises `Interrupted` if somebody asks for the end."""
 
@@ -167,6 +173,9 @@ def set_values(
                 _set(nodes, node, changes, touched)
         for node, values in new.items():
             _read_back(nodes, node, values)
+            if nodes.is_configured(node):
+                touched += [node] * (node not in touched)
+                nodes.configure(node)
         if touched:
             nodes.watch(new)
             for node, values in new.items():
@@ -203,11 +212,14 @@ def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:
     failed = []
     for node, values in before.items():
         try:
-            nodes.set(node, _changes(new[node], values))
+            if changes := _changes(new[node], values):
+                nodes.set(node, changes)
             # A node may have changed others along with those that were set.
             if others := _changes(nodes.get(node, list(values)), values):
                 nodes.set(node, others)
             _read_back(nodes, node, values)
+            if nodes.is_configured(node):
+                nodes.configure(node)
         except NodeError as error:
             failed.append(f"{node} could not be restored: {error}")
     return failed

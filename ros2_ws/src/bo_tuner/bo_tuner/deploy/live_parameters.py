@@ -8,7 +8,8 @@ from pathlib import Path
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
 from bo_tuner.backends.ros import others
-from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.errors import LostError, SilentError
+from bo_tuner.backends.ros.errors import RefusedError as BackendRefusal
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
@@ -16,6 +17,7 @@ from bo_tuner.backends.ros.parameters.events import ParameterWatch
 from bo_tuner.backends.ros.parameters.messages import UnknownType
 from bo_tuner.backends.ros.parameters.note import ParameterNote
 from bo_tuner.backends.ros.parameters.services import ParameterClient
+from bo_tuner.backends.ros.reconfiguration import Reconfiguration, reconfiguration_of
 from bo_tuner.backends.ros.tuner_node import (
     CALL_TIMEOUT,
     END_OTHERS,
@@ -23,13 +25,15 @@ from bo_tuner.backends.ros.tuner_node import (
     TunerNode,
 )
 from bo_tuner.deploy.apply import NodeError, RefusedError
-from bo_tuner.errors import BackendError, OutputError
+from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.storage.parameter_file import NodeValues
+from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
+NONE: Mapping[str, NodeSpec] = {}
 SETTLED = 2.0
 """Time [s] in which a node that was set new values shows whether it keeps them: one that judges
 them in its own cycle, or gets others from a supervisor, does so within a period of these."""
@@ -49,6 +53,8 @@ class LiveParameters:
         ``--ros-args`` of this node.
     watch
         Called again and again while waiting for a node; an exception ends the wait.
+    configured
+        By these names those that take their values only when they are configured.
 
     Raises
     ------
@@ -58,8 +64,14 @@ class LiveParameters:
     """
 
     def __init__(
-        self, nodes: list[str], ros_arguments: list[str], watch: Callable[[], None]
+        self,
+        nodes: list[str],
+        ros_arguments: list[str],
+        watch: Callable[[], None],
+        configured: Mapping[str, NodeSpec] = NONE,
     ) -> None:
+        self._configured = configured
+        self._ways: dict[str, tuple[Reconfiguration, str]] = {}
         self._claim: DomainClaim | None = None
         self._ros_arguments = ros_arguments
         self._tuner = TunerNode(None, ros_arguments, watch, NODE_NAME)
@@ -107,6 +119,27 @@ class LiveParameters:
         if not result.successful:
             reason = brief(str(result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
+
+    def is_configured(self, node: str) -> bool:
+        """Return whether a node takes its values only when it is configured."""
+        return node in self._configured
+
+    def configure(self, node: str) -> None:
+        """Configure a node anew, so that it takes its values; raises `NodeError` if it does not."""
+        try:
+            way, state = self._way(node)
+            way.configure_anew(state)
+        except (LostError, BackendRefusal, StudyError) as error:
+            raise NodeError(str(error)) from error
+
+    def _way(self, node: str) -> tuple[Reconfiguration, str]:
+        """Return how a node is configured, and the state in which it was at first."""
+        if node not in self._ways:
+            way = reconfiguration_of(self._tuner, self._configured[node])
+            if way is None:
+                raise StudyError(f"{node} has no lifecycle")
+            self._ways[node] = way, way.state
+        return self._ways[node]
 
     def take_remarks(self) -> list[str]:
         """Return lines, each of them once, on what nodes lack and what is done instead."""

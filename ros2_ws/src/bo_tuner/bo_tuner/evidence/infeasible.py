@@ -6,7 +6,7 @@ with too small a margin, by its own runs. Screens and files take their words fro
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations
@@ -78,7 +78,8 @@ class Nearest:
         Its number, the limit that it exceeds the most, or keeps with the least to spare, and its
         value there.
     excess
-        How far that is beyond the limit, relative to the limit's size; negative if it is within.
+        How far that is beyond the limit, relative to the limit's size, or to the largest value of
+        the trials for a limit of 0; negative if it is within.
     """
 
     trial: int
@@ -176,8 +177,14 @@ def infeasible(
     judged = [_judged(study, t) for t in counted if t.state is not TrialState.FAILED]
     reached = tuple(_reached(study, c, judged) for c in study.constraints.values())
     blocker, blocking = _blocking(judged, len(deaths), reached, refuted)
+    sizes = {name: _size(constraint, judged) for name, constraint in study.constraints.items()}
+
+    def excess(name: str, value: float) -> float:
+        constraint = study.constraints[name]
+        return constraint.sign * (value - constraint.limit) / sizes[name]
+
     nearest = min(
-        (_nearest(study, item) for item in judged if item.values),
+        (_nearest(item, excess) for item in judged if item.values),
         key=lambda item: (item.excess, item.trial),
         default=None,
     )
@@ -189,7 +196,7 @@ def infeasible(
         blocker=blocker,
         blocking=blocking,
         nearest=nearest,
-        loosened=() if blocker is Blocker.MARGIN else _loosened(study, reached, judged, nearest),
+        loosened=() if blocker is Blocker.MARGIN else _loosened(reached, judged, nearest, excess),
         chance=math.nan if prospects is None else prospects.chance,
         beyond=() if prospects is None else _beyond(study, prospects),
         fresh_deaths=fresh_deaths,
@@ -214,10 +221,16 @@ def _judged(study: Study, trial: Trial) -> _Judged:
     return _Judged(trial.number, values, broken)
 
 
-def _nearest(study: Study, item: _Judged) -> Nearest:
-    excess = {name: study.constraints[name].excess(value) for name, value in item.values.items()}
-    most = max(excess, key=lambda name: excess[name])
-    return Nearest(item.trial, most, item.values[most], excess[most])
+def _size(constraint: Constraint, judged: Sequence[_Judged]) -> float:
+    """Return what an excess is relative to: a limit of 0 has no size, the values have."""
+    values = [abs(item.values.get(constraint.name, 0.0)) for item in judged]
+    return abs(constraint.limit) or max(values, default=0.0) or 1.0
+
+
+def _nearest(item: _Judged, excess: Callable[[str, float], float]) -> Nearest:
+    by_limit = {name: excess(name, value) for name, value in item.values.items()}
+    most = max(by_limit, key=lambda name: by_limit[name])
+    return Nearest(item.trial, most, item.values[most], by_limit[most])
 
 
 def _reached(study: Study, constraint: Constraint, judged: Sequence[_Judged]) -> LimitReached:
@@ -263,10 +276,10 @@ def _blocking(
 
 
 def _loosened(
-    study: Study,
     limits: Sequence[LimitReached],
     judged: Sequence[_Judged],
     nearest: Nearest | None,
+    excess: Callable[[str, float], float],
 ) -> tuple[tuple[Loosened, ...], ...]:
     """Return the ways of one limit alone, and that of all limits that the nearest trial broke."""
     if nearest is None:
@@ -279,7 +292,7 @@ def _loosened(
             ways.append((Loosened(item.name, item.beside.value),))
 
     def change(way: tuple[Loosened, ...]) -> float:
-        return max(study.constraints[item.name].excess(item.value) for item in way)
+        return max(excess(item.name, item.value) for item in way)
 
     return tuple(sorted(dict.fromkeys(ways), key=change)[:WAYS])
 

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
 
+from bo_tuner.evidence.estimates import Estimate, Source, of_draws
+from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context
 
 Metrics = Mapping[str, float]
@@ -43,28 +44,26 @@ class Observed:
         Metrics of all other complete evaluations of the parameter set on record.
     worst
         By the name of a worst-case constraint, the mean in the worst context, if it was searched.
-    paired
-        Metrics in the draws that both parameter sets have, if these are not `drawn`.
+    beside
+        What was observed of it in the draws of the other parameter set, if these are not `drawn`.
     contexts
         Of the draws in `drawn`, by their number.
+    source
+        Whose draws they are.
     """
 
     drawn: Mapping[int, Metrics]
     draws: int
     others: Sequence[Metrics] = ()
     worst: Mapping[str, WorstMean] = field(default_factory=dict)
-    paired: Mapping[int, Metrics] | None = None
+    beside: "Observed | None" = None
     contexts: Mapping[int, Context] = field(default_factory=dict)
+    source: Source = Source.VALIDATION
 
-    @property
-    def pairs(self) -> Mapping[int, Metrics]:
-        """Metrics in the common draws, by the number of the draw."""
-        return self.drawn if self.paired is None else self.paired
-
-    def mean(self, metric: str) -> float:
-        """Return the mean of a metric over the draws; NaN without any."""
-        values = self.values(metric)
-        return sum(values) / len(values) if values else nan
+    def estimate(self, metric: str, space: ContextSpace) -> Estimate:
+        """Return the estimate of the mean of a metric by the draws."""
+        values = {k: metrics[metric] for k, metrics in self.drawn.items() if metric in metrics}
+        return of_draws(values, self.contexts, self.draws, space, self.source)
 
     def values(self, metric: str) -> list[float]:
         """Return the values of a metric in the draws."""

@@ -7,11 +7,10 @@ from math import nan
 import numpy as np
 
 from bo_tuner.evidence.context_covariates import covariates
-from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference, paired, unpaired
+from bo_tuner.evidence.differences import Change, Difference, paired, unpaired
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.verdict import Quantity, ordered
-from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
@@ -51,6 +50,9 @@ def quantities(
     objectives = {objective.metric for objective in study.objectives}
     # The worst case of an objective says nothing of its mean.
     compared = {q.metric for q in all_quantities if q.difference is not None} - objectives
+    # The default is compared in its own draws, where the tuned parameter set has these.
+    beside = tuned if tuned.beside is None else tuned.beside
+    space = study.context_space()
     signs = {constraint.metric: constraint.sign for constraint in study.constraints.values()}
     both = {
         constraint.metric
@@ -65,26 +67,24 @@ def quantities(
         for objective in study.objectives:
             if name == objective.metric:
                 sign = objective.sign
-        both_sides, of_draws = _pairs(study, default, tuned, name)
+        both_sides, of_draws = _pairs(study, default, beside, name)
         difference = paired(*both_sides, of_draws)
-        # Of the same draws, so that they subtract to the difference.
-        means = [adjusted_mean(side, of_draws, CONFIDENCE).mean for side in both_sides]
-        if not difference.count:
-            means = [side.mean(name) for side in (default, tuned)]
+        estimates = default.estimate(name, space), beside.estimate(name, space)
         all_quantities.append(
             Quantity(
                 label=mean_title(metric.title),
                 metric=name,
                 title=metric.title,
                 unit=metric.unit,
-                default=means[0],
-                tuned=means[1],
+                default=estimates[0].value,
+                tuned=estimates[1].value,
+                estimates=estimates,
                 difference=difference,
                 change=difference.change(sign),
                 limit=nan,
                 bound=nan,
                 remark="",
-                draws=_draws(default, tuned, name, difference),
+                draws=_draws(default, beside, name, difference),
                 objective=name in objectives,
             )
         )
@@ -165,12 +165,9 @@ def _pairs(
     The metric is of shape (n,) for either, the covariates (n, p). There are none if draws failed:
     the contexts of the others are no sample of their distribution.
     """
-    draws = [
-        k
-        for k in sorted(default.pairs.keys() & tuned.pairs.keys())
-        if metric in default.pairs[k] and metric in tuned.pairs[k]
-    ]
-    sides = tuple(np.array([side.pairs[k][metric] for k in draws]) for side in (default, tuned))
+    common = default.drawn.keys() & tuned.drawn.keys() if default.source is tuned.source else ()
+    draws = [k for k in sorted(common) if metric in default.drawn[k] and metric in tuned.drawn[k]]
+    sides = tuple(np.array([side.drawn[k][metric] for k in draws]) for side in (default, tuned))
     if len(draws) < default.draws or not all(k in default.contexts for k in draws):
         return (sides[0], sides[1]), np.empty((len(draws), 0))
     contexts = [default.contexts[k] for k in draws]

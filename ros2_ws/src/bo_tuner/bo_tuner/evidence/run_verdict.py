@@ -22,6 +22,7 @@ from bo_tuner.evidence.certificate.store import (
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
 from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
 from bo_tuner.evidence.effects import effects_in_words
+from bo_tuner.evidence.estimates import Source
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
 from bo_tuner.evidence.passed_over import passed_over_in_words
@@ -303,8 +304,8 @@ def _beside_validation(
     if by_validation is None or not by_validation.observed:
         return (Observed({}, 0), tuned), None
     default, own = by_validation.observed
-    paired = own.drawn if is_result else {}
-    return (default, replace(tuned, paired=paired)), by_validation.default_reasons
+    beside = replace(tuned, beside=own) if is_result else tuned
+    return (default, beside), by_validation.default_reasons
 
 
 def _observed(
@@ -321,6 +322,7 @@ def _observed(
         drawn={row.index: row.metrics for row in drawn},
         contexts={row.index: row.context for row in drawn},
         draws=draws,
+        source=Source.CERTIFICATE,
         others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
         worst={
             constraint.name: WorstMean(

@@ -13,6 +13,7 @@ from bo_tuner.evidence.at_bounds import AtBound
 from bo_tuner.evidence.busy import HighLoad, load_in_words
 from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
 from bo_tuner.evidence.effects import file_notes
+from bo_tuner.evidence.estimates import Estimate
 from bo_tuner.evidence.infeasible import Infeasible
 from bo_tuner.evidence.infeasible_words import advice_in_words, reasons_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict
@@ -20,7 +21,7 @@ from bo_tuner.evidence.observed import Observed
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.text import counted, shown, shown_beside, uncapitalized
 from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.effects import ParameterEffects
 
@@ -69,6 +70,8 @@ class Quantity:
         Name of its metric, what screens call that, and the unit.
     default, tuned
         The values; NaN if not known.
+    estimates
+        What they are the values of, if they are means over draws; else None.
     difference
         Their difference, with an interval unless the values are single extremes.
     change
@@ -102,6 +105,7 @@ class Quantity:
     limit: float
     bound: float
     remark: str
+    estimates: tuple[Estimate, Estimate] | None = None
     draws: str = ""
     objective: bool = False
     constraint: str = ""
@@ -115,6 +119,16 @@ class Quantity:
         if isnan(limit):
             return shown(self.default), shown(self.tuned)
         return shown_beside(self.default, limit), shown_beside(self.tuned, limit)
+
+    @property
+    def basis(self) -> str:
+        """Of which runs the numbers are, and of how many draws each if that differs."""
+        kinds = []
+        if self.estimates is not None:
+            default, tuned = self.estimates
+            one = default.kind == tuned.kind or not default.count
+            kinds = [tuned.kind] if one else [f"default by {default.kind}, tuned by {tuned.kind}"]
+        return "; ".join(filter(None, (*kinds, self.draws)))
 
     @property
     def limit_in_words(self) -> str:
@@ -345,7 +359,7 @@ class Verdict:
                     return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
             case State.UNPROVEN:
-                return f"Not proven: {_uncapitalized(_standing_in_words(self._tuned_limits))}"
+                return f"Not proven: {uncapitalized(_standing_in_words(self._tuned_limits))}"
             case State.VALIDATED:
                 return f"{_standing_in_words(self._tuned_limits)}; {self.trust}"
             case State.CERTIFIED:
@@ -365,7 +379,7 @@ class Verdict:
         runs = max((limit.runs for limit in self._default_limits.values()), default=0)
         times = f"{over} times" if over > runs else f"{over}"
         beside = f" (default: {times})" if over and not self.is_default else ""
-        return f"{_uncapitalized(text)}{beside}"
+        return f"{uncapitalized(text)}{beside}"
 
     @property
     def trust(self) -> str:
@@ -463,10 +477,11 @@ class Verdict:
             change: [q for q in self.quantities if q.change is change] for change in Change
         }
         better, lower = by_change[Change.BETTER], by_change[Change.LOWER]
+        refuted = self.state is State.INFEASIBLE
         changes = [
             f"{title}: {', '.join(q.gain_in_words for q in chosen)}."
             for title, chosen in (
-                ("Better", better),
+                ("Better, but not within the limits" if refuted else "Better", better),
                 ("Lower", lower),
                 ("Worse", by_change[Change.WORSE]),
                 ("Higher", by_change[Change.HIGHER]),
@@ -496,12 +511,15 @@ class Verdict:
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:
-        """From how many draws the numbers are where that differs, those alike in a line."""
-        by_draws: dict[str, list[str]] = {}
+        """Of which runs the numbers are, those alike in a line."""
+        by_basis: dict[str, list[str]] = {}
         for quantity in self.quantities:
-            if quantity.draws:
-                by_draws.setdefault(quantity.draws, []).append(quantity.label)
-        return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
+            if quantity.basis:
+                by_basis.setdefault(quantity.basis, []).append(quantity.label)
+        means = {q.basis for q in self.quantities if q.estimates is not None}
+        if len(by_basis) == len(means) == 1:
+            return (f"means: {means.pop()}",)
+        return tuple(f"{', '.join(labels)}: {basis}" for basis, labels in by_basis.items())
 
     def to_mapping(self) -> dict[str, object]:
         """Return the verdict as it stands in files and events; a number not known is None."""
@@ -522,7 +540,18 @@ class Verdict:
             },
             "confidence_of_differences": CONFIDENCE,
             "quantities": without_nan(
-                [asdict(q) | {"change": str(q.change)} for q in self.quantities]
+                [
+                    asdict(q)
+                    | {
+                        "change": str(q.change),
+                        "estimates": q.estimates
+                        and {
+                            side: asdict(estimate)
+                            for side, estimate in zip((DEFAULT, TUNED), q.estimates, strict=True)
+                        },
+                    }
+                    for q in self.quantities
+                ]
             ),
             "at_bounds": [asdict(bound) for bound in self.at_bounds],
             "infeasible": self.infeasible and without_nan(asdict(self.infeasible)),
@@ -543,10 +572,6 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
         return 2 if quantity.constraint else 3
 
     return tuple(sorted(quantities, key=rank))
-
-
-def _uncapitalized(text: str) -> str:
-    return text[:1].lower() + text[1:]
 
 
 def _keeps_in_words(standing: Standing, limits: Mapping[str, LimitVerdict]) -> str:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.protocol import FitModel, Model
 from bo_tuner.numerics.arrays import Array
 
@@ -169,10 +170,19 @@ def coded_fit(fit: FitModel, coding: Coding) -> FitModel:
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        priors: Hyperpriors | None = None,
     ) -> Model:
         minimum = None if minimum_length_scales is None else coding.spread(minimum_length_scales)
         points = coding.encode(x)
-        inner = fit(points, y, rng=rng, minimum_length_scales=minimum, start=start, keep=keep)
+        inner = fit(
+            points,
+            y,
+            rng=rng,
+            minimum_length_scales=minimum,
+            start=start,
+            keep=keep,
+            priors=priors,
+        )
         return coded(inner, coding)
 
     return fit if coding.is_plain else fit_coded

@@ -101,6 +101,7 @@ class Fitting:
         minimum: Array,
         *,
         keep: bool | None = None,
+        exact: bool | None = None,
     ) -> Model:
         """Fit the model of a response y (N,) at points x (N, d).
 
@@ -116,7 +117,12 @@ class Fitting:
             Lower bounds of the length scales.
         keep
             Whether the hyperparameters of the start are kept; by default by the number of trials.
+        exact
+            Whether the observations are free of noise; by default if a run of a parameter set tells
+            all, as those in drawn contexts differ by the context.
         """
+        if exact is None:
+            exact = self.study.a_run_tells_all
         model = coded_fit(fit, self.coding)(
             x,
             y,
@@ -124,6 +130,7 @@ class Fitting:
             minimum_length_scales=minimum,
             start=self._start.get(name),
             keep=self._keep if keep is None else keep,
+            priors=self._priors(minimum) if exact else None,
         )
         self.models[name] = model
         return model
@@ -141,6 +148,7 @@ class Fitting:
 
         Of `censored` ones a lower bound is known.
         """
+        joint_minimum = np.append(self.minimum, np.zeros(c.shape[1]))
         process = processes.fit(
             x,
             c,
@@ -151,16 +159,14 @@ class Fitting:
             start=self._start.get(name),
             keep=self._keep,
             censored=censored,
-            priors=self._priors(c.shape[1]),
+            priors=self._priors(joint_minimum) if self.study.is_noiseless else None,
         )
         self.models[name] = process
         return process
 
-    def _priors(self, contexts: int) -> Hyperpriors | None:
-        """Return the priors of a process with so many context columns; None for the default."""
-        if not self.study.is_noiseless:
-            return None
-        return Hyperpriors.noiseless(len(self.coding.spread(self.minimum)) + contexts)
+    def _priors(self, minimum: Array) -> Hyperpriors:
+        """Return the priors of exact observations, by lower bounds (d,) of the length scales."""
+        return Hyperpriors.noiseless(len(self.coding.spread(minimum)))
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
         """Return the numbers of the complete trials that are outliers of an objective."""

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.numerics.arrays import Array
 
 
@@ -84,6 +85,7 @@ class FitModel(Protocol):
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
         keep: bool = False,
+        priors: Hyperpriors | None = None,
     ) -> Model:
         """Fit to points x (N, d), where equal rows are replicates, and responses y (N,).
 
@@ -99,4 +101,6 @@ class FitModel(Protocol):
             `Model.warm_start` of an earlier fit.
         keep
             Whether `start` is good enough as it is, since little is new since that fit.
+        priors
+            Of the hyperparameters, if not the default ones.
         """

@@ -60,9 +60,10 @@ def print_front(
             percent(point["feasibility"]),
             "result" if point["trial"] == result else "",
         )
+    models = ", by the models of all test runs" if front[0]["modelled"] else ""
     print_line(
         console,
-        "Pareto front of the trials, ± half the width of a "
+        f"Pareto front of the trials{models}, ± half the width of a "
         f"{100 * CONFIDENCE:g} % interval; for another point: "
         f"validate {shlex.quote(str(run))} --trial N",
         "",

@@ -40,15 +40,19 @@ class MeanInterval:
 
     Attributes
     ----------
-    mean
-        The estimate; NaN of no value.
+    mean, error
+        The estimate and its standard error; NaN of no value, and of too few.
     low, high
         Ends of the interval; infinite where the values are too few.
+    adjusted
+        Whether covariates were taken out.
     """
 
     mean: float
+    error: float
     low: float
     high: float
+    adjusted: bool = False
 
 
 def adjusted_mean(values: Array, covariates: Array, confidence: float) -> MeanInterval:
@@ -66,7 +70,7 @@ def adjusted_mean(values: Array, covariates: Array, confidence: float) -> MeanIn
     n, p = covariates.shape
     degrees = n - p - 1
     if degrees < 1:
-        return MeanInterval(float(values.mean()) if n else nan, -inf, inf)
+        return MeanInterval(float(values.mean()) if n else nan, nan, -inf, inf)
     # About the mean of the values: equal ones leave no residual.
     mean = float(values.mean())
     rest = values - mean
@@ -83,4 +87,4 @@ def adjusted_mean(values: Array, covariates: Array, confidence: float) -> MeanIn
         mean += float(weights @ rest)
         error = float(np.linalg.norm(weights * residuals / (1.0 - leverages)))
     half = float(stdtrit(degrees, 0.5 * (1.0 + confidence))) * error
-    return MeanInterval(mean, mean - half, mean + half)
+    return MeanInterval(mean, error, mean - half, mean + half, adjusted=p > 0)

@@ -9,10 +9,13 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
+from bo_tuner.evidence.differences import CONFIDENCE
+from bo_tuner.evidence.estimates import Estimate, Source, of_runs
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.figures.figure import Panel
@@ -25,6 +28,7 @@ from bo_tuner.report.time_response import Responses
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.limits import uncertain, violated
+from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
@@ -235,10 +239,54 @@ class Analysis:
         is_blind: NDArray[np.bool_] = np.broadcast_to(np.exp(good), len(points)) < NOT_BLIND
         return is_blind
 
-    def mean_objective(self, trial: Trial) -> float:
-        """Return the mean of the objective's metric over the drawn contexts; NaN without any."""
-        mean = trial.mean(self.study.objective.metric)
-        return math.nan if mean is None else mean
+    def estimate(self, trial: Trial, metric: str) -> Estimate:
+        """Return what the tuning says of the mean of an objective's metric.
+
+        By the models of all runs, as far as the trial is in them, and else by its own draws.
+        """
+        modelled = self._modelled.get(metric, {}).get(trial.number)
+        return modelled or of_runs(trial.observations(metric), Source.TUNING)
+
+    def fresh_estimate(self, trial: Trial, metric: str) -> Estimate | None:
+        """Return what the verdict has of the mean of a metric; None of most trials."""
+        sides = (self.defaults, {} if self.answer is None else self.answer.parameters)
+        if self.verdict.trial is None:
+            return None
+        for quantity in self.verdict.quantities:
+            if quantity.metric == metric and quantity.estimates is not None:
+                for parameters, estimate in zip(sides, quantity.estimates, strict=True):
+                    if dict(parameters) == dict(trial.parameters) and estimate.count:
+                        return estimate
+        return None
+
+    @cached_property
+    def _modelled(self) -> dict[str, dict[int, Estimate]]:
+        """Estimates by the models: by the metric of an objective, and the number of a trial."""
+        study, models = self.study, dict(self.models.costs)
+        if len(study.objectives) == 1 and self.models.objective is not None:
+            models = {study.objective.metric: self.models.objective}
+        trials = [
+            trial
+            for trial in self.trials
+            if trial.state is TrialState.COMPLETE and trial.number not in self.models.outliers
+        ]
+        if study.a_run_tells_all or not trials:
+            return {}
+        points = study.search_space().cube_of(trial.parameters for trial in trials)
+        found: dict[str, dict[int, Estimate]] = {}
+        for objective in study.objectives:
+            if (model := models.get(objective.metric)) is not None:
+                predicted = zip(trials, *model.predict(points), strict=True)
+                found[objective.metric] = {
+                    trial.number: _by_model(objective, trial, cost, variance)
+                    for trial, cost, variance in predicted
+                }
+        return found
+
+    @property
+    def means_in_words(self) -> str:
+        """Where the means of `estimate` are from."""
+        return "by the models of all test runs" if self._modelled else "over its own test runs"
 
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
@@ -257,3 +305,19 @@ class Analysis:
             for evaluation in self.record.evaluations
             if evaluation.outcome.complete and space.key(evaluation.parameters) == key
         ]
+
+
+def _by_model(objective: Objective, trial: Trial, cost: float, variance: float) -> Estimate:
+    """Return the estimate of a model of the cost at a trial."""
+    quantile = float(ndtri(0.5 + 0.5 * CONFIDENCE))
+    half = quantile * math.sqrt(variance)
+    low, high = sorted(float(objective.from_cost(cost + side * half)) for side in (-1.0, 1.0))
+    return Estimate(
+        value=float(objective.from_cost(cost)),
+        error=0.5 * (high - low) / quantile,
+        count=sum(evaluation.outcome.complete for evaluation in trial.evaluations),
+        source=Source.MODEL,
+        adjusted=False,
+        low=low,
+        high=high,
+    )

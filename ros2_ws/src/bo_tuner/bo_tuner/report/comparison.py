@@ -73,7 +73,12 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
     """Return what there is to say of a run in a row of a table, by the heading of its column."""
     record, verdict = analysis.record, analysis.verdict
     method = method_in_words(record.algorithm)
-    headline, gains = verdict.headline, [q.gain_in_words for q in verdict.quantities if q.objective]
+    headline = verdict.headline
+    gains = [
+        f"{q.gain_in_words}, {q.estimates[1].source}" if q.estimates else q.gain_in_words
+        for q in verdict.quantities
+        if q.objective
+    ]
     if verdict.infeasible is not None:
         # What a set that breaks a limit gains in the objective is no gain.
         headline, gains = f"{headline}: {blocker_in_words(verdict.infeasible)}", []

@@ -51,11 +51,18 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
     if trial.reason:
         sentences.append(f"{trial.reason}.")
     for objective in study.objectives:
-        if (mean := trial.mean(objective.metric)) is not None:
-            metric = study.metrics[objective.metric]
-            sentences.append(
-                capitalized(f"{mean_title(metric.title)} {quantity(mean, metric.unit)}.")
-            )
+        metric = study.metrics[objective.metric]
+        estimates = (
+            analysis.fresh_estimate(trial, metric.name),
+            analysis.estimate(trial, metric.name),
+        )
+        known = [
+            f"{quantity(each.value, metric.unit)} ({each.kind})"
+            for each in estimates
+            if each is not None and each.count
+        ]
+        if known:
+            sentences.append(capitalized(f"{mean_title(metric.title)} {', '.join(known)}."))
     for constraint in study.worst_case_constraints:
         if (worst := trial.worst_cases.get(constraint.name)) is not None:
             metric = study.metrics[constraint.metric]

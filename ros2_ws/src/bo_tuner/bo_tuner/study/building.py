@@ -59,8 +59,7 @@ def arguments(
     `skip` are fields that are not keys, `also` further keys to suggest for an unknown one. The
     error has all that is wrong with the keys.
     """
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    value = checks.mapping(value)
     fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
     names = [field.name for field in fields]
     findings = Findings()

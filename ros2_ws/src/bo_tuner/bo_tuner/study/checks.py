@@ -9,6 +9,7 @@ import math
 import re
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import maxima
@@ -248,6 +249,13 @@ def reference(value: object, kind: str, known: Iterable[str], *path: str | int) 
         raise StudyError(f"expected the name of a {kind}, found {show(value)}", path)
     if value not in names:
         raise StudyError(f"there is no {kind} {quoted(value)}; {suggestion(value, names)}", path)
+    return value
+
+
+def mapping(value: object, *path: str | int) -> Mapping[Any, Any]:
+    """Return `value` if it is a mapping."""
+    if not isinstance(value, Mapping):
+        raise StudyError(f"expected a mapping, found {show(value)}", path)
     return value
 
 

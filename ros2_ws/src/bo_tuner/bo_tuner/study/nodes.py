@@ -8,12 +8,16 @@ from fnmatch import fnmatchcase
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.building import under
+from bo_tuner.study.steps import Step, build_steps
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 PARAMETER_FILE = "{parameter_file}"
 """Stands in `command` and `launch` for the file with the values that a node starts with."""
 WORKER = "{worker}"
 """Stands in `command`, `launch` and `env` for the number of the worker that starts it, from 1."""
+CONTROLLER_MANAGER = "controller_manager"
+"""Configures the controllers of ros2_control, which have no lifecycle services of their own."""
 FAILURE, IGNORE = "failure", "ignore"
 DEATHS = (FAILURE, IGNORE)
 """What the end of a node in a run can mean."""
@@ -50,9 +54,12 @@ class NodeSpec:
     parameter_file : str
         Parameter file of a node with `at_start`, which it is given ahead of these values; relative
         to the study's folder.
-    reconfigure : bool
-        Whether a lifecycle node with `at_start` takes these values when it is configured: it is
-        deactivated, cleaned up, configured and activated, in place of a new start.
+    reconfigure : bool, str or tuple of Step
+        How what the node takes with `at_start`, which this implies, comes into force in place of a
+        new start, whenever it is set: with `true` a lifecycle node is deactivated, cleaned up,
+        configured and activated; with `controller_manager` a controller of ros2_control is, with
+        those that are chained to it, by the manager in its namespace; or a list of steps, each a
+        `call` or a `lifecycle`, is performed.
     object : str, optional
         `module:name` of the same system without ROS; required for the in-process backend.
     parameters : mapping from str to value
@@ -80,7 +87,7 @@ class NodeSpec:
     env: Mapping[str, str] = field(default_factory=dict)
     at_start: bool | tuple[str, ...] = False
     parameter_file: str = ""
-    reconfigure: bool = False
+    reconfigure: bool | str | tuple[Step, ...] = False
     object: str | None = None
     parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
     inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
@@ -179,15 +186,32 @@ class NodeSpec:
                 raise StudyError(f"expected {expected}, found an empty list", ("at_start",))
             named = tuple(checks.text(name, "at_start", i) for i, name in enumerate(names))
             object.__setattr__(self, "at_start", named)
-        checks.boolean(self.reconfigure, "reconfigure")
+        self._check_reconfigure()
+        if self.reconfigure and not self.at_start:
+            object.__setattr__(self, "at_start", True)
         checks.text(self.parameter_file, "parameter_file")
         if not self.at_start:
-            for key in ("parameter_file", "reconfigure"):
-                if getattr(self, key):
-                    raise StudyError("belongs to a node with at_start; add at_start: true", (key,))
+            if self.parameter_file:
+                raise StudyError(
+                    "belongs to a node with at_start; add at_start: true", ("parameter_file",)
+                )
         elif self.launch and not self.passes_file and not self.reconfigure:
             raise StudyError(
                 f"expected {PARAMETER_FILE} where the launch file takes a parameter file, "
                 f"such as params_file:={PARAMETER_FILE}",
                 ("launch",),
             )
+
+    def _check_reconfigure(self) -> None:
+        given = self.reconfigure
+        if isinstance(given, bool) or given == CONTROLLER_MANAGER:
+            return
+        expected = f"true, {CONTROLLER_MANAGER}, or a list of steps that are calls or lifecycle"
+        if not isinstance(given, (list, tuple)) or not given:
+            raise StudyError(f"expected {expected}, found {checks.show(given)}", ("reconfigure",))
+        with under("reconfigure"):
+            steps = build_steps(given)
+            for index, step in enumerate(steps):
+                if step.call is None and step.lifecycle is None:
+                    raise StudyError("expected a call or a lifecycle", (index,))
+        object.__setattr__(self, "reconfigure", steps)

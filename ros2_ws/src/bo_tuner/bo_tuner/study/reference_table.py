@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bo_tuner.errors import StudyError
-from bo_tuner.interruption import waited_for
+from bo_tuner.interruption import content_of_file
 from bo_tuner.numerics import profiles
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, maxima
@@ -51,13 +51,8 @@ def read_table(path: Path, time: str, column: str) -> Table:
         If the file cannot be read, does not have the columns, or a row of it has no finite number
         there or no later time than the one before; with the line.
     """
-
-    def content_of_file() -> bytes:
-        with path.open("rb") as file:
-            return file.read(maxima.FILE_BYTES + 1)
-
     try:
-        content = waited_for(content_of_file)
+        content = content_of_file(path, maxima.FILE_BYTES)
     except OSError as error:
         raise _wrong(path, f"cannot be read: {error.strerror or error}") from None
     if len(content) > maxima.FILE_BYTES:

@@ -264,6 +264,8 @@ def build_steps(value: object) -> tuple[Step, ...]:
 
 
 def _build_step(value: object) -> Step:
+    if isinstance(value, Step):
+        return value
     fields = arguments(Step, value)
     for key, cls in _KINDS.items():
         if key in fields:

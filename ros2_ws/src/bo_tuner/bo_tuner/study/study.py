@@ -15,6 +15,7 @@ from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
+from bo_tuner.study.configuring import check_parked, configured_by_steps
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.growing import check_cut_short, decisive, why_not
@@ -310,7 +311,8 @@ class Study:
         with findings.under():
             self._check_park()
         with findings.under():
-            self._check_parked_configuration()
+            if self.park.between_runs:
+                check_parked(self.configured_by_steps)
         with findings.under():
             self._check_ramp()
         with findings.under():
@@ -444,6 +446,7 @@ class Study:
             If it is not a parameter set of the study.
         """
         space = self.search_space()
+        checks.mapping(given)
         try:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
@@ -491,6 +494,12 @@ class Study:
             {name: item.distribution for name, item in self.contexts.items()},
             [name for name, item in self.contexts.items() if item.type == INTEGER],
         )
+
+    @property
+    def configured_by_steps(self) -> list[str]:
+        """Names of tuned nodes that steps of `before` configure in each run."""
+        keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
+        return configured_by_steps(self.run, frozenset(self.nodes[key].node for key in keys))
 
     @property
     def start_names(self) -> dict[str, frozenset[str]]:
@@ -670,27 +679,6 @@ class Study:
                 f"permitted ({problem}); leave out ramp, or this rule",
                 ("run", "ramp"),
             )
-
-    def _check_parked_configuration(self) -> None:
-        """Refuse to have a tuned node configured in `before` with its safe parameters.
-
-        If it reads them only then, it would keep them in the run, and nobody would notice.
-        """
-        if self.run is None or not self.park.between_runs:
-            return
-        keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
-        tuned = [f"/{self.nodes[key].node.lstrip('/')}" for key in keys]
-        for step in self.run.before:
-            change = step.lifecycle
-            if change is None or change.transition != "configure":
-                continue
-            # The name may have a namespace, which the study does not know, ahead of it.
-            if any(f"/{change.node}".endswith(node) for node in tuned):
-                raise StudyError(
-                    f"a step of run.before configures {change.node}, which has the safe parameters "
-                    "then and may keep them in the run; expected false",
-                    ("park", "between_runs"),
-                )
 
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.errors import BackendError, KeyPath, StudyError
-from bo_tuner.interruption import waited_for
+from bo_tuner.interruption import content_of_file
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -89,7 +89,6 @@ def load_study(
     describe: Describe | None = None,
     *,
     of_function: bool = False,
-    interrupted: Callable[[], None] = lambda: None,
 ) -> Study:
     """Read a study.
 
@@ -102,8 +101,6 @@ def load_study(
         be left open.
     of_function : bool
         Whether a file without nodes describes a study of a function, which becomes its only node.
-    interrupted : callable, optional
-        Called while the file is waited for; raises what shall end that.
 
     Returns
     -------
@@ -127,7 +124,7 @@ def load_study(
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
-    text = read_text(Path(name_or_path), source, interrupted)
+    text = read_text(Path(name_or_path), source)
     study = parse_study(text, source, describe, of_function=of_function)
     return _in_folder(study, Path(name_or_path).resolve().parent, source)
 
@@ -211,8 +208,7 @@ def study_from_mapping(mapping: object) -> Study:
 
 def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
     """Return what a study is made of; what is wrong with a part goes to `findings`."""
-    if not isinstance(mapping, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(mapping)}")
+    mapping = checks.mapping(mapping)
     with findings.under():
         arguments(Study, mapping)
     values = {key: item for key, item in mapping.items() if key in _SECTIONS}
@@ -345,30 +341,16 @@ def is_path(text: str) -> bool:
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
-def read_text(path: Path, source: str, interrupted: Callable[[], None] = lambda: None) -> str:
+def read_text(path: Path, source: str) -> str:
     """Read a file of the user; errors call it `source`.
-
-    Parameters
-    ----------
-    path
-        Of the file, which may be a pipe, or lie where nothing answers.
-    source
-        Its name.
-    interrupted
-        Called while waiting; raises what shall end the wait.
 
     Raises
     ------
     StudyError
         If it cannot be read, is too large, or is no UTF-8 text.
     """
-
-    def content_of_file() -> bytes:
-        with path.open("rb") as file:
-            return file.read(MAX_BYTES + 1)
-
     try:
-        content = waited_for(content_of_file, check=interrupted)
+        content = content_of_file(path, MAX_BYTES)
     except OSError as error:
         problem = f"cannot be read: {error.strerror or error}"
         raise StudyError(problem, source=source) from None
@@ -406,8 +388,7 @@ def _build_named(section: str, cls: type[Any], value: object, findings: Findings
 
 def _build_context(name: str, value: object) -> ContextVariable:
     """Separate the keys of the variable from those of its distribution, on the same level."""
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    value = checks.mapping(value)
     if "distribution" not in value:
         raise StudyError(f"missing; expected one of {', '.join(DISTRIBUTIONS)}", ("distribution",))
     kind = checks.choice(value["distribution"], tuple(DISTRIBUTIONS), "distribution")

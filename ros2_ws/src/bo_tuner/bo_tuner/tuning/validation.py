@@ -4,8 +4,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.storage.json_numbers import to_number
@@ -13,7 +11,6 @@ from bo_tuner.study import checks
 from bo_tuner.study.limits import Sample, Standing, judge_samples
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
-from bo_tuner.tuning.driver import Driver
 
 
 @dataclass(frozen=True)
@@ -29,9 +26,6 @@ class Validation:
     failures, lost
         Number of those that failed for the parameters, and of those that are unusable: lost with
         their nodes, or disturbed by others.
-    objective, deviation
-        Mean and standard deviation of the objective's metric over the complete evaluations, in the
-        metric's unit; NaN if there are too few.
     constraints
         Each constraint, by name, judged on the complete evaluations.
     """
@@ -40,8 +34,6 @@ class Validation:
     draws: int
     failures: int
     lost: int
-    objective: float
-    deviation: float
     constraints: Mapping[str, Sample]
 
     @classmethod
@@ -60,8 +52,6 @@ class Validation:
             draws=checks.integer(entry["draws"], at_least=0),
             failures=checks.integer(entry["failures"], at_least=0),
             lost=checks.integer(entry["lost"], at_least=0),
-            objective=to_number(entry["objective"]),
-            deviation=to_number(entry["deviation"]),
             constraints={
                 str(name): Sample(
                     name=str(sample["name"]),
@@ -92,6 +82,11 @@ class ValidationPlan(Plan[Run]):
         The parameter sets; all get the same contexts and seeds.
     spared
         Numbers of those that are not run, and have no draws.
+
+    Attributes
+    ----------
+    evaluations
+        Those that were told, of each parameter set.
     """
 
     phase = Phase.VALIDATION
@@ -106,7 +101,7 @@ class ValidationPlan(Plan[Run]):
         self._candidates = candidates
         self._run = [number for number in range(len(candidates)) if number not in spared]
         self._planned = self._evaluations()
-        self._results: list[list[Evaluation]] = [[] for _ in candidates]
+        self.evaluations: list[list[Evaluation]] = [[] for _ in candidates]
         self.steps = study.budget.validation_draws
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
@@ -116,13 +111,13 @@ class ValidationPlan(Plan[Run]):
 
     def tell(self, task: Run) -> bool:
         """Add an evaluation; a draw of all parameter sets is a step."""
-        self._results[task.evaluation.trial].append(task.evaluation)
-        return sum(map(len, self._results)) % len(self._run) == 0
+        self.evaluations[task.evaluation.trial].append(task.evaluation)
+        return sum(map(len, self.evaluations)) % len(self._run) == 0
 
     @property
     def results(self) -> list[Validation]:
         """One for each parameter set, in their order."""
-        pairs = zip(self._candidates, self._results, strict=True)
+        pairs = zip(self._candidates, self.evaluations, strict=True)
         return [_judge(self._study, parameters, evaluations) for parameters, evaluations in pairs]
 
     def _evaluations(self) -> Iterator[Evaluation]:
@@ -146,45 +141,15 @@ def by_turns(study: Study, draw: int, numbers: Sequence[int]) -> Sequence[int]:
     return numbers[::-1] if draw % 2 and not study.relative_metrics else numbers
 
 
-def validate(
-    study: Study, driver: Driver, candidates: Sequence[Mapping[str, Value]]
-) -> list[Validation]:
-    """Evaluate parameter sets on the same fresh draws.
-
-    Parameters
-    ----------
-    study, candidates
-        As of `ValidationPlan`.
-    driver
-        Carries out the plan.
-
-    Returns
-    -------
-    list of Validation
-        One for each parameter set, in the order of `candidates`.
-
-    Raises
-    ------
-    RunError
-        If three evaluations in a row were lost with their nodes or disturbed.
-    """
-    plan = ValidationPlan(study, candidates)
-    driver.complete(plan)
-    return plan.results
-
-
 def _judge(
     study: Study, parameters: Mapping[str, Value], evaluations: Sequence[Evaluation]
 ) -> Validation:
-    complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
+    complete = sum(e.outcome.complete for e in evaluations)
     lost = sum(not e.outcome.complete and e.outcome.unusable for e in evaluations)
-    objective = np.array([metrics[study.objective.metric] for metrics in complete])
     return Validation(
         parameters=dict(parameters),
         draws=len(evaluations),
-        failures=len(evaluations) - len(complete) - lost,
+        failures=len(evaluations) - complete - lost,
         lost=lost,
-        objective=float(objective.mean()) if len(complete) else float("nan"),
-        deviation=float(objective.std(ddof=1)) if len(complete) > 1 else float("nan"),
         constraints=judge_samples(study, evaluations),
     )

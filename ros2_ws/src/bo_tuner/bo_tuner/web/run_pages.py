@@ -5,6 +5,7 @@ stranger's run has named HTML would else be a page of ours.
 """
 
 import asyncio
+import contextlib
 import json
 import os
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import quote
 
+from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError
 
 from bo_tuner.interruption import LOOK_AROUND, Interruption
@@ -145,7 +147,8 @@ class RunFile(RunsHandler):
         except OSError as error:
             raise HTTPError(409, "%s cannot be read: %s", path, error.strerror) from None
         _offer(self, found.name)
-        with file:
+        # A reader may break it off.
+        with file, contextlib.suppress(StreamClosedError):
             while piece := file.read(PIECE):
                 self.write(piece)
                 await self.flush()

@@ -19,7 +19,7 @@ from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.summary import choose_answer
-from bo_tuner.tuning.validation import validate
+from bo_tuner.tuning.validation import ValidationPlan
 from tuning_benchmark.campaign.division import divided, further_trials
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
 from tuning_benchmark.campaign.timed_backend import TimedBackend
@@ -312,12 +312,16 @@ def _judged(
     run: Run | OwnContextsRun, truth: Truth, parameters: Mapping[str, Value]
 ) -> dict[str, Any]:
     """Validate and judge the answer of a run, with its neighbourhood."""
-    (validation,) = validate(run.study, Driver(run.backend), [parameters])
+    plan = ValidationPlan(run.study, [parameters])
+    Driver(run.backend).complete(plan)
+    (validation,), (evaluations,) = plan.results, plan.evaluations
+    complete = [evaluation.outcome.metrics for evaluation in evaluations]
+    values = [metrics[run.study.objective.metric] for metrics in complete if metrics]
     verdict = truth.verdict(parameters)
     return {
         "parameters": dict(parameters),
         "validation": {
-            "objective": validation.objective if np.isfinite(validation.objective) else None,
+            "objective": float(np.mean(values)) if values else None,
             "feasible": validation.feasible,
             "failures": validation.failures,
             "violations": {

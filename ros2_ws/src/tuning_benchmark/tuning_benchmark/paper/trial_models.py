@@ -62,7 +62,8 @@ def over_contexts(
     contexts = fitting.study.context_space()
     x, c, y = fitting.joint_observations(trials, worst.metric)
     minimum = np.append(fitting.minimum, np.zeros(contexts.dimension))
-    model = fitting.model(fit, worst.name, np.hstack([x, c]), y, minimum)
+    exact = fitting.study.is_noiseless
+    model = fitting.model(fit, worst.name, np.hstack([x, c]), y, minimum, exact=exact)
     margin = worst.sign * worst.deviations * model.noise_variance**0.5
     return JointConstraint(model, worst.limit - margin, worst.sign, contexts=contexts.candidates())
 

@@ -56,6 +56,7 @@ from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.processor_load import with_children
 from bo_tuner.run_notes import Death, Notes, Unusable
+from bo_tuner.study.configuring import stays_in_force
 from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
@@ -221,7 +222,8 @@ class RosBackend(SequentialBackend):
                 self._run_log or self._log_directory,
                 is_repeat=self._run_log is not None,
             )
-            for remark in client.parameters.take_remarks():
+            staying = stays_in_force(self._study.configured_by_steps) if self._attach else ()
+            for remark in (*client.parameters.take_remarks(), *staying):
                 tuner.warn(remark)
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
@@ -403,7 +405,9 @@ class RosBackend(SequentialBackend):
             # The outcome of a complete run does not say what went wrong after it.
             self._opened.tuner.warn(text)
             return outcome.noted(park_problem=text)
-        return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
+        said = [problem for problem in problems if problem not in outcome.reason]
+        reason = brief("; ".join(dict.fromkeys([outcome.reason, *said])))
+        return dataclasses.replace(outcome, reason=reason)
 
     def _tell_of_abort(self, planned: Evaluation, outcome: Outcome) -> None:
         if self._procedure is not None and self._procedure.before_abort:

@@ -8,13 +8,15 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 from bo_tuner.backends.ros.errors import LostError, RefusedError
-from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED, LifecycleNode
+from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED
 from bo_tuner.backends.ros.parameters.events import Difference, Values, differences
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
+from bo_tuner.backends.ros.reconfiguration import Reconfiguration, reconfiguration_of
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.at_start import starter_of
+from bo_tuner.study.building import under
 from bo_tuner.study.nodes import PARAMETER_FILE
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
@@ -63,7 +65,7 @@ class StartValues:
         self._safe: Values = {}
         self._in_force: dict[str, Mapping[str, object]] = {}
         self._last: dict[str, tuple[Mapping[str, object], Mapping[str, object]]] = {}
-        self._lifecycles: dict[str, LifecycleNode | None] = {}
+        self._ways: dict[str, Reconfiguration | None] = {}
         self._targets: dict[str, str] = {}
         self._configured: set[str] = set()
         self.restart: Callable[[Sequence[str]], None] = lambda keys: None
@@ -101,7 +103,7 @@ class StartValues:
         for key in self._names:
             if self._started is not None:
                 self.settle(key)
-            elif self._lifecycle(key) is None:
+            elif self._way(key) is None:
                 raise StudyError(
                     f"{key} is attached, and has no lifecycle; only a node that the tuner starts "
                     "can be given values at its start: leave out --attach",
@@ -123,7 +125,7 @@ class StartValues:
         if key not in self._names or self._started is None:
             return
         given = self._started.values[key]
-        node = self._lifecycle(key)
+        node = self._way(key)
         if node is not None:
             target = self._target(key, node)
             if self._is_launched(key):
@@ -306,17 +308,17 @@ class StartValues:
                 )
             raise RefusedError(f"{item} (not taken by the node at its start)")
 
-    def _lifecycle(self, key: str) -> LifecycleNode | None:
-        if key not in self._lifecycles:
-            node = self._study.nodes[key].node
-            self._lifecycles[key] = LifecycleNode.find(self._tuner, node)
-        return self._lifecycles[key]
+    def _way(self, key: str) -> Reconfiguration | None:
+        if key not in self._ways:
+            with under("nodes", key):
+                self._ways[key] = reconfiguration_of(self._tuner, self._study.nodes[key])
+        return self._ways[key]
 
     def _reconfigures(self, key: str) -> bool:
-        return self._started is None or self._study.nodes[key].reconfigure
+        return self._started is None or bool(self._study.nodes[key].reconfigure)
 
     def _reconfigure(self, key: str, values: Mapping[str, object]) -> None:
-        node = self._lifecycle(key)
+        node = self._way(key)
         if node is None:
             raise StudyError(f"{key} has no lifecycle", ("nodes", key, "reconfigure"))
         self._in_force.pop(key, None)
@@ -336,13 +338,13 @@ class StartValues:
 
     def _remember_state(self, key: str) -> None:
         """Note in which state a node is to be after its next start, as it is now."""
-        node = self._lifecycles.get(key)
+        node = self._ways.get(key)
         if node is not None and key not in self._targets:
             # One that does not answer is brought up.
             with contextlib.suppress(LostError):
                 self._targets[key] = node.state
 
-    def _target(self, key: str, node: LifecycleNode) -> str:
+    def _target(self, key: str, node: Reconfiguration) -> str:
         """Return the state that a node is to be in.
 
         It is that in which it is. But where the tuner has started it, and no step of the run

@@ -69,7 +69,8 @@ class ServiceCall:
         StudyError
             If there is no such service, or its requests or answers do not have the fields.
         """
-        kind, client = _service(tuner, call.service)
+        with under("call", "service"):
+            kind, client = service_at(tuner, call.service)
         with under("call", "request"):
             request = make_message(kind.Request, call.request)
         with under("call", "expect"):
@@ -191,14 +192,14 @@ class LifecycleChange:
         return self.tuner.call(client, request, self.spec.node, self.spec.timeout)
 
 
-def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
+def service_at(tuner: TunerNode, service: str) -> tuple[Any, Client]:
+    """Return the type of a service and a client; raises `StudyError` if there is none."""
     node = tuner.node
     name = node.resolve_service_name(service)
     if not tuner.wait_until(lambda: name in _services(tuner), CONNECT_TIMEOUT):
         near = others.instead(name, others.services(node), node)
-        raise StudyError(f"there is no service {name}; {near}", ("call", "service"))
-    with under("call", "service"):
-        cls = interface_class(_services(tuner)[name][0])
+        raise StudyError(f"there is no service {name}; {near}")
+    cls = interface_class(_services(tuner)[name][0])
     return cls, node.create_client(cls, name)
 
 

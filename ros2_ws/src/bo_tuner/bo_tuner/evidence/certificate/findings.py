@@ -6,6 +6,7 @@ from functools import cached_property
 
 from bo_tuner import text
 from bo_tuner.evidence.certificate.risk import Mean
+from bo_tuner.evidence.estimates import Estimate
 from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 
@@ -292,7 +293,7 @@ class Findings:
     parameters
         The parameter set.
     objective
-        Mean of the objective's metric over the draws.
+        The mean of the objective's metric by the draws.
     tail
         Its conditional value at risk: the mean over the draws that are worst for the objective.
     evaluations, failures
@@ -309,7 +310,7 @@ class Findings:
     """
 
     parameters: Mapping[str, Value]
-    objective: Mean
+    objective: Estimate
     tail: float
     evaluations: int
     failures: int

@@ -60,6 +60,7 @@ from bo_tuner.evidence.certificate.limited_runs import (
     values_of,
 )
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
+from bo_tuner.evidence.estimates import Estimate, Source, of_draws
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import Runs
@@ -117,7 +118,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     failed = failed_runs(evidence.evaluations)
     return Findings(
         parameters=dict(evidence.parameters),
-        objective=mean_of(values, confidence),
+        objective=_objective(study, evidence.drawn),
         tail=sign * conditional_value_at_risk(sign * values, TAIL),
         evaluations=len(evidence.evaluations),
         failures=len(failed),
@@ -128,6 +129,18 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
             _judge(study, constraint, evidence, confidence)
             for constraint in study.constraints.values()
         ),
+    )
+
+
+def _objective(study: Study, drawn: Sequence[Evaluation]) -> Estimate:
+    metric = study.objective.metric
+    complete = {e.index: e for e in drawn if e.outcome.complete}
+    return of_draws(
+        {k: e.outcome.metrics[metric] for k, e in complete.items()},
+        {k: e.context for k, e in complete.items()},
+        len(drawn),
+        study.context_space(),
+        Source.CERTIFICATE,
     )
 
 

@@ -17,7 +17,6 @@ from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.verdict import FAIL, PASS, Verdict
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.study.titles import mean_title
 from bo_tuner.text import shown, shown_beside
 
 Worst = Sequence[WorstContext]
@@ -47,14 +46,9 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
     """Return the numbers of a certificate, each for all of its parameter sets."""
     sides = [*certificate.sides.values()]
     objective = certificate.objective
-    rows = [
-        Row(
-            mean_title(study.metrics[objective.metric].title),
-            objective.unit,
-            tuple(_mean(side.objective) for side in sides),
-        ),
-        Row(CVAR, objective.unit, tuple(shown(side.tail) for side in sides)),
-    ]
+    # Its mean stands with the verdict, which compares it with that of the default.
+    cvar = f"{study.metrics[objective.metric].title}, {CVAR.strip()}"
+    rows = [Row(cvar, objective.unit, tuple(shown(side.tail) for side in sides))]
     level = f"{100.0 * certificate.bound_confidence:.4g} % bound"
     for constraints in zip(*(side.constraints for side in sides), strict=True):
         rows += _of_constraint(study, constraints, level)
@@ -76,7 +70,7 @@ def certificate_lines(
         Largest number of lines; limits that are not proven come first.
     """
     others = [*earlier_in_words(certificate)][:1]
-    others += [q.gain_in_words for q in verdict.quantities if q.objective][:1]
+    others += [f"{q.gain_in_words}; {q.basis}" for q in verdict.quantities if q.objective][:1]
     others += [verdict.default_in_words] if certificate.default is not None else []
     others += [f"warning: {warning}" for warning in certificate.warnings][:1]
     others += seen_in_words(study.metrics, certificate.seen)
@@ -152,7 +146,7 @@ def _coordinate(name: str, worst: Worst) -> str:
     return shown(worst[0].context[name])
 
 
-def _mean(mean: Mean, limit: float | None = None) -> str:
-    value = shown(mean.value) if limit is None else shown_beside(mean.value, limit)
+def _mean(mean: Mean, limit: float) -> str:
+    value = shown_beside(mean.value, limit)
     error = mean.standard_error
     return value if isnan(error) else f"{value} ± {error:.2g}"

@@ -89,7 +89,7 @@ def training_gaps(
             observed_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
             predicted=next((c.objective for c in ranked if c.trial.number == trial.number), nan),
             validated=findings.objective.value,
-            validated_error=findings.objective.standard_error,
+            validated_error=findings.objective.error,
         )
     ]
     for constraint in findings.constraints:

@@ -143,7 +143,7 @@ def _objectives(verdict: Verdict) -> Iterator[Tile]:
             change = str(quantity.change)
             if quantity.difference is not None:
                 change = f"{change}: {quantity.change_in_words}"
-            remarks = [f"default {default}", change, quantity.draws]
+            remarks = [f"default {default}", change, quantity.basis]
             marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
             yield Tile(
                 f"objective: {quantity.label}",

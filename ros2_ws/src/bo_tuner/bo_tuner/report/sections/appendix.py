@@ -31,7 +31,7 @@ def all_trials(analysis: Analysis) -> Section:
     rows = []
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
-        row += [number(trial.mean(metric.name)) for metric in metrics]
+        row += [number(analysis.estimate(trial, metric.name).value) for metric in metrics]
         worst_cases = [trial.worst_cases.get(constraint.name) for constraint in worst]
         row += [number(None if item is None else item.value) for item in worst_cases]
         row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]
@@ -40,7 +40,8 @@ def all_trials(analysis: Analysis) -> Section:
         name="all-trials",
         title="All trials",
         lead="The outcome of a trial is judged by what was known when it was run, and again "
-        "after a repetition; it is not the verdict on the result. Marked are the result and the "
+        "after a repetition; it is not the verdict on the result. Its mean is "
+        f"{analysis.means_in_words}. Marked are the result and the "
         f"{NEIGHBOURS} trials nearest to it, relative to the bounds of the parameters: if these "
         "are far worse, the result is sensitive. Other programs read trials.csv and "
         "evaluations.csv in the run folder.",

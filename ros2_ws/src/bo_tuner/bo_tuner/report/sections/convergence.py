@@ -110,9 +110,9 @@ def describe(analysis: Analysis, trial: Trial) -> str:
     ]
     if trial.state is not TrialState.COMPLETE:
         return "\n".join([*lines, trial.reason])
-    mean = analysis.mean_objective(trial)
+    mean = analysis.estimate(trial, study.objective.metric)
     title = mean_title(study.metrics[study.objective.metric].title)
-    lines.append(f"{title} {quantity(mean, unit)}")
+    lines.append(f"{title} {quantity(mean.value, unit)} ({mean.kind})")
     for constraint in study.worst_case_constraints:
         worst = trial.worst_cases[constraint.name]
         metric = study.metrics[constraint.metric]
@@ -124,7 +124,7 @@ def describe(analysis: Analysis, trial: Trial) -> str:
 def _objective(analysis: Analysis) -> Figure:
     study, trials = analysis.study, analysis.trials
     y, sign = mean_axis(study, study.objective), study.objective.sign
-    means = np.array([analysis.mean_objective(trial) for trial in trials])
+    means = np.array([analysis.estimate(t, study.objective.metric).value for t in trials])
     best_by_trial = incumbents(analysis)
     line = "predicted by the models, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:

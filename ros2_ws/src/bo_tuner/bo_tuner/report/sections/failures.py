@@ -82,7 +82,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
             [
                 str(trial.number),
                 analysis.tuned_in_words(trial.parameters),
-                number(analysis.mean_objective(trial)),
+                number(trial.mean(metric.name)),
             ]
             for trial in outliers
         ],

@@ -120,10 +120,9 @@ def _of_others(points: Sequence[Point]) -> str:
 
 
 def _which_means(points: Sequence[Point]) -> str:
-    own = "over the test runs of each trial in drawn contexts"
     if points[0].modelled:
-        return f"On the front, means by the models of all test runs; elsewhere, {own}"
-    return f"Means {own}"
+        return "Means by the models of all test runs"
+    return "Means over the test runs of each trial in drawn contexts"
 
 
 def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
@@ -152,7 +151,18 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
     across, up = (mean_axis(analysis.study, objective) for objective in pair)
     # Off the charts are outliers: they would leave no room for the others.
     trials = [t for t in analysis.trials if analysis.outcome(t) in OF_VALUE]
-    x, y = (np.array([_or_nan(t.mean(name)) for t in trials]) for name in (first, second))
+    on_front = {point.trial: point.means for point in points}
+    x, y = (
+        np.array(
+            [
+                on_front[t.number][name].value
+                if t.number in on_front
+                else analysis.estimate(t, name).value
+                for t in trials
+            ]
+        )
+        for name in (first, second)
+    )
     elements: list[Element] = []
     if len(analysis.study.objectives) == 2:
         elements.append(
@@ -232,7 +242,3 @@ def _in_words(mean: Mean) -> str:
     if math.isnan(mean.error):
         return number(mean.value)
     return f"{number(mean.value)} ± {mean.error:.2g}"
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -76,7 +76,7 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
     blind = analysis.blind(points)
     # The cost of the compromise cannot be computed from a trial's own evaluations.
     near = _near(analysis, answer, grid) if len(study.objectives) == 1 else []
-    y = [analysis.mean_objective(trial) for trial in near]
+    y = [math.nan if (m := t.mean(study.objective.metric)) is None else m for t in near]
     return Panel(
         x=grid.axis,
         y=predicted_axis(study),

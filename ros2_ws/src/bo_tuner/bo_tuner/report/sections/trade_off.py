@@ -1,10 +1,12 @@
 """The trade-off between the objective and the worst case, over all trials."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from bo_tuner.evidence.estimates import Estimate
 from bo_tuner.figures.figure import (
     Axis,
     Color,
@@ -53,19 +55,20 @@ def trade_off(analysis: Analysis) -> Section | None:
         f"a {'lower' if c.sign > 0.0 else 'higher'} {study.metrics[c.metric].title}"
         for c in constraints
     )
-    means = np.array([analysis.mean_objective(trial) for trial in trials])
+    estimates = [analysis.estimate(trial, study.objective.metric) for trial in trials]
+    means = np.array([estimate.value for estimate in estimates])
     leads, figures, tables = [], [], []
     for place, constraint in enumerate(constraints):
         worst = np.array([trial.worst_cases[constraint.name].value for trial in trials])
         front = pareto_front(study.objective.sign * means, constraint.sign * worst)
         leads.append(
-            f"The observed Pareto front has {len(front)} of {counted(len(trials), 'trial')}, "
+            f"The Pareto front has {len(front)} of {counted(len(trials), 'trial')}, "
             "without failed and far-off ones: no other trial has both a better objective and a "
             f"better worst {study.metrics[constraint.metric].title}, within limits or not."
         )
         name = numbered("trade-off", place)
         figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
-        moved = _moved_limits(analysis, constraint, trials, means)
+        moved = _moved_limits(analysis, constraint, trials, estimates)
         if len(moved) > 1:
             tables.append(_table(analysis, constraint, trials, means, moved))
         else:
@@ -95,9 +98,8 @@ def _figure(
         name=name,
         title=f"{capitalized(mean_title(objective.title))} against worst {limited.title}, "
         "all trials",
-        caption="Estimates of the trials themselves, with the noise of a few test runs "
-        "each; the best values are biased by selection. The default has the values of the "
-        "result section.",
+        caption=f"The mean of each trial is {analysis.means_in_words}; the best are biased by "
+        "selection. The default has the values of the result section, by fresh draws.",
         alternative="; ".join(
             f"trial {trials[k].number}: {number(float(means[k]))} at worst "
             f"{number(float(worst[k]))}"
@@ -112,7 +114,7 @@ def _figure(
                     Line(
                         x=worst[front],
                         y=means[front],
-                        name="observed Pareto front",
+                        name="Pareto front",
                         color=Color.INK,
                         dash=Dash.DOTTED,
                         hover=[f"front: trial {trials[k].number}" for k in front],
@@ -138,8 +140,8 @@ def _table(
     own = next((k for k, limits in moved.items() if constraint.limit in limits), None)
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
-        caption=f"Best {mean_title(objective.title)} observed if {limited.title} had another limit"
-        f"{among}",
+        caption=f"Best {mean_title(objective.title)}, {analysis.means_in_words}, if "
+        f"{limited.title} had another limit{among}",
         header=[
             with_unit("limit", limited.unit),
             "trial",
@@ -192,7 +194,7 @@ def pareto_front(cost: Array, worst: Array) -> list[int]:
 
 
 def _moved_limits(
-    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array
+    analysis: Analysis, constraint: Constraint, trials: list[Trial], estimates: list[Estimate]
 ) -> dict[int, list[float]]:
     """Return the limits that lead to the same best trial, by its index; `NONE` if none keeps them.
 
@@ -201,7 +203,7 @@ def _moved_limits(
     """
     study = analysis.study
     low, high = study.metrics[constraint.metric].range or (-np.inf, np.inf)
-    cost = study.objective.sign * means
+    cost = study.objective.sign * np.array([estimate.value for estimate in estimates])
     limits_by_trial: dict[int, list[float]] = {}
     # Those of a limit of 0 are all the same.
     for limit in dict.fromkeys(sorted(factor * constraint.limit for factor in LIMITS)):
@@ -212,21 +214,17 @@ def _moved_limits(
         other = replace(study, constraints={**study.constraints, constraint.name: moved})
         within = np.flatnonzero([outcome_in_words(other, trial) == WITHIN for trial in trials])
         best = int(within[np.argmin(cost[within])]) if len(within) else NONE
-        alike = [k for k in limits_by_trial if _alike(analysis, trials, k, best)]
+        alike = [k for k in limits_by_trial if _alike(estimates, k, best)]
         limits_by_trial.setdefault(alike[0] if alike else best, []).append(limit)
     return limits_by_trial
 
 
-def _alike(analysis: Analysis, trials: list[Trial], one: int, other: int) -> bool:
-    """Return whether the means of two trials differ by no more than their noise."""
+def _alike(estimates: list[Estimate], one: int, other: int) -> bool:
+    """Return whether the means of two trials differ by no more than their errors."""
     if NONE in (one, other):
         return one == other
-    pair = [trials[k].observations(analysis.study.objective.metric) for k in (one, other)]
-    if min(map(len, pair)) < 2:
-        return one == other
-    errors = [float(np.var(values, ddof=1)) / len(values) for values in pair]
-    difference = abs(float(np.mean(pair[0])) - float(np.mean(pair[1])))
-    return difference <= ERRORS * float(np.sqrt(sum(errors)))
+    a, b = estimates[one], estimates[other]
+    return abs(a.value - b.value) <= ERRORS * math.hypot(a.error, b.error) or one == other
 
 
 def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:

@@ -35,10 +35,11 @@ from bo_tuner.backends.ros.guard.messages import (
 )
 from bo_tuner.backends.ros.guard.plan import Patience, Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
-from bo_tuner.backends.ros.lifecycle import LifecycleNode
+from bo_tuner.backends.ros.lifecycle import ACTIVE
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.publication import Publication
+from bo_tuner.backends.ros.reconfiguration import Reconfiguration, reconfiguration_of
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.guard_record import Act, add_act
@@ -173,6 +174,7 @@ class Guard:
         self._publisher: Publisher | None = None
         self._published = -1.0
         self._was_in_run = False
+        self._ways: dict[str, tuple[Reconfiguration | None, str]] = {}
 
     @property
     def nodes(self) -> list[str]:
@@ -221,6 +223,7 @@ class Guard:
                 self._parameters.read_anew(key)
         for remark in self._parameters.take_remarks():
             self._say(remark)
+        self._ways = {key: self._way(key) for key in plan.configured}
         # In no executor, which would take its messages away.
         self._listener = listener = Node(
             f"{GUARD}_listener",
@@ -403,17 +406,26 @@ class Guard:
     def _configure_anew(self) -> list[str]:
         """Let nodes take the safe values that act only so; returns what went wrong, in lines."""
         problems = []
-        for key in self._plan.configured:
-            name = self._plan.nodes[key]
+        for key, name in ((key, self._plan.nodes[key]) for key in self._plan.configured):
             try:
-                node = LifecycleNode.find(self._tuner, name)
-                if node is None:
-                    problems.append(f"{name} is not safe: it has no lifecycle")
+                way, state = self._ways[key]
+                if way is None:
+                    way, state = self._ways[key] = self._way(key)
+                if way is None:
+                    problems.append(f"{name} is not safe: nothing configures it")
                     continue
-                node.configure_anew()
+                # Its tuner may have ended while it was unconfigured.
+                way.configure_anew(ACTIVE if state == ACTIVE else "")
             except (LostError, RefusedError, StudyError) as error:
                 problems.append(f"{name} is not safe: {error}")
         return problems
+
+    def _way(self, key: str) -> tuple[Reconfiguration | None, str]:
+        """Return how a node is configured, if known, and the state in which it is now."""
+        with contextlib.suppress(LostError):
+            if way := reconfiguration_of(self._tuner, self._plan.configured[key]):
+                return way, way.state
+        return None, ""
 
     def _publish_state(self) -> None:
         if self._publisher is None:

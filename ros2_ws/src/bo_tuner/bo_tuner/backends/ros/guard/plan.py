@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.guarding import TIMEOUT, Guarding
+from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.publishing import Topic
 from bo_tuner.study.run import WALL
 from bo_tuner.study.safe_values import safe_values
@@ -80,8 +81,8 @@ class Plan:
         The study's signals.
     clock : str
         Clock of the runs, by which the condition and the stamps of messages go.
-    configured : tuple of str
-        Keys of lifecycle nodes that take some of these only when they are configured.
+    configured : mapping from str to NodeSpec
+        By their keys the nodes that take some of these only when they are configured.
     """
 
     name: str
@@ -92,7 +93,7 @@ class Plan:
     abort_when: str = ""
     signals: Mapping[str, Signal] | None = None
     clock: str = WALL
-    configured: tuple[str, ...] = ()
+    configured: Mapping[str, NodeSpec] = field(default_factory=dict)
 
     @classmethod
     def of(cls, study: Study, *, attached: bool = True) -> "Plan":
@@ -107,7 +108,7 @@ class Plan:
             key: {n: v for n, v in of_node.items() if attached or n not in names.get(key, ())}
             for key, of_node in safe_values(study).items()
         }
-        configured = tuple(key for key in names if attached)
+        configured = {key: study.nodes[key] for key in names if attached}
         run = study.run
         if run is None:
             return cls(study.name, nodes, safe, configured=configured)
@@ -133,15 +134,18 @@ class Plan:
     @classmethod
     def of_values(cls, study: Study, values: Mapping[str, Mapping[str, object]]) -> "Plan":
         """Return a plan to give nodes back what they have, by node key; there is no run to stop."""
-        return cls(study.name, {key: study.nodes[key].node for key in values}, values)
+        nodes = {key: study.nodes[key] for key in values}
+        configured = {key: spec for key, spec in nodes.items() if spec.reconfigure}
+        names = {key: spec.node for key, spec in nodes.items()}
+        return cls(study.name, names, values, configured=configured)
 
     @property
     def digest(self) -> str:
         """A digest: plans of two studies that hold the same are equal, whatever else they say."""
         held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when, self.clock)
         used = {} if not self.abort_when else self.signals
-        anew = [self.configured] if self.configured else []
-        text = json.dumps([held, used, *anew], sort_keys=True, default=repr)
+        anew = [{k: spec.reconfigure for k, spec in self.configured.items()}]
+        text = json.dumps([held, used, anew], sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def full_names(self, namespace: str) -> list[str]:
