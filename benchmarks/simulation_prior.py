@@ -24,12 +24,12 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.storage.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.study.limits import broken_limits
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, study_to_yaml
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.tuning.summary import choose_answer
 
 TRIALS = 12

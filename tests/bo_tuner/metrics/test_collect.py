@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bo_tuner.metrics.collect import LARGEST_METRIC, Collector
-from bo_tuner.models.replicates import LARGEST_RESPONSE
+from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 OK = {"status": "ok", "reason": ""}
@@ -51,7 +51,7 @@ def test_a_missing_metric(make_study):
 def test_the_largest_number_is_one_that_the_models_take(make_study):
     found = judge(make_study, axis=OK | {"error": LARGEST_METRIC, "peak": -LARGEST_METRIC})
     assert found.state is EvaluationState.COMPLETE
-    assert LARGEST_METRIC < LARGEST_RESPONSE
+    assert LARGEST_METRIC < maxima.RESPONSE
     beyond = judge(make_study, axis=OK | {"error": 1e120, "peak": 1.0})
     assert beyond.reason == "axis: metric error is 1e+120, beyond 1e+90"
 

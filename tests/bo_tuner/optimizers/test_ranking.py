@@ -8,8 +8,9 @@ import pytest
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fitting import FITTED_EACH
+from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.optimizers import ranking
-from bo_tuner.optimizers.ranking import LARGEST_PENALTY, TOLERABLE
+from bo_tuner.optimizers.ranking import LARGEST_PENALTY
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}

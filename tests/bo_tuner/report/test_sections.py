@@ -24,6 +24,7 @@ from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import CHECKS, Stage
+from bo_tuner.tuning.recorded_method import recorded_method
 
 
 def named(panel, name, kind):
@@ -38,7 +39,7 @@ def test_the_best_so_far_is_the_one_that_rank_names(analysis):
     trials = analysis.record.trials
     expected = {}
     for n in range(1, len(trials) + 1):
-        ranked = analysis.record.method.ranking.rank(analysis.study, trials[:n])
+        ranked = recorded_method(analysis.record).ranking.rank(analysis.study, trials[:n])
         if ranked:
             first = ranked[0]
             expected[n - 1.0] = first.objective if first.believed_feasible else math.nan

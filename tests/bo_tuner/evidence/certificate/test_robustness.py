@@ -22,7 +22,7 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     parameter_sensitivity,
 )
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
     Evaluation,

@@ -7,7 +7,6 @@ from pathlib import Path
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.errors import MetricsError, StudyError
 from bo_tuner.methods.protocol import Method
-from bo_tuner.storage.carrying import Carried, carry_over
 from bo_tuner.storage.record import record_of_study
 from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
@@ -25,6 +24,7 @@ from bo_tuner.trials import (
     count_trials,
     parameter_set,
 )
+from bo_tuner.tuning.carrying import Carried, carry_over
 
 EARLIER = "earlier"
 """Name of where they come from."""

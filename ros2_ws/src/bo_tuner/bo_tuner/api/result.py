@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bo_tuner.api.certificates import certify_trial
 from bo_tuner.backends.function import Function
 from bo_tuner.errors import MissingPackageError, RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
@@ -118,7 +119,6 @@ class Result:
         RunRecordError
             If the run has no result.
         """
-        from bo_tuner.api.certifying import certify_trial
         from bo_tuner.report.deliverables import with_verdict
 
         trial = self._record.result

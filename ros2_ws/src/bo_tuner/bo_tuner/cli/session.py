@@ -42,7 +42,6 @@ from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.recording.workers import HeardByWorkers, ListeningBackend
 from bo_tuner.report.deliverables import withdraw_result, write_deliverables
 from bo_tuner.report.sections.convergence import known_incumbents
-from bo_tuner.storage.carrying import Carried
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.guard_record import read_acts
 from bo_tuner.storage.journal import Journal
@@ -69,17 +68,18 @@ from bo_tuner.storage.provenance import (
 )
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RECORDING, SIMULATION, SUMMARY, RunFolder, how_to_resume
-from bo_tuner.storage.simulated_runs import write_simulation
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.carrying import Carried
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning, trials_are_over
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
+from bo_tuner.tuning.simulated_runs import write_simulation
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
 from bo_tuner.web.address import Address
 from bo_tuner.web.live_page import LivePage

@@ -39,17 +39,9 @@ from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.monitoring.display import Output, plain_console
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
-from bo_tuner.storage.carrying import (
-    Carried,
-    carry_over,
-    check_comparable,
-    is_carried,
-    remeasured,
-)
 from bo_tuner.storage.provenance import SIMULATION_FROM, SIMULATION_TAKEN, recorded_workers
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.storage.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.storage.trust import is_trusted
 from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.parts import BACKENDS, ROS
@@ -57,6 +49,14 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
 from bo_tuner.terminal import from_here, print_line
 from bo_tuner.trials import count_evaluations, count_trials
+from bo_tuner.tuning.carrying import (
+    Carried,
+    carry_over,
+    check_comparable,
+    is_carried,
+    remeasured,
+)
+from bo_tuner.tuning.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.web.address import listen
 
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")

@@ -60,6 +60,7 @@ from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import from_here, print_line
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.recorded_method import recorded_method
 
 MOST_LINES, MOST_STEPS = 8, 2
 """Lines below a verdict, and commands among them."""
@@ -390,8 +391,8 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
         other.number for other in record.trials if latest_certificate(record, other) is not None
     }
     # A set that failed its check, or failed when it was run again, is no candidate.
-    trials = record.method.checked(record.study, record.trials, record.evaluations)
-    ranked = record.method.ranking.rank(record.study, trials)
+    trials = recorded_method(record).checked(record.study, record.trials, record.evaluations)
+    ranked = recorded_method(record).ranking.rank(record.study, trials)
     # Trials of one parameter set are one candidate.
     refused = {other.parameter_set for other in record.trials if other.number in known}
     refused |= {c.trial.parameter_set for c in ranked if c.trial.failed_again}

@@ -52,6 +52,7 @@ from bo_tuner.trials import (
 )
 from bo_tuner.tuning.effects import ParameterEffects
 from bo_tuner.tuning.prospects import Prospects
+from bo_tuner.tuning.recorded_method import recorded_method
 from bo_tuner.tuning.validation import Validation
 
 
@@ -110,6 +111,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
         checked = trial.number in summary.get("checked_trials", ())  # type: ignore[operator]
         prospects = summary.get("prospects")
+        method = recorded_method(record)
         verdict = validated(
             record.study,
             trial.number,
@@ -117,8 +119,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             tuned,
             record.trials,
             record.evaluations,
-            doubt="" if bool(summary["passed_check"]) else record.method.doubt(feasibility),
-            likely=record.method.is_likely(feasibility, checked=checked),
+            doubt="" if bool(summary["passed_check"]) else method.doubt(feasibility),
+            likely=method.is_likely(feasibility, checked=checked),
             prospects=None if prospects is None else Prospects.from_mapping(prospects),  # type: ignore[arg-type]
             outliers=_outliers(record, summary.get("ranked_trials")),
         )

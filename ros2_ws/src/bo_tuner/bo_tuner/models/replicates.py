@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import maxima
 
 # Squares of responses must neither overflow nor vanish: beyond these magnitudes a number is a
 # mistake (often a crash that was turned into a huge cost), not a measurement.
-LARGEST_RESPONSE = 1e100
 SMALLEST_SCALE = 1e-100
 # A spread below this fraction of the largest magnitude is rounding, not variation.
 CONSTANT_FRACTION = 1e-12
@@ -49,8 +49,8 @@ def checked_data(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         outside = points.flat[int(np.argmax(distance))]
         raise ValueError(f"x: expected coordinates in the unit cube [0, 1], found {outside:g}")
     largest = np.abs(responses).max()
-    if largest > LARGEST_RESPONSE:
-        raise ValueError(f"y: expected magnitudes below {LARGEST_RESPONSE:g}, found {largest:g}")
+    if largest > maxima.RESPONSE:
+        raise ValueError(f"y: expected magnitudes below {maxima.RESPONSE:g}, found {largest:g}")
     return points, responses
 
 

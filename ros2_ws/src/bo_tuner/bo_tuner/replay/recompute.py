@@ -11,13 +11,13 @@ from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.retention import is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
-from bo_tuner.storage.carrying import Measure, remeasured
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, StudyMetric
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Outcome
+from bo_tuner.tuning.carrying import Measure, remeasured
 
 
 @dataclass(frozen=True)

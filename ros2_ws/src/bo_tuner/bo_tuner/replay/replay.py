@@ -19,6 +19,7 @@ from bo_tuner.trials import (
     latest_by_place,
 )
 from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.recorded_method import recorded_method
 
 BEST, WORST = "best", "worst"
 
@@ -157,8 +158,8 @@ def find_trial(record: RunRecord, which: str) -> int:
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
-        checked = record.method.checked(record.study, record.trials, record.evaluations)
-        best = record.method.incumbent(record.study, checked)
+        checked = recorded_method(record).checked(record.study, record.trials, record.evaluations)
+        best = recorded_method(record).incumbent(record.study, checked)
         if best is None:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
         return best.trial.number

@@ -32,6 +32,7 @@ from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
+from bo_tuner.tuning.recorded_method import recorded_method
 
 T = TypeVar("T")
 
@@ -117,7 +118,7 @@ class Analysis:
         Worst cases are those on record; of a trial that was run again they are estimated anew.
         """
         return tuple(
-            self.record.method.estimated(self.study, self.models, trial)
+            recorded_method(self.record).estimated(self.study, self.models, trial)
             if len(trial.evaluations) > len(trial.unchecked.evaluations)
             else trial
             for trial in self._checked
@@ -132,11 +133,11 @@ class Analysis:
     def _checked(self) -> tuple[Trial, ...]:
         """All trials, with the worst cases that were estimated when they were run."""
         record = self.record
-        return tuple(record.method.checked(self.study, record.trials, record.evaluations))
+        return tuple(recorded_method(record).checked(self.study, record.trials, record.evaluations))
 
     @property
     def _ranking(self) -> Ranking[Surrogates]:
-        return self.record.method.ranking
+        return recorded_method(self.record).ranking
 
     @cached_property
     def models(self) -> Surrogates:

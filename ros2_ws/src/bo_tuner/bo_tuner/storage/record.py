@@ -4,13 +4,10 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.method_names import DEFAULT_METHOD, titles
-from bo_tuner.methods.protocol import Method
-from bo_tuner.methods.registry import METHODS
 from bo_tuner.plans import Event, finished_after
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
@@ -94,12 +91,6 @@ class RunRecord:
     def finished(self) -> int | None:
         """Number of trials after which it was to finish; None if it goes on to its budget."""
         return finished_after(self.events)
-
-    @cached_property
-    def method(self) -> Method:
-        """The method, by its key `algorithm`, with the simulation that it knows."""
-        method = METHODS[self.algorithm]
-        return method.knowing(self.study, self.simulation) if self.simulation else method
 
     @property
     def result(self) -> Trial | None:

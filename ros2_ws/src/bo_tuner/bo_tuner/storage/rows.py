@@ -9,12 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
-from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes
 from bo_tuner.storage.typed_json import from_json, to_json
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Context,
@@ -170,7 +169,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
                 check_context(worst_case.context)
                 _check_size((worst_case.observed,), "worst_cases")
                 # Estimates may lie above all metrics.
-                _check_size((worst_case.value, worst_case.noise), "worst_cases", LARGEST_RESPONSE)
+                _check_size((worst_case.value, worst_case.noise), "worst_cases", maxima.RESPONSE)
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
                 raise ValueError("has test runs of other parameters")
         except ValueError as error:

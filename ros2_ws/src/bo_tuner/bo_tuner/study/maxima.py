@@ -54,3 +54,5 @@ MESSAGES_BYTES = 200_000_000
 JOURNAL_BYTES = 2_000_000_000
 FILE_BYTES = 50_000_000
 """Size of a summary, a certificate or a parameter file."""
+RESPONSE = 1e100
+"""Magnitude of a response that a model is fitted to, or estimates."""

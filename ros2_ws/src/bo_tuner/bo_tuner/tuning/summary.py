@@ -30,6 +30,7 @@ from bo_tuner.tuning.effects import ParameterEffects, effects_in
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import trials_are_over
 from bo_tuner.tuning.prospects import Prospects, prospects_in
+from bo_tuner.tuning.recorded_method import recorded_method
 from bo_tuner.tuning.validation import Validation, ValidationPlan
 
 
@@ -262,7 +263,7 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
-    study, method = record.study, record.method
+    study, method = record.study, recorded_method(record)
     over = trials_are_over(study, record.trials, record.finished)
     if not over and not record.stop_early:
         return None

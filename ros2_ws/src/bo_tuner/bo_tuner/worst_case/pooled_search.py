@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.censoring import Censored
+from bo_tuner.models.context_maximum import maximize_over_contexts
 from bo_tuner.models.context_process import ContextProcess
 from bo_tuner.models.covariates import Covariates
 from bo_tuner.models.pooled_models import PooledModels
@@ -16,7 +17,7 @@ from bo_tuner.models.simulation import moved
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context, WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, is_clear
 
 
 @dataclass(frozen=True, eq=False)

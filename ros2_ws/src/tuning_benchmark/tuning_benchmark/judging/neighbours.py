@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, Verdict, verdict_record

@@ -14,12 +14,13 @@ from math import sqrt
 import numpy as np
 from scipy.special import ndtri
 
+from bo_tuner.models.context_maximum import maximize_over_contexts
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context, WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, is_clear
 
 
 class JointSearch:

@@ -4,12 +4,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bo_tuner.models.context_maximum import maximize_over_contexts
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context, WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, maximize_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS
 
 OBSERVED, POSTERIOR = "observed", "posterior"
 

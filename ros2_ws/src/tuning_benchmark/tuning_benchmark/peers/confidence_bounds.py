@@ -32,13 +32,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bo_tuner.models.context_maximum import maximize_over_contexts
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Value
-from bo_tuner.worst_case.contexts import maximize_over_contexts
 from tuning_benchmark.peers.optimizer import tuned
 from tuning_benchmark.peers.robust import Result, worst_case_constraint
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.evidence.certificate.context_response import KEPT, ContextResponse
+from bo_tuner.models.context_maximum import maximize_over_contexts
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.numerics.seeds import Stream, generator
@@ -34,7 +35,6 @@ from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Context, Evaluation, Value
-from bo_tuner.worst_case.contexts import maximize_over_contexts
 
 CREDIBLE = 0.9
 """Posterior probability of a credible band, with equal tails."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -34,6 +35,7 @@ from bo_tuner.study.checks import same_value
 from bo_tuner.study.measured import seen_in
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, Value, evaluations_of
+from bo_tuner.tuning.recorded_method import recorded_method
 
 
 def make_certificate(
@@ -67,12 +69,14 @@ def make_certificate(
     best_sha256
         Digest of the ``best.yaml`` that holds it; None if that holds another trial's.
     """
-    study, ranking = record.study, record.method.ranking
+    study, ranking = record.study, recorded_method(record).ranking
     tuned = evidence[TUNED]
     level = spent(confidence, attempt, len(evidence))
     findings = judge(study, tuned, level)
-    trials = record.method.checked(study, record.trials, record.evaluations)
+    trials = recorded_method(record).checked(study, record.trials, record.evaluations)
     surrogates = ranking.models(study, trials)
+    ranked = ranking.ranked_by(surrogates, study, trials)
+    predicted = next((c.objective for c in ranked if c.trial.number == trial.number), math.nan)
     in_training = evaluations_of(record.evaluations, trial.parameters)
     # Draws come last: beyond the most that the model takes they add the least.
     fresh = [
@@ -108,9 +112,7 @@ def make_certificate(
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
         earlier=tuned.earlier.in_brief,
         search_widths=_widths(study, tuned),
-        training_gaps=training_gaps(
-            study, trial, ranking.ranked_by(surrogates, study, trials), findings
-        ),
+        training_gaps=training_gaps(study, trial, predicted, findings),
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         parameter_sensitivity=sensitivity,
         deaths=deaths,

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bo_tuner.models.narrowness import TOLERABLE, intolerable, relative_excess, relative_loss
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess, relative_loss
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import Value

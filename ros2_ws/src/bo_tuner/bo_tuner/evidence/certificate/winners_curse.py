@@ -5,14 +5,12 @@ gap of several standard errors means that the run's own figures must not be quot
 for a FAIL, since only the fresh evaluations are judged.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, nan, sqrt
 
 import numpy as np
 
 from bo_tuner.evidence.certificate.findings import Findings
-from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
 from bo_tuner.trials import Trial
@@ -64,7 +62,7 @@ class Gap:
 
 
 def training_gaps(
-    study: Study, trial: Trial, ranked: Sequence[Candidate], findings: Findings
+    study: Study, trial: Trial, predicted: float, findings: Findings
 ) -> tuple[Gap, ...]:
     """Compare training and validation, for the objective and, if there is one, the worst case.
 
@@ -74,8 +72,8 @@ def training_gaps(
         The study.
     trial
         The trial, without the evaluations that checked it as a candidate.
-    ranked
-        Trials with the predictions of the surrogates; may lack this one.
+    predicted
+        Mean of the objective by the surrogates of all trials, in its unit; NaN without.
     findings
         Findings for the trial's parameter set.
     """
@@ -87,7 +85,7 @@ def training_gaps(
             unit=metric.unit,
             observed=float(seen.mean()) if len(seen) else nan,
             observed_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
-            predicted=next((c.objective for c in ranked if c.trial.number == trial.number), nan),
+            predicted=predicted,
             validated=findings.objective.value,
             validated_error=findings.objective.error,
         )

@@ -46,6 +46,7 @@ from bo_tuner.trials import (
     count_evaluations,
     count_trials,
 )
+from bo_tuner.tuning.recorded_method import recorded_method
 from bo_tuner.tuning.summary import continued
 
 MOST_INCUMBENTS = 40
@@ -309,7 +310,7 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     if count == len(analysis.record.trials) and not analysis.has_checks:
         return analysis.leader
     study, record = analysis.study, analysis.record
-    method = record.method
+    method = recorded_method(record)
     own = (k for k, e in enumerate(record.evaluations) if e.stage in TUNING and e.trial < count)
     # A run that was continued has repetitions between its trials.
     trials = continued(

@@ -16,11 +16,11 @@ from bo_tuner.evidence.effects import amount, title_of
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.linear_effects import POWER
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
-from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import predicted_axis

@@ -9,8 +9,8 @@ from functions import NODE
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.storage.simulated_runs import begun_by_simulation, take_simulation
 from bo_tuner.trials import EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.tuning.simulated_runs import begun_by_simulation, take_simulation
 
 BOUNDARY = METHODS["boundary"]
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.methods.protocol import Method
-from bo_tuner.storage.carrying import Carried, LeftOutError, Taking
 from bo_tuner.storage.journal import create_journal
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SIMULATION
@@ -24,6 +23,7 @@ from bo_tuner.trials import (
     Value,
     WorstCase,
 )
+from bo_tuner.tuning.carrying import Carried, LeftOutError, Taking
 
 
 def take_simulation(record: RunRecord, study: Study, method: Method) -> Carried:

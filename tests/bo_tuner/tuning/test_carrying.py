@@ -14,7 +14,6 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.replay.recompute import measure_again
 from bo_tuner.run_notes import Notes, Unusable
-from bo_tuner.storage.carrying import carry_over, check_comparable, is_carried, remeasured
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.rows import check_study
 from bo_tuner.study.study_file import study_from_mapping
@@ -25,6 +24,7 @@ from bo_tuner.trials import (
     TrialState,
     count_trials,
 )
+from bo_tuner.tuning.carrying import carry_over, check_comparable, is_carried, remeasured
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
