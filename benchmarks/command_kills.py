@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from common import A_RESULT, provenance, result_parser, start_command, table, write_result
 
+from bo_tuner.run_notes import Notes
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import (
@@ -114,7 +115,10 @@ class Run:
     def rows(self) -> list[Evaluation]:
         """Read all evaluations, without what is of the moment: times, and numbers of cuts."""
         rows = read_run(self.path).evaluations
-        return [replace(row, seconds=0.0, outcome=replace(row.outcome, details={})) for row in rows]
+        return [
+            replace(row, seconds=0.0, outcome=replace(row.outcome, details={}, notes=Notes()))
+            for row in rows
+        ]
 
     def left_over(self) -> int:
         """Count the files that a write left half done."""

@@ -91,8 +91,8 @@ def evaluations(count: int) -> dict[str, list[float]]:
             took = time.monotonic() - began
             if outcome.state is not EvaluationState.COMPLETE:
                 raise SystemExit(f"an evaluation is {outcome.state}: {outcome.reason}")
-            if outcome.starts[0] != (index % 2 == 0):
-                raise SystemExit(f"{outcome.starts[0]} starts in evaluation {index}")
+            if outcome.notes.starts != (index % 2 == 0):
+                raise SystemExit(f"{outcome.notes.starts} starts in evaluation {index}")
             if index % 2:
                 times["same"].append(took)
                 continue

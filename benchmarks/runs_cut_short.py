@@ -32,7 +32,6 @@ from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
-    CUT_AFTER,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -103,7 +102,7 @@ class Axis(Timed):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Run a cut."""
         outcome = self._objects.outcome(planned)
-        self.seconds += float(outcome.details.get(CUT_AFTER, CUT))
+        self.seconds += CUT if outcome.notes.cut_after is None else outcome.notes.cut_after
         return outcome
 
 

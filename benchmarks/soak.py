@@ -106,7 +106,7 @@ def run(evaluations: int, folder: Path) -> dict[str, Any]:
                     states[str(outcome.state)] += 1
                     if outcome.state is not EvaluationState.COMPLETE:
                         reasons[outcome.reason] += 1
-                    ignored += int(outcome.details.get("ignored_results", 0))
+                    ignored += outcome.notes.ignored_results
                     done += 1
                     if done % LOOK_EVERY == 0:
                         look_around()

@@ -127,7 +127,7 @@ def measured(rate: float, seconds: float, *, busy: int, simulated: bool) -> dict
         "heard": len(heard),
         "state": str(outcome.state),
         "reason": outcome.reason,
-        "said": outcome.details.get("streams./reference", ""),
+        "said": str(outcome.notes.streams.get("/reference", "")),
         "deviation_median_ms": float(np.median(deviations)) * 1e3,
         "deviation_p99_ms": float(np.percentile(deviations, 99)) * 1e3,
         "gap_longest_ms": float(gaps.max()) * 1e3,

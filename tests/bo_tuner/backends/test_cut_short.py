@@ -1,6 +1,7 @@
 """Objects of this process that end a run once its outcome is decided."""
 
 import dataclasses
+import math
 import sys
 
 import pytest
@@ -79,7 +80,7 @@ def test_what_is_known_is_a_lower_bound_of_each_metric(opened):
     outcome = run(opened(), peak=1.2)
     assert outcome.state is EvaluationState.CUT_SHORT
     assert outcome.reason == "cut short after 1.25 s: peak at least 1.8 mm"
-    assert outcome.at_least == {"error": 0.5, "peak": 1.8}
+    assert outcome.notes.at_least == {"error": 0.5, "peak": 1.8}
     assert outcome.metrics == {}
     assert not outcome.unusable
 
@@ -129,18 +130,14 @@ def test_the_journal_has_it(opened, tmp_path):
         journal.record_evaluation(evaluation)
     (read,) = read_journal(tmp_path / "journal.sqlite").evaluations
     assert read == evaluation
-    assert read.outcome.at_least == {"error": 0.5, "peak": 1.8}
+    assert read.outcome.notes.at_least == {"error": 0.5, "peak": 1.8}
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "much"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, "much"])
 def test_a_record_with_a_bound_that_is_none_is_refused(opened, tmp_path, value):
-    outcome = run(opened(), peak=1.2)
-    details = {**outcome.details, "at least peak": value}
-    evaluation = dataclasses.replace(
-        planned({"gain": 0.9}, {"load": 1.5}),
-        outcome=dataclasses.replace(outcome, details=details),
-    )
+    outcome = run(opened(), peak=1.2).noted(at_least={"peak": value})
+    evaluation = dataclasses.replace(planned({"gain": 0.9}, {"load": 1.5}), outcome=outcome)
     with Journal(tmp_path / "journal.sqlite", {}) as journal:
         journal.record_evaluation(evaluation)
-    with pytest.raises(JournalError, match=r"at least|could not convert"):
+    with pytest.raises(JournalError, match=r"notes: at_least.peak: expected a number, found"):
         read_journal(tmp_path / "journal.sqlite")

@@ -78,8 +78,8 @@ def test_files_have_it(made):
     for row in rows:
         assert re.fullmatch(SHOWN, row["reason"])
         assert row["metrics.error"] == ""
-        assert float(row["details.at least error"]) > 0.0
-        assert 0.0 < float(row["details.cut short after"]) < 10.0
+        assert float(row["notes.at_least.error"]) > 0.0
+        assert 0.0 < float(row["notes.cut_after"]) < 10.0
 
 
 def test_the_report_shows_it_beside_those_that_violate_a_limit(made, capsys):

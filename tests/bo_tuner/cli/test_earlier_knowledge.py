@@ -72,10 +72,10 @@ def test_a_run_begins_with_the_trials_of_an_earlier_one(commands, earlier):
     assert [t.parameters for t in carried] == [t.parameters for t in earlier.trials]
     assert [t.worst_cases for t in carried] == [t.worst_cases for t in earlier.trials]
     assert carried[0].origin == f"default (from {folder}, trial 0)"
-    assert all(e.outcome.details["from"] == folder for t in carried for e in t.evaluations)
+    assert all(e.outcome.notes.carried_from == folder for t in carried for e in t.evaluations)
     metrics = [e.outcome.metrics for t in earlier.trials for e in t.evaluations]
     assert [e.outcome.metrics for t in carried for e in t.evaluations] == metrics
-    assert not any("from" in e.outcome.details for t in new for e in t.evaluations)
+    assert not any(e.outcome.notes.carried_from for t in new for e in t.evaluations)
     assert record.provenance["carried_from"] == folder
     count, evaluations = len(carried), sum(len(trial.evaluations) for trial in carried)
     taken = f"{count} of {count} trials and {evaluations} of {evaluations} test runs"

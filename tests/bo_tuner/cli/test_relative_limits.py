@@ -54,7 +54,7 @@ def test_the_result_is_at_the_limit_and_all_is_on_record(runs, whole):
     for evaluation in record.evaluations:
         load, seed = evaluation.context["load"], evaluation.seed
         default = DEFAULT + load + 0.1 * (seed % 7)
-        assert float(evaluation.outcome.details["default's peak"]) == default
+        assert evaluation.outcome.notes.default["peak"] == default
         metrics = evaluation.outcome.metrics
         assert metrics["peak_minus_default"] == metrics["peak"] - default
     # The evaluations that count are those on record; a draw has one run of the default.

@@ -261,9 +261,9 @@ def test_what_a_device_holds_in_fewer_digits_is_named(run):
     name, item = next((n, i) for n, i in run.study.parameters.items() if i.is_tuned)
     told = trial.parameters[name]
     held = float(np.float32(told))
-    details = {f"holds {item.node}.{item.parameter}": repr(held), "holds axis.load": "0.125"}
+    noted = {f"{item.node}.{item.parameter}": held, "axis.load": 0.125}
     drawn = tuple(
-        dataclasses.replace(e, outcome=dataclasses.replace(e.outcome, details=details))
+        dataclasses.replace(e, outcome=e.outcome.noted(held=noted))
         for e in evaluations(1, trial.parameters, [(1.0, 0.7)] * 120)
     )
     evidence = {"tuned": Evidence(trial.parameters, drawn)}

@@ -68,7 +68,7 @@ class TestTrials:
         _, _, trials = made
         cut = [e for t in trials if t.state is TrialState.CUT_SHORT for e in t.evaluations[-1:]]
         for evaluation in cut:
-            known = evaluation.outcome.at_least
+            known = evaluation.outcome.notes.at_least
             assert known.keys() == {"error", "peak"}
             whole = machine(
                 evaluation.parameters["gain"], **evaluation.context, seed=evaluation.seed
@@ -81,7 +81,7 @@ class TestTrials:
         """At a gain of 0.5 the limit holds in every context, with an expected error of 0.85."""
         for trial in made[2]:
             if trial.state is TrialState.CUT_SHORT and trial.parameters["gain"] < 0.5:
-                assert trial.evaluations[-1].outcome.at_least["error"] > 0.85
+                assert trial.evaluations[-1].outcome.notes.at_least["error"] > 0.85
 
     def test_the_first_ones_run_to_their_end(self, made):
         """Without models nobody knows what noise explains."""

@@ -6,6 +6,7 @@ from signal_runs import signal_study
 
 from bo_tuner.metrics.message_rates import MessageRates, rate_of, used_signals
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.run_notes import Notes
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, Outcome
 
@@ -29,7 +30,7 @@ def recording(times, end=END):
 
 
 def outcome(rates, heard, state=EvaluationState.COMPLETE):
-    return Outcome(state, {}, "", rates.details(heard))
+    return Outcome(state, notes=Notes(rates=rates.of(heard)))
 
 
 def after(*runs, of=None):

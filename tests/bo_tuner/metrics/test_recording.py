@@ -15,6 +15,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.numerics.expressions import Expression
+from bo_tuner.run_notes import Messages
 from bo_tuner.study.signals import Signal, expression
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState
@@ -178,7 +179,7 @@ def test_a_whole_signal_passes():
 
 def test_what_is_counted():
     seen = RecordedSignal(np.array([-1.0, 1.0]), np.array([0.0, 0.0]), lost=3, late=2)
-    assert Recording({"x": seen}, 5.0).counts() == {"signals.x": "1 messages, 3 lost, 2 late"}
+    assert Recording({"x": seen}, 5.0).counts() == {"x": Messages(1, 3, 2)}
 
 
 @pytest.mark.parametrize(
@@ -215,7 +216,7 @@ def test_whole_messages_have_the_same_limits(limits, reason):
     plan = RecordedMessages(np.array([-1.0, 1.0, 2.0]), "a/msg/B", (b"",) * 3, lost=3)
     run = Recording({}, 5.0, {"plan": plan})
     run.check({"plan": Signal(name="plan", topic="/plan")})
-    assert run.counts() == {"signals.plan": "2 messages, 3 lost, 0 late"}
+    assert run.counts() == {"plan": Messages(2, 3, 0)}
     with pytest.raises(FailedRunError, match=re.escape(reason)):
         run.check({"plan": Signal(name="plan", topic="/plan", **limits)})
 

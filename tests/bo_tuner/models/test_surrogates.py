@@ -8,7 +8,8 @@ from scipy.stats import norm
 
 from bo_tuner.models.fitting import fitted_after
 from bo_tuner.models.pooled_models import PooledModels
-from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.run_notes import Notes, Unusable
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 from tuning_benchmark.paper.trial_models import TrialModels, over_contexts
 
 COMPLETE = TrialState.COMPLETE
@@ -101,9 +102,9 @@ def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
     ("models", "outcome", "learnt"),
     [
         (OF_TRIALS, {"state": EvaluationState.LOST}, True),
-        (OF_TRIALS, {"details": {DISTURBED: "somebody"}}, False),
+        (OF_TRIALS, {"notes": Notes(Unusable.DISTURBED)}, False),
         (PooledModels(), {"state": EvaluationState.LOST}, False),
-        (PooledModels(), {"details": {DISTURBED: "somebody"}}, False),
+        (PooledModels(), {"notes": Notes(Unusable.DISTURBED)}, False),
     ],
     ids=["trials, lost", "trials, disturbed", "pooled, lost", "pooled, disturbed"],
 )

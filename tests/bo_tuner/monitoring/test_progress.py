@@ -19,9 +19,10 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Phase
 from bo_tuner.report.analysis import TrialOutcome
+from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.text import JOIN
-from bo_tuner.trials import DISTURBED, NOTE, EvaluationState, Outcome
+from bo_tuner.trials import EvaluationState, Outcome
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
@@ -86,7 +87,7 @@ class TestLines:
         out = console()
         trial = make_trial(3, {"gain": 0.5}, [1.0, 2.0])
         whole, gap = trial.evaluations
-        noted = dataclasses.replace(gap.outcome, details={NOTE: "signal x was silent"})
+        noted = gap.outcome.noted(remark="signal x was silent")
         gap = dataclasses.replace(gap, outcome=noted)
         marked = dataclasses.replace(trial, evaluations=(whole, gap))
         follow(out, make_study(), [marked], candidate(marked))
@@ -112,7 +113,10 @@ class TestLines:
         ("outcome", "word"),
         [
             (Outcome(EvaluationState.LOST, {}, "gone"), "LOST"),
-            (Outcome(EvaluationState.FAILED, {}, "gone", {DISTURBED: "gone"}), "DISTURBED"),
+            (
+                Outcome(EvaluationState.FAILED, reason="gone", notes=Notes(Unusable.DISTURBED)),
+                "DISTURBED",
+            ),
         ],
     )
     def test_what_was_not_its_own_failure(self, make_study, make_trial, outcome, word):

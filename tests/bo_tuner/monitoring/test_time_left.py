@@ -25,7 +25,7 @@ class Machine:
         self.now += proposal
         done = [dataclasses.replace(item, seconds=evaluation) for item in trial.evaluations]
         if warm_up:
-            warmed = done[0].outcome.with_warm_up(3, warm_up)
+            warmed = done[0].outcome.noted(warm_ups=3, warm_up_seconds=warm_up)
             done[0] = dataclasses.replace(done[0], outcome=warmed)
             self.now += warm_up
         for item in done:

@@ -8,8 +8,8 @@ import pytest
 
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.trials import (
-    DISTURBED,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -199,7 +199,7 @@ class TestRepetition:
             tell(number, stage_one.ask())
         proposal = stage_one.ask()
         reason = "axis: parameter n is 1, expected 2 (changed by someone else)"
-        unusable = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        unusable = Outcome(EvaluationState.FAILED, {}, reason, notes=Notes(Unusable.DISTURBED))
         evaluation = Evaluation(3, 0, Stage.DRAWN, proposal.parameters, {}, 1, unusable)
         tell(3, proposal, state=TrialState.FAILED, reason=reason, evaluations=(evaluation,))
         again = stage_one.ask()

@@ -456,10 +456,9 @@ def test_times_add_up(analysis):
 
 def test_what_starts_with_other_values_took_is_told(analysis):
     first, second, *others = analysis.record.evaluations
-    details = [{"starts": "2", "start_seconds": "3.5"}, {"starts": "1", "start_seconds": "1.0"}]
     evaluations = [
-        replace(evaluation, outcome=replace(evaluation.outcome, details=told))
-        for evaluation, told in zip((first, second), details, strict=True)
+        replace(evaluation, outcome=evaluation.outcome.with_starts(*starts))
+        for evaluation, starts in zip((first, second), [(2, 3.5), (1, 1.0)], strict=True)
     ]
     record = replace(analysis.record, evaluations=(*evaluations, *others))
     told = "Of the test runs 4.5 s went into 3 starts of nodes with other values, 1.5 s each."
@@ -469,8 +468,8 @@ def test_what_starts_with_other_values_took_is_told(analysis):
 
 def test_what_a_machine_needs_between_runs_is_told(analysis):
     first, second, *others = analysis.record.evaluations
-    warmed = first.outcome.with_warm_up(3, 12.5)
-    rested = replace(second.outcome, details={"rested_seconds": "30.0"})
+    warmed = first.outcome.noted(warm_ups=3, warm_up_seconds=12.5)
+    rested = second.outcome.noted(rested_seconds=30.0)
     record = replace(
         analysis.record,
         evaluations=(replace(first, outcome=warmed), replace(second, outcome=rested), *others),
@@ -486,7 +485,7 @@ def test_what_a_machine_needs_between_runs_is_told(analysis):
 
 def test_the_time_of_ramps_is_told(analysis):
     first, *others = analysis.record.evaluations
-    ramped = replace(first.outcome, details={"ramped_seconds": "6.0"})
+    ramped = first.outcome.noted(ramped_seconds=6.0)
     record = replace(analysis.record, evaluations=(replace(first, outcome=ramped), *others))
     told = " For 6 s the parameters were on their way to others."
     assert timing(Analysis(record)).lead.endswith(told)

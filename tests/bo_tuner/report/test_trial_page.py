@@ -13,7 +13,7 @@ from bo_tuner.report import recorded_signals
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.trial_page import trial_sections
-from bo_tuner.trials import NOTE, TUNING, TrialState
+from bo_tuner.trials import TUNING, TrialState
 
 
 @pytest.fixture
@@ -60,9 +60,7 @@ def test_gaps_in_the_signals_are_told_beside_the_metrics_and_with_the_failures(t
     def marked(evaluation):
         if (evaluation.trial, evaluation.index) != (number, 0) or evaluation.stage not in TUNING:
             return evaluation
-        outcome = evaluation.outcome
-        outcome = dataclasses.replace(outcome, details={**outcome.details, NOTE: said})
-        return dataclasses.replace(evaluation, outcome=outcome)
+        return dataclasses.replace(evaluation, outcome=evaluation.outcome.noted(remark=said))
 
     record = traced.record
     record = dataclasses.replace(

@@ -13,12 +13,12 @@ from bo_tuner.method_names import SAFE
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.replay.recompute import measure_again
+from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.storage.carrying import carry_over, check_comparable, is_carried, remeasured
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.rows import check_study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import (
-    DISTURBED,
     EvaluationState,
     Outcome,
     Stage,
@@ -75,7 +75,7 @@ class TestRunsCutShort:
         wider = make_study(parameters={"gain": GAIN | {"bounds": [0.0, 2.0]}})
         trial = carry(self.cut(runs, BOUNDARY), wider).trials[1]
         assert trial.state is TrialState.CUT_SHORT
-        assert trial.evaluations[-1].outcome.at_least == {"error": 0.4, "peak": 1.2}
+        assert trial.evaluations[-1].outcome.notes.at_least == {"error": 0.4, "peak": 1.2}
         assert all(e.outcome.complete for e in trial.evaluations[:-1])
 
     def test_not_by_a_method_that_needs_whole_runs(self, runs, make_study):
@@ -313,15 +313,15 @@ class TestContexts:
 
 class TestOutcomes:
     def test_what_was_lost_or_disturbed_is_left_out(self, tmp_path, make_study, make_trial):
-        def ending(number, state, **details):
+        def ending(number, state, **notes):
             trial = make_trial(number, {"gain": 0.1 * number})
-            outcome = Outcome(state, {}, "gone", details)
+            outcome = Outcome(state, reason="gone", notes=Notes(**notes))
             evaluations = (dataclasses.replace(trial.evaluations[0], outcome=outcome),)
             return dataclasses.replace(trial, evaluations=evaluations)
 
         trials = [
             ending(0, EvaluationState.LOST),
-            ending(1, EvaluationState.FAILED, **{DISTURBED: "by others"}),
+            ending(1, EvaluationState.FAILED, unusable=Unusable.DISTURBED),
             ending(2, EvaluationState.FAILED),
             make_trial(3, {"gain": 0.5}, [1.0]),
         ]

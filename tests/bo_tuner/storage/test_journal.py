@@ -18,6 +18,7 @@ from bo_tuner.errors import JournalError, OutputError
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.plans import Event, EventKind, Phase
 from bo_tuner.processor_load import Load
+from bo_tuner.run_notes import Death, Messages, Notes, Published, Rate, Unusable
 from bo_tuner.storage import journal as journal_module
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
@@ -67,6 +68,30 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+NOTED = Notes(
+    unusable=Unusable.DISTURBED,
+    death=Death("pid", anyway=True),
+    deaths=2,
+    cut_after=1.25,
+    at_least={"peak": 0.1 + 0.2},
+    default={"error": 1e-300},
+    carried_from="/runs/1",
+    remark="signal é was silent",
+    park_problem="no answer",
+    starts=2,
+    start_seconds=0.5,
+    warm_ups=3,
+    warm_up_seconds=1.5,
+    rested_seconds=2.5,
+    ramped_seconds=3.5,
+    ignored_results=4,
+    signals={"angle": Messages(5, 1, 2)},
+    rates={"angle": Rate(5.0, 0.1, 0.2, 0.3, 1.0), "once": None},
+    streams={"/left": Published(10, 1, 0.001, 0.002, 0.1)},
+    held={"pid.kp": 0.1, "pid.gains": "[1.0, 2.0]", "pid.on": True, "pid.n": 3},
+)
+
+
 class TestRoundTrip:
     @given(
         parameters=st.dictionaries(names, finite | st.integers(-(2**63), 2**63 - 1)),
@@ -79,7 +104,16 @@ class TestRoundTrip:
         warnings=st.lists(texts, max_size=2).map(tuple),
     )
     def test_bit_for_bit(
-        self, tmp_path_factory, parameters, context, metrics, details, reason, load, worst, warnings
+        self,
+        tmp_path_factory,
+        parameters,
+        context,
+        metrics,
+        details,
+        reason,
+        load,
+        worst,
+        warnings,
     ):
         whole = evaluation(
             context=context, outcome=Outcome(EvaluationState.COMPLETE, metrics, "", details, load)
@@ -100,6 +134,18 @@ class TestRoundTrip:
         assert found == (recorded,)
         # Outcomes are compared without it.
         assert [e.outcome.load for e in found[0].evaluations] == [load, None]
+
+    def test_notes_bit_for_bit(self, tmp_path):
+        """All of them, and none that is as without."""
+        assert not [name for name, value in vars(NOTED).items() if value == vars(Notes())[name]]
+        written = [evaluation(outcome=Outcome(EvaluationState.FAILED, notes=NOTED)), evaluation()]
+        with Journal(tmp_path / "j", {}) as journal:
+            for item in written:
+                journal.record_evaluation(item)
+        assert [e.outcome for e in read_journal(tmp_path / "j").evaluations] == [
+            item.outcome for item in written
+        ]
+        assert journal_module.evaluation_row(written[1])[-2] == "{}"
 
     @pytest.mark.parametrize(
         "load", ["1", "{}", '{"machine": 1.5, "nodes": null}', '{"machine": "0.5", "nodes": 0.5}']

@@ -14,10 +14,9 @@ from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.fantasies import fantasies
 from bo_tuner.plans import BatchPlan, Event, EventKind, Phase, Plan, Run, Runs, finished_after
+from bo_tuner.run_notes import Death, Notes
 from bo_tuner.storage.journal_reader import in_order_of_plans
 from bo_tuner.trials import (
-    DIED,
-    DIED_ANYWAY,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -487,13 +486,16 @@ class TestEvents:
         assert finished_after([finish, settled, extend], Phase.CHECKING) is None
 
 
+DIED, DIED_ANYWAY = Death("sim"), Death("sim", anyway=True)
+
+
 class Mortal:
     """A node dies in some runs, counted from 0; the others are complete."""
 
     name = "ros"
 
-    def __init__(self, key, deadly):
-        self._key = key
+    def __init__(self, death, deadly):
+        self._death = death
         self._deadly = deadly
         self.runs = 0
 
@@ -502,8 +504,12 @@ class Mortal:
             dies = self._deadly(self.runs)
             self.runs += 1
             if dies:
-                details = {self._key: "sim"}
-                outcome = Outcome(EvaluationState.LOST, {}, "sim was ended by SIGABRT", details)
+                outcome = Outcome(
+                    EvaluationState.LOST,
+                    {},
+                    "sim was ended by SIGABRT",
+                    notes=Notes(death=self._death),
+                )
             else:
                 outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5})
             yield replace(planned, outcome=outcome)
@@ -543,7 +549,7 @@ class TestDeaths:
     def test_one_that_dies_anyway_is_run_until_it_ends(self):
         backend = Mortal(DIED_ANYWAY, lambda run: run % 4 != 3)
         results = self.results(backend)
-        assert [(o.state, o.deaths) for o in results] == [(EvaluationState.COMPLETE, 3)] * 3
+        assert [(o.state, o.notes.deaths) for o in results] == [(EvaluationState.COMPLETE, 3)] * 3
 
     def test_one_that_always_dies_anyway_ends_the_run(self):
         backend = Mortal(DIED_ANYWAY, lambda run: True)

@@ -9,12 +9,11 @@ from functions import NODE, Watcher
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
-    DISTURBED,
-    UNPREPARED,
     EvaluationState,
     Outcome,
     Stage,
@@ -214,7 +213,7 @@ class TestFailures:
     def test_so_do_three_that_others_disturbed(self, make_study, function_backend):
         study = make_study()
         reason = "axis: parameter gain is 1.0, expected 0.5 (changed by someone else)"
-        disturbed = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        disturbed = Outcome(EvaluationState.FAILED, {}, reason, notes=Notes(Unusable.DISTURBED))
         seen = []
         with pytest.raises(RunError, match=r"^3 trials in a row were disturbed: axis: p"):
             iter_into(trials_of(study, function_backend(study, lambda **_: disturbed)), seen)
@@ -229,7 +228,7 @@ class TestFailures:
     def test_so_do_three_that_could_not_be_prepared(self, make_study, function_backend):
         study = make_study()
         reason = "the preparation with the safe parameters failed: run.before[1]: 'v < 1' does not"
-        unprepared = Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
+        unprepared = Outcome(EvaluationState.FAILED, {}, reason, notes=Notes(Unusable.UNPREPARED))
         assert unprepared.unusable
         seen = []
         with pytest.raises(RunError, match=r"^3 trials in a row could not be prepared: the prepar"):

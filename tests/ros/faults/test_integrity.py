@@ -15,9 +15,10 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.parameters.messages import to_value
 from bo_tuner.errors import BackendError
+from bo_tuner.run_notes import Unusable
 from bo_tuner.study import maxima
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
-from bo_tuner.trials import DISTURBED, EvaluationState
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
 
@@ -103,7 +104,7 @@ def expect_disturbed(outcome, node, name, value):
     assert outcome.reason.startswith(f"{KEYS[node]}: parameter {name} is {value}, expected ")
     assert " (changed by someone else)" in outcome.reason
     assert outcome.unusable
-    assert outcome.details[DISTURBED] == outcome.reason
+    assert outcome.notes.unusable is Unusable.DISTURBED
 
 
 class TestForeignChanges:

@@ -19,6 +19,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.isolation import PROFILE_VARIABLES
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.run_notes import Notes
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
@@ -56,7 +57,8 @@ def figures(trials):
     plain = []
     for trial in trials:
         outcomes = [
-            dataclasses.replace(evaluation.outcome, details={}) for evaluation in trial.evaluations
+            dataclasses.replace(evaluation.outcome, details={}, notes=Notes())
+            for evaluation in trial.evaluations
         ]
         pairs = zip(trial.evaluations, outcomes, strict=True)
         evaluations = tuple(

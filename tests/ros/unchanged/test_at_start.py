@@ -135,11 +135,11 @@ def test_a_node_runs_with_the_values_of_each_trial(backend, words):
     assert outcome.metrics["used"] == 1.25
     # A fresh process begins at rest, and its angle is not that of the last one.
     assert outcome.metrics["first"] < 0.5
-    assert outcome.starts[0] == 1
-    assert outcome.starts[1] > 0.0
+    assert outcome.notes.starts == 1
+    assert outcome.notes.start_seconds > 0.0
     second = pid_of(made)
     assert second != first
-    assert complete(made, 1.25).starts == (0, 0.0)
+    assert complete(made, 1.25).notes.starts == 0
     assert pid_of(made) == second
 
 
@@ -347,7 +347,7 @@ def test_a_lifecycle_node_can_be_configured_anew_in_place_of_a_start(backend):
     made = backend(study("lifecycle", node={"reconfigure": True}))
     first = pid_of(made)
     assert complete(made, 1.0).metrics["used"] == 1.0
-    assert complete(made, 2.0).starts[0] == 1
+    assert complete(made, 2.0).notes.starts == 1
     assert pid_of(made) == first
 
 

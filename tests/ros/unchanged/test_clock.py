@@ -11,7 +11,8 @@ from std_srvs.srv import Trigger
 from bo_tuner.backends.ros import clock
 from bo_tuner.backends.ros.clock import SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
-from bo_tuner.trials import DISTURBED, EvaluationState
+from bo_tuner.run_notes import Unusable
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
 
@@ -42,7 +43,7 @@ def test_times_of_a_run_are_those_of_the_simulation(backend, simulation):
         assert outcome.state is EvaluationState.COMPLETE, outcome.reason
         assert outcome.metrics["time"] == pytest.approx(4.0)
         # The servo publishes 100 times in a second of the machine, which may be a busy one.
-        messages = int(outcome.details["signals.angle"].split()[0])
+        messages = outcome.notes.signals["angle"].messages
         assert 5 < messages < 280
 
 
@@ -107,7 +108,7 @@ def test_a_simulation_that_jumps_back_in_a_run(backend, simulation, in_run):
     in_run(made, lambda: simulation._reset(None, Trigger.Response()))
     outcome = run(made)
     assert failure(outcome).startswith("/clock jumped back from 1")
-    assert DISTURBED in outcome.details
+    assert outcome.notes.unusable is Unusable.DISTURBED
 
 
 def test_no_simulation(refusal):

@@ -31,12 +31,12 @@ def test_it_ends_at_once_and_the_machine_is_brought_to_rest(backend, system):
         outcome = run(made, far=0.8)
         assert outcome.state is EvaluationState.CUT_SHORT
         assert outcome.metrics == {}
-        assert outcome.at_least.keys() == {"error", "far"}
-        assert 0.8 < outcome.at_least["far"] <= 1.0
-        assert outcome.at_least["error"] > 0.0
-        seconds = float(outcome.details["cut short after"])
+        assert outcome.notes.at_least.keys() == {"error", "far"}
+        assert 0.8 < outcome.notes.at_least["far"] <= 1.0
+        assert outcome.notes.at_least["error"] > 0.0
+        seconds = outcome.notes.cut_after
         assert 0.0 < seconds < DEADLINE
-        far = f"far at least {outcome.at_least['far']:.3g} rad"
+        far = f"far at least {outcome.notes.at_least['far']:.3g} rad"
         assert outcome.reason == f"cut short after {seconds:.3g} s: {far}"
         assert not outcome.unusable
         wait_until(lambda: system.setpoint == -0.5, "the machine is stopped")
@@ -46,7 +46,7 @@ def test_one_that_is_not_beyond_its_bound_is_whole(backend):
     made = backend(metrics=METRICS, budget=BUDGET)
     outcome = run(made, far=2.0, error=5.0)
     assert outcome.complete, outcome
-    assert outcome.at_least == {}
+    assert outcome.notes.at_least == {}
     assert outcome.metrics.keys() == {"error", "far", "rough"}
 
 

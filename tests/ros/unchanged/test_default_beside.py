@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from servo import failure
 
-from bo_tuner.trials import UNPREPARED, Evaluation, EvaluationState, Stage
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -30,7 +30,7 @@ def test_the_default_runs_first_and_the_recording_is_the_evaluations(compared, s
     found = run(compared, 0.1)
     assert found.state is EvaluationState.COMPLETE, found.reason
     assert system.gains_at_reset[-2:] == [DEFAULT, 0.1]
-    default = float(found.details["default's error"])
+    default = found.notes.default["error"]
     assert found.metrics["error_minus_default"] == found.metrics["error"] - default
     # A slower servo is farther from its setpoint.
     assert found.metrics["error_minus_default"] > 0.0
@@ -50,5 +50,5 @@ def test_a_default_that_fails(compared, system):
     reason = failure(found)
     assert reason.startswith("the default, to which limits are relative, failed in this context: ")
     assert "angle" in reason
-    assert found.ending == UNPREPARED
+    assert found.ending == "unprepared"
     assert system.gains_at_reset[-1] == DEFAULT

@@ -42,8 +42,8 @@ def test_to_the_safe_parameters_to_those_of_a_trial_and_back(backend, system):
     assert outcome.state is EvaluationState.COMPLETE, outcome.reason
     assert (gains := taken(system)) == pytest.approx(steps(SAFE, ODD))
     assert gains[-1] == gain(system) == ODD
-    assert outcome.ramped >= RAMP
-    assert run(made, ODD).ramped == 0.0
+    assert outcome.notes.ramped_seconds >= RAMP
+    assert run(made, ODD).notes.ramped_seconds == 0.0
     assert taken(system) == [], "of the same trial"
     assert made.park() == []
     assert taken(system) == pytest.approx(steps(ODD, SAFE)), "as in a pause"
@@ -71,7 +71,7 @@ def test_between_two_runs_it_goes_there_and_back(backend, system):
     assert outcome.state is EvaluationState.COMPLETE, outcome.reason
     assert taken(system) == pytest.approx(steps(SAFE, 0.75) + steps(0.75, SAFE))
     assert system.gains_at_reset == [SAFE], "before the ramp"
-    assert outcome.ramped >= 2.0 * RAMP
+    assert outcome.notes.ramped_seconds >= 2.0 * RAMP
 
 
 def test_a_run_that_fails_is_parked_at_once(backend, system):

@@ -15,6 +15,7 @@ from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
 from bo_tuner.errors import StudyError
+from bo_tuner.run_notes import Messages
 from bo_tuner.study import maxima
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
@@ -45,7 +46,7 @@ def test_a_run_and_its_metrics(backend, system):
     assert fast.metrics["same"] == pytest.approx(1.0, abs=0.01)
     assert fast.metrics["margin"] == 1.5
     assert fast.metrics["time"] == pytest.approx(1.0)
-    assert fast.details["signals.setpoint"] == "1 messages, 0 lost, 0 late"
+    assert fast.notes.signals["setpoint"] == Messages(1, 0, 0)
     # The steps after the run; the message has a stamp.
     wait_until(lambda: len(system.received) == 2, "the messages after the runs")
     assert [m.name for m in system.received] == [["a"]] * 2
@@ -69,7 +70,7 @@ def test_a_run_that_does_not_come_about_has_no_signals(backend, system):
         refused = run(made, 0.3)
     assert "not now" in failure(refused)
     assert not made.recording.signals
-    assert not any(key.startswith("signals.") for key in refused.details)
+    assert not refused.notes.signals
 
 
 def test_a_run_without_a_message(backend, system):
@@ -224,7 +225,7 @@ def test_a_node_that_freezes_in_a_run_fails_it_by_the_first_runs(backend, system
     assert [outcome.state for outcome in first] == [EvaluationState.COMPLETE] * 3
     assert re.match(
         r"signal angle \(/joint_states\) has no message for 1\.\d+ s from 0\.\d+ s on, usually one",
-        first[0].note,
+        first[0].notes.remark,
     )
     frozen = stall(made)
     assert re.search(

@@ -7,7 +7,8 @@ from servo import study as servo_study
 
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.errors import StudyError
-from bo_tuner.trials import DISTURBED, EvaluationState
+from bo_tuner.run_notes import Unusable
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
 
@@ -105,7 +106,7 @@ def test_what_somebody_else_changes_then_is_told(backend, system, history, in_ru
     in_run(made, lambda: system.set_parameters([Parameter("count", value=1)]))
     outcome = run(made)
     assert failure(outcome) == "servo: parameter count is 1, expected 7 (changed by someone else)"
-    assert DISTURBED in outcome.details
+    assert outcome.notes.unusable is Unusable.DISTURBED
     # Nor is it left so.
     complete(run(made))
     assert count(system) == HAD

@@ -17,6 +17,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.run_notes import Death
 from bo_tuner.study.study_file import (
     load_study,
     parse_study,
@@ -24,7 +25,7 @@ from bo_tuner.study.study_file import (
     study_to_mapping,
     study_to_yaml,
 )
-from bo_tuner.trials import DIED, DIED_ANYWAY, Evaluation, EvaluationState, Stage
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -260,8 +261,8 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
     assert run(made).state is EvaluationState.COMPLETE
 
 
-@pytest.mark.parametrize(("death", "key"), [("failure", DIED), ("ignore", DIED_ANYWAY)])
-def test_what_it_means_that_a_node_ends_in_mid_run(backend, in_run, death, key):
+@pytest.mark.parametrize("death", ["failure", "ignore"])
+def test_what_it_means_that_a_node_ends_in_mid_run(backend, in_run, death):
     """Under a guard, too, which does not mind what the tuner has started."""
     nodes = {
         "pid": {"node": "pid", "command": command("pid"), "death": death},
@@ -271,14 +272,14 @@ def test_what_it_means_that_a_node_ends_in_mid_run(backend, in_run, death, key):
     in_run(made, partial(os.kill, made._started.processes["pid"].pid, signal.SIGKILL))
     found = run(made)
     assert found.state is EvaluationState.LOST
-    assert found.details[key] == "pid"
+    assert found.notes.death == Death("pid", anyway=death == "ignore")
     # With the values of no test run it is nobody's death.
     pid = made._started.processes["pid"]
     os.kill(pid.pid, signal.SIGKILL)
     wait_until(lambda: pid.exit_reason is not None, "its end")
     found = run(made)
     assert found.state is EvaluationState.LOST
-    assert not {DIED, DIED_ANYWAY} & found.details.keys()
+    assert found.notes.death is None
     assert run(made).state is EvaluationState.COMPLETE
 
 

@@ -18,7 +18,8 @@ from bo_tuner.backends.ros import streams
 from bo_tuner.backends.ros.clock import to_stamp
 from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.own_topics import OwnTopic
-from bo_tuner.trials import DISTURBED, EvaluationState
+from bo_tuner.run_notes import Unusable
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
 
@@ -91,8 +92,8 @@ def test_a_reference_goes_on_while_steps_are_performed(backend, listener):
     steps = [stream("left", "1 + t"), {"wait": 0.2}, call, {"wait": 0.2}]
     made = backend(run={"start": steps, "end": {"when": "t > 0.6"}})
     outcome = complete(run(made))
-    told = outcome.details["streams./left"]
-    wait_until(lambda: len(listener.heard["left"]) == int(told.split()[0]), "all messages")
+    told = outcome.notes.streams["/left"]
+    wait_until(lambda: len(listener.heard["left"]) == told.messages, "all messages")
     heard = listener.numbers("left")
     numbers = (np.array(heard) - 1.0) * RATE
     assert numbers == pytest.approx(np.round(numbers), abs=1e-6)
@@ -159,7 +160,7 @@ def test_a_reference_that_comes_to_its_end(backend, listener):
     heard = listener.numbers("left")
     assert heard[-1] == pytest.approx(3.0)
     assert len(heard) <= 16
-    assert outcome.details["streams./left"].startswith(f"{len(heard)} messages")
+    assert outcome.notes.streams["/left"].messages == len(heard)
 
 
 def test_messages_of_several_types_in_step(backend, listener):
@@ -226,7 +227,7 @@ def test_of_several_topics_the_one_that_is_wrong_is_named(refusal, listener):
 
 def disturbance(outcome):
     reason = failure(outcome)
-    assert outcome.details[DISTURBED] == reason
+    assert outcome.notes.unusable is Unusable.DISTURBED
     return reason
 
 

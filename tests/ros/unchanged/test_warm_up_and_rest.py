@@ -25,7 +25,7 @@ def test_runs_to_warm_up_come_first_and_count_nothing(backend, system):
     made.after_extra_run = lambda: extra.append(gain(system))
     first, second = made.run([evaluation(0.5), evaluation(0.75)])
     assert extra == [1.0, 1.0]
-    assert [e.outcome.warm_up[0] for e in (first, second)] == [2, 0]
+    assert [e.outcome.notes.warm_ups for e in (first, second)] == [2, 0]
     assert [e.parameters["gain"] for e in (first, second)] == [0.5, 0.75]
     # The resets of `before`: two runs to warm up, and each evaluation.
     assert len(system.gains_at_reset) == 4
@@ -56,13 +56,13 @@ def test_a_machine_that_cannot_warm_up_is_no_fault_of_the_trial(backend, system)
 def test_it_rests_with_the_safe_parameters(backend, system):
     made = backend(run={"rest": 0.5, "before": []}, park=PARK)
     first = run(made, 0.75)
-    assert (first.state, first.rested) == (EvaluationState.COMPLETE, 0.0)
+    assert (first.state, first.notes.rested_seconds) == (EvaluationState.COMPLETE, 0.0)
     assert gain(system) == SAFE
     seen = []
     with made._tuner.also_watched_by(lambda: seen.append((gain(system), system.angle))):
         second = run(made, 0.75)
     assert second.state is EvaluationState.COMPLETE
-    assert second.rested > 0.0
+    assert second.notes.rested_seconds > 0.0
     assert seen[0][0] == SAFE
 
 

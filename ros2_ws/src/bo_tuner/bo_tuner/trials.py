@@ -3,9 +3,10 @@
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import isfinite
+from typing import Any
 
 from bo_tuner.processor_load import Load
+from bo_tuner.run_notes import Notes
 
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
@@ -50,7 +51,7 @@ ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 class EvaluationState(StrEnum):
     """How an evaluation ended: complete, failed, or lost because a node stopped.
 
-    One that was cut short was ended on purpose, as its outcome was decided; see `Outcome.at_least`.
+    One that was cut short was ended on purpose, as its outcome was decided; see `Notes.at_least`.
     """
 
     COMPLETE = "complete"
@@ -70,57 +71,15 @@ class TrialState(StrEnum):
     CUT_SHORT = "cut short"
 
 
-DISTURBED, UNPREPARED = "disturbed", "unprepared"
-"""Keys of an outcome's details: somebody else acted on the nodes during the evaluation, or it did
-not begin, because the steps before it failed with the safe parameters, or because the default
-failed, which a limit is relative to."""
-UNUSABLE = (DISTURBED, UNPREPARED)
-"""Keys that make a failed evaluation unusable; one that was lost is so without them."""
-
-STREAMS = "streams."
-"""Begins the keys of an outcome's details on how the messages of a reference were published."""
-
-NOTE = "note"
-"""Key of an outcome's details: what to know of its metrics, such as signals that were silent."""
-
-STARTS, START_SECONDS = "starts", "start_seconds"
-"""Keys of an outcome's details: how often nodes were started anew with other values ahead of it or
-because of it, and the time [s] that this took."""
-WARM_UPS, WARM_UP_SECONDS = "warm_up_runs", "warm_up_seconds"
-"""Keys of an outcome's details: runs that warmed the machine up ahead of it, and their time [s],
-which is not part of its own."""
-RESTED = "rested_seconds"
-"""Key of an outcome's details: how long [s] the machine was waited for to rest ahead of it."""
-RAMPED = "ramped_seconds"
-"""Key of an outcome's details: how long [s] parameters were under way to others for it."""
-HOLDS = "holds "
-"""Begins the keys of an outcome's details with the value that a device has in place of the one
-it was set to: it keeps fewer digits. The node in the study and the name of the parameter follow."""
-
-DIED, DIED_ANYWAY = "died", "died anyway"
-"""Keys of an outcome's details: the node that died in a run, of which the parameters may be the
-reason, or which does so whatever they are (`NodeSpec.death`)."""
-DEATHS = "deaths"
-"""Key of an outcome's details: how often nodes died anyway in the test run until it came to an
-end."""
-
-CUT_AFTER = "cut short after"
-"""Key of an outcome's details: time [s] of the run at which it was cut short."""
-AT_LEAST = "at least "
-"""Begins the keys of an outcome's details with the value that a metric had when the run was cut
-short; the name of the metric follows."""
-
-DEFAULT_HAS = "default's "
-"""Begins the keys of an outcome's details with what the default has, in the same context and with
-the same seed, of the metric named after it."""
-
-
 def parameter_set(parameters: Mapping[str, Value]) -> ParameterSet:
     """Return the key that evaluations and trials of equal parameters share.
 
     `SearchSpace.key` is coarser: it is of the tuned parameters only, rounded to their resolution.
     """
     return tuple(sorted(parameters.items()))
+
+
+NO_NOTES = Notes()
 
 
 @dataclass(frozen=True)
@@ -139,6 +98,8 @@ class Outcome:
         Further values that the nodes reported, as text.
     load
         How busy the computer was; None if nobody has looked. Ignored when outcomes are compared.
+    notes
+        What the tuner has noted of the run.
     """
 
     state: EvaluationState
@@ -146,6 +107,7 @@ class Outcome:
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
     load: Load | None = field(default=None, compare=False)
+    notes: Notes = NO_NOTES
 
     @classmethod
     def cut_short(
@@ -169,12 +131,16 @@ class Outcome:
             Further values that the nodes reported, as text.
         """
         seconds = round(seconds, 3)
-        known = {f"{AT_LEAST}{name}": repr(value) for name, value in at_least.items()}
         return cls(
             EvaluationState.CUT_SHORT,
             reason=f"cut short after {seconds:.3g} s: {decided}",
-            details={**(details or {}), CUT_AFTER: f"{seconds:.3f}", **known},
+            details=details or {},
+            notes=Notes(cut_after=seconds, at_least=at_least),
         )
+
+    def noted(self, **notes: Any) -> "Outcome":
+        """Return it with other `notes`, by the names of their fields."""
+        return replace(self, notes=replace(self.notes, **notes))
 
     @property
     def complete(self) -> bool:
@@ -186,86 +152,30 @@ class Outcome:
         """Whether it was ended on purpose: it has no metrics, and has not failed."""
         return self.state is EvaluationState.CUT_SHORT
 
-    @property
-    def at_least(self) -> dict[str, float]:
-        """Lower bounds of metrics by name, of a run that was cut short; empty of any other."""
-        if not self.was_cut_short:
-            return {}
-        return {
-            key.removeprefix(AT_LEAST): float(value)
-            for key, value in self.details.items()
-            if key.startswith(AT_LEAST)
-        }
-
-    @property
-    def note(self) -> str:
-        """What to know of its metrics, in a line; empty if there is nothing."""
-        return self.details.get(NOTE, "")
-
-    @property
-    def starts(self) -> tuple[int, float]:
-        """How often nodes were started anew with other values, and the time [s] that it took."""
-        return int(self._number(STARTS)), self._number(START_SECONDS)
-
-    @property
-    def deaths(self) -> int:
-        """How often nodes that die anyway died in it until it came to an end."""
-        return int(self._number(DEATHS))
-
-    @property
-    def warm_up(self) -> tuple[int, float]:
-        """How many runs have warmed the machine up ahead of it, and the time [s] that they took."""
-        return int(self._number(WARM_UPS)), self._number(WARM_UP_SECONDS)
-
-    @property
-    def rested(self) -> float:
-        """How long [s] the machine was waited for to rest ahead of it."""
-        return self._number(RESTED)
-
-    @property
-    def ramped(self) -> float:
-        """How long [s] parameters were under way for it, to its own and back to safe ones."""
-        return self._number(RAMPED)
-
-    def _number(self, key: str) -> float:
-        """Return a number in the details; 0 if there is none."""
-        try:
-            number = float(self.details.get(key, 0.0))
-        except ValueError:
-            # A record of somebody else's may say anything.
-            return 0.0
-        return number if isfinite(number) else 0.0
-
-    def died_of_parameters(self) -> "Outcome":
+    def died_of_parameters(self, node: str) -> "Outcome":
         """Return a loss, in which a node has died again with the same parameters, as a failure."""
         reason = (
             f"{self.reason}; it died twice with these parameters, which counts as their failure "
-            f"(see nodes.{self.details[DIED]}.death, and abort_when to end a run before)"
+            f"(see nodes.{node}.death, and abort_when to end a run before)"
         )
         return replace(self, state=EvaluationState.FAILED, reason=reason)
 
-    def with_warm_up(self, count: int, seconds: float) -> "Outcome":
-        """Return it with `warm_up`."""
-        details = {WARM_UPS: str(count), WARM_UP_SECONDS: f"{seconds:.3f}"}
-        return replace(self, details={**self.details, **details})
-
     def with_starts(self, count: int, seconds: float) -> "Outcome":
-        """Return it with `starts` added."""
+        """Return it with further starts of nodes."""
         if not count:
             return self
-        before, earlier = self.starts
-        details = {STARTS: str(before + count), START_SECONDS: f"{earlier + seconds:.3f}"}
-        return replace(self, details={**self.details, **details})
+        seconds = round(self.notes.start_seconds + seconds, 3)
+        return self.noted(starts=self.notes.starts + count, start_seconds=seconds)
 
     @property
     def unusable(self) -> bool:
-        """Whether it says nothing about its parameters: it was lost, or is one of `UNUSABLE`."""
-        return self.ending in (EvaluationState.LOST, *UNUSABLE)
+        """Whether it says nothing about its parameters."""
+        return self.state is EvaluationState.LOST or self.notes.unusable is not None
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or one of `UNUSABLE`."""
-        return next((key for key in UNUSABLE if key in self.details), str(self.state))
+        """How it ended, in a word: its state, or that it is `Unusable`."""
+        return str(self.notes.unusable or self.state)
 
 
 @dataclass(frozen=True)
@@ -422,7 +332,7 @@ class Trial:
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state; if it is unusable, lost or one of `UNUSABLE`."""
+        """How it ended, in a word: its state; if it is unusable, lost or as `Unusable` says."""
         if not self.unusable:
             return str(self.state)
         endings = [e.outcome.ending for e in self.evaluations if e.outcome.unusable]

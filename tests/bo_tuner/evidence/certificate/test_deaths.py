@@ -8,7 +8,8 @@ from scipy.stats import beta
 
 from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
 from bo_tuner.evidence.verdict import State, Verdict
-from bo_tuner.trials import DEATHS, Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.run_notes import Notes
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 TUNED, OTHER = {"gain": 0.25}, {"gain": 0.5}
 CONFIDENCE = 0.95
@@ -32,7 +33,7 @@ def runs(parameters, deaths, loads=None):
             {"load": float(load)},
             k,
             Outcome(
-                EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5}, details={DEATHS: str(count)}
+                EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5}, notes=Notes(deaths=count)
             ),
         )
         for k, (count, load) in enumerate(zip(deaths, loads, strict=True))

@@ -4,12 +4,10 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 
 from bo_tuner.metrics.collect import metric_problem
+from bo_tuner.run_notes import Unusable
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
-    DEFAULT_HAS,
-    UNPREPARED,
-    UNUSABLE,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -82,7 +80,7 @@ class DefaultBeside:
         Returns
         -------
         Outcome
-            With the relative metrics, and in its details what the default has of the metrics that
+            With the relative metrics, and in its notes what the default has of the metrics that
             these are of. Where the default fails, nothing is known of the parameters, and they are
             not run: the evaluation is lost if the default is, and otherwise not prepared.
         """
@@ -100,7 +98,7 @@ class DefaultBeside:
             if not default.complete:
                 return _without_default(default)
             self._known[draw] = default.metrics
-            outcome = (yield planned).with_starts(*default.starts)
+            outcome = (yield planned).with_starts(default.notes.starts, default.notes.start_seconds)
             return self._completed(outcome, default.metrics)
         return self._completed((yield planned), self._known[draw])
 
@@ -109,15 +107,16 @@ class DefaultBeside:
         if not outcome.complete:
             return outcome
         metrics = dict(outcome.metrics)
-        details = dict(outcome.details)
+        has: dict[str, float] = {}
         for name, metric in self._metrics.items():
             metrics[name] = metric.value(metrics, default)
-            details[f"{DEFAULT_HAS}{metric.relative}"] = repr(default[metric.relative])
+            has[metric.relative] = default[metric.relative]
             if problem := metric_problem(metrics[name]):
                 reason = f"metric {name} is {problem}"
-                return Outcome(EvaluationState.FAILED, {}, reason, details)
+                failed = replace(outcome, state=EvaluationState.FAILED, metrics={}, reason=reason)
+                return failed.noted(default=has)
         ordered = {name: metrics[name] for name in self._study.metrics}
-        return replace(outcome, metrics=ordered, details=details)
+        return replace(outcome, metrics=ordered).noted(default=has)
 
 
 def _without_default(default: Outcome) -> Outcome:
@@ -128,5 +127,5 @@ def _without_default(default: Outcome) -> Outcome:
     )
     if default.state is EvaluationState.LOST:
         return replace(default, reason=reason)
-    ending = next((key for key in UNUSABLE if key in default.details), UNPREPARED)
-    return replace(default, reason=reason, details={**default.details, ending: reason})
+    unusable = default.notes.unusable or Unusable.UNPREPARED
+    return replace(default, reason=reason).noted(unusable=unusable)

@@ -49,12 +49,13 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
+from bo_tuner.run_notes import Published
 from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.sizing import shortages
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, duration, durations, shown
-from bo_tuner.trials import STREAMS, TUNED, Evaluation, Stage
+from bo_tuner.trials import TUNED, Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
@@ -214,6 +215,14 @@ def _try(
         return code
 
 
+def _in_words(stream: Published) -> str:
+    return (
+        f"{stream.messages} messages, {stream.left_out} left out, late by "
+        f"{stream.late * 1e3:.2f} ms on average and {stream.latest * 1e3:.2f} ms at most, longest "
+        f"gap {stream.gap * 1e3:.1f} ms"
+    )
+
+
 def _show_runs(
     study: Study,
     done: Sequence[Evaluation],
@@ -222,17 +231,16 @@ def _show_runs(
 ) -> bool:
     """Show runs of the default; returns whether all are complete, and something moves."""
     show_signals(recordings[-1], RUNS)
-    for name, stream in done[-1].outcome.details.items():
-        if name.startswith(STREAMS):
-            say(f"stream on {name.removeprefix(STREAMS)}: {stream}")
+    for name, stream in done[-1].outcome.notes.streams.items():
+        say(f"stream on {name}: {_in_words(stream)}")
     failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
         say_error(
             f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
         )
     for evaluation in done:
-        if evaluation.outcome.note:
-            say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
+        if remark := evaluation.outcome.notes.remark:
+            say(f"note: run {evaluation.index + 1}: {remark}")
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
     if study.budget.cut_short:
@@ -343,9 +351,10 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 
 def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     """Show how long tuning and certificate will take, by test runs that completed."""
-    starting = sum(e.outcome.starts[1] for e in complete)
-    resting = max(e.outcome.rested for e in complete)
-    waiting = starting + sum(e.outcome.rested + e.outcome.ramped for e in complete)
+    notes = [e.outcome.notes for e in complete]
+    starting = sum(n.start_seconds for n in notes)
+    resting = max(n.rested_seconds for n in notes)
+    waiting = starting + sum(n.rested_seconds + n.ramped_seconds for n in notes)
     seconds = (sum(e.seconds for e in complete) - waiting) / len(complete)
     say(f"a test run took {seconds:.3g} s")
     if resting:
@@ -353,7 +362,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         say(f"the machine rested {resting:.3g} s ahead of one, which counts")
     ramping_of_run, ramping_of_set = _ramping(study)
     seconds += ramping_of_run
-    runs, warming = complete[0].outcome.warm_up
+    runs, warming = notes[0].warm_ups, notes[0].warm_up_seconds
     if runs:
         say(f"{counted(runs, 'run')} to warm up took {warming:.3g} s: once for each command")
     if study.relative_metrics:

@@ -232,7 +232,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
             _word(row),
         )
     print_table(plain_console(), table)
-    bounded = result.recorded.outcome.at_least
+    bounded = result.recorded.outcome.notes.at_least
     measured = [
         row.metric.name
         for row in result.metrics

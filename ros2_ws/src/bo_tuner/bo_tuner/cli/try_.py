@@ -214,8 +214,8 @@ def _show(result: SingleRun) -> None:
         table.add_row(row.metric, row.unit, row.value, row.limit, row.standing)
     if table.row_count:
         print_table(plain_console(), table)
-    if evaluation.outcome.note:
-        say(f"note: {evaluation.outcome.note}")
+    if remark := evaluation.outcome.notes.remark:
+        say(f"note: {remark}")
     say(result.headline)
 
 

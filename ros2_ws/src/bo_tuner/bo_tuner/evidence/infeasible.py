@@ -205,7 +205,7 @@ def infeasible(
 
 def _judged(study: Study, trial: Trial) -> _Judged:
     if trial.state is TrialState.CUT_SHORT:
-        known = [e.outcome.at_least for e in trial.evaluations]
+        known = [e.outcome.notes.at_least for e in trial.evaluations]
         over = (
             name
             for name, constraint in study.constraints.items()

@@ -1,15 +1,17 @@
 """From what the nodes say of an evaluation to the study's metrics."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
+from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.study import maxima, named_code
 from bo_tuner.study.checks import holds
 from bo_tuner.study.metrics import CombinedMetric, RelativeMetric, ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
-from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
+from bo_tuner.trials import EvaluationState, Outcome
 
 STATUS_OK = "ok"
 STATUS_CUT_SHORT = "cut short"
@@ -54,8 +56,8 @@ class Collector:
             Without metrics that are relative to the default, which `backends.paired` adds. Failed
             if a node ran with another parameter, if it says so or sends more than `maxima.ANSWER`
             values, if a metric is missing, no number, not finite or beyond `LARGEST_METRIC`, or if
-            a metric with a logarithmic scale is not positive. With the status `DISTURBED` a node
-            says that somebody else had a hand in the evaluation.
+            a metric with a logarithmic scale is not positive. With the status
+            `Unusable.DISTURBED` a node says that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -76,8 +78,9 @@ class Collector:
         for node, pairs in results.items():
             if pairs.get("status") != STATUS_OK:
                 reason = f"{node}: {brief(str(pairs.get('reason') or 'no reason given'))}"
-                disturbed = {DISTURBED: reason} if pairs.get("status") == DISTURBED else {}
-                return Outcome(EvaluationState.FAILED, {}, reason, details | disturbed)
+                is_disturbed = pairs.get("status") == Unusable.DISTURBED
+                notes = Notes(unusable=Unusable.DISTURBED if is_disturbed else None)
+                return Outcome(EvaluationState.FAILED, {}, reason, details, notes=notes)
         metrics: dict[str, float] = {}
         # Metrics that are computed from others come after these.
         ordered = sorted(
@@ -121,7 +124,7 @@ def cut_short(
     beyond: Mapping[str, float],
     seconds: float,
     so_far: Mapping[str, object],
-    details: Mapping[str, str],
+    details: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Return the outcome of a run that was ended early, since it was decided.
 
@@ -146,12 +149,12 @@ def cut_short(
     known: dict[str, float] = {}
     for name, value in so_far.items():
         if problem := metric_problem(value):
-            return Outcome(EvaluationState.FAILED, {}, f"metric {name} is {problem}", details)
+            return Outcome(EvaluationState.FAILED, {}, f"metric {name} is {problem}", details or {})
         known[name] = float(value)  # type: ignore[arg-type]
     decided = [name for name, most in beyond.items() if known.get(name, most) > most]
     if not decided:
         reason = f"ended early after {seconds:.3g} s, but no metric was beyond its bound"
-        return Outcome(EvaluationState.FAILED, {}, reason, details)
+        return Outcome(EvaluationState.FAILED, {}, reason, details or {})
     words = (
         f"{study.metrics[name].title} at least {known[name]:.3g} {study.metrics[name].unit}".strip()
         for name in decided
@@ -165,7 +168,7 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
         for metric in study.logarithmic_metrics:
             if (value := outcome.metrics[metric]) <= 0.0:
                 reason = f"metric {metric} is {value}; {NO_LOGARITHM}"
-                return Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
+                return replace(outcome, state=EvaluationState.FAILED, metrics={}, reason=reason)
     return outcome
 
 

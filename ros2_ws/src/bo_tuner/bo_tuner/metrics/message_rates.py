@@ -5,15 +5,15 @@ signal with messages in even distances there is *regular*; one of events, or of 
 published only once, is not, and may be silent.
 """
 
-import re
 from collections.abc import Collection
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from statistics import median
 
 import numpy as np
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording, named
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.run_notes import Rate
 from bo_tuner.study.braces import without_contexts
 from bo_tuner.study.metrics import signals_of
 from bo_tuner.study.signals import expression
@@ -30,54 +30,10 @@ JITTER = 0.1
 """Length [s] of a gap that is usual on a busy machine, however often messages come."""
 FEWEST_SHARE = 0.95
 """Share of the usual number of messages that an even signal has at least, or they are too few."""
-EVEN = 2.0
-"""Largest distance of the messages of an even signal, in nine of ten cases, in usual distances."""
 LONG = 50.0
 """A gap of so many usual distances fails a run, if it is long beside the run as well."""
 SHARE, SHORTEST, LONGEST = 0.25, 0.5, 2.0
 """Share of the run that such a gap takes at least, between these lengths [s]."""
-
-RATE = "rate."
-"""Beginning of the keys of an outcome's details that hold the rates of the signals."""
-TEXT = re.compile(r"(\d+) messages, every (\S+) s, 90 % (\S+) s, largest gap (\S+) s, run (\S+) s")
-FEW = "too few messages"
-"""The text in place of the rate, of a signal that has none."""
-
-
-@dataclass(frozen=True)
-class Rate:
-    """How often the messages of a signal came in a run.
-
-    Attributes
-    ----------
-    messages
-        Number of them.
-    distance
-        Median of the time between two messages [s].
-    most
-        What that time does not exceed in nine of ten cases [s].
-    gap
-        Longest time without a message [s], start and end included.
-    duration
-        Of the run [s].
-    """
-
-    messages: float
-    distance: float
-    most: float
-    gap: float
-    duration: float
-
-    @property
-    def even(self) -> bool:
-        """Whether messages come in even distances, so that their number can be too small."""
-        return self.most <= EVEN * self.distance
-
-    def __str__(self) -> str:
-        return (
-            f"{self.messages:.0f} messages, every {self.distance!r} s, 90 % {self.most!r} s, "
-            f"largest gap {self.gap!r} s, run {self.duration!r} s"
-        )
 
 
 def rate_of(seen: RecordedSignal, end: float) -> Rate | None:
@@ -123,29 +79,18 @@ class MessageRates:
         self._runs: list[dict[str, Rate]] = []
 
     def note(self, outcome: Outcome) -> None:
-        """Take note of the rates that the outcome of an evaluation has in its details."""
-        texts = {
-            key.removeprefix(RATE): text
-            for key, text in outcome.details.items()
-            if key.startswith(RATE)
-        }
-        if outcome.complete and texts and len(self._runs) < FIRST_RUNS:
-            self._runs.append(
-                {
-                    name: Rate(*map(float, match.groups()))
-                    for name, text in texts.items()
-                    if (match := TEXT.fullmatch(text))
-                }
-            )
+        """Take note of the rates that the outcome of an evaluation has."""
+        rates = outcome.notes.rates
+        if outcome.complete and rates and len(self._runs) < FIRST_RUNS:
+            self._runs.append({name: rate for name, rate in rates.items() if rate is not None})
 
-    def details(self, recording: Recording) -> dict[str, str]:
-        """Return the rates of a run, for the details of its outcome."""
-        rates = {
+    def of(self, recording: Recording) -> dict[str, Rate | None]:
+        """Return the rates of a run; None of a signal with too few messages."""
+        return {
             name: rate_of(recording.signals[name], recording.end)
             for name in self._signals
             if name in recording.signals
         }
-        return {f"{RATE}{name}": str(rate or FEW) for name, rate in rates.items()}
 
     @property
     def largest_gaps(self) -> dict[str, float]:

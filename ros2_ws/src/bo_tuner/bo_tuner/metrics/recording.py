@@ -8,6 +8,7 @@ import numpy as np
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
+from bo_tuner.run_notes import Messages
 from bo_tuner.study.signals import TIME, Signal
 
 OTHER_CLOCK = 5.0
@@ -293,10 +294,10 @@ class Recording:
         }
         return time[keep], values
 
-    def counts(self) -> dict[str, str]:
-        """Say in words how many messages of each signal came."""
+    def counts(self) -> dict[str, Messages]:
+        """Return how many messages of each signal came."""
         return {
-            f"signals.{name}": f"{seen.messages} messages, {seen.lost} lost, {seen.late} late"
+            name: Messages(seen.messages, seen.lost, seen.late)
             for name, seen in (*self.signals.items(), *self.messages.items())
         }
 

@@ -42,12 +42,12 @@ def censored_observations(
         (point, evaluation)
         for trial, point in zip(trials, points, strict=True)
         for evaluation in trial.evaluations
-        if metric in evaluation.outcome.at_least
+        if metric in evaluation.outcome.notes.at_least
     ]
     return Censored(
         np.array([point for point, _ in cut]).reshape(-1, points.shape[1]),
         contexts.cube_of([evaluation.context for _, evaluation in cut]),
-        np.array([evaluation.outcome.at_least[metric] for _, evaluation in cut]),
+        np.array([evaluation.outcome.notes.at_least[metric] for _, evaluation in cut]),
     )
 
 

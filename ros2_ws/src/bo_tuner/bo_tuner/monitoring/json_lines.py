@@ -80,7 +80,7 @@ class JsonLines(Display):
             seed=evaluation.seed,
             state=str(outcome.state),
             reason=outcome.reason,
-            note=outcome.note,
+            note=outcome.notes.remark,
             metrics=outcome.metrics,
             seconds=evaluation.seconds,
         )

@@ -97,7 +97,7 @@ class RunProgress(Display):
     def evaluation(self, evaluation: Evaluation) -> None:
         """Update the times, and show what there is to know of a run."""
         self._show()
-        if (note := evaluation.outcome.note) and not evaluation.recorded:
+        if (note := evaluation.outcome.notes.remark) and not evaluation.recorded:
             self.inform(f"warning: {evaluation.place}: {note}")
 
     def advance(self) -> None:

@@ -71,7 +71,7 @@ class TimeLeft:
         now = self._clock()
         if not evaluation.recorded:
             # The machine is warmed up once, and not ahead of each evaluation to come.
-            _, warming = evaluation.outcome.warm_up
+            warming = evaluation.outcome.notes.warm_up_seconds
             self._trial_began, self._latest = self._trial_began + warming, self._latest + warming
             step = now - self._latest
             self._beside.append(max(0.0, step - evaluation.seconds))

@@ -123,7 +123,7 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """
     old = recorded
     new = Driver(backend).evaluate(old)
-    bounds = old.outcome.at_least
+    bounds = old.outcome.notes.at_least
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
         Comparison(

@@ -140,7 +140,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
 
 def _state(item: Evaluation) -> str:
     state = item.outcome.ending
-    remark = item.outcome.reason or item.outcome.note
+    remark = item.outcome.reason or item.outcome.notes.remark
     return f"{state}: {remark}" if remark else state
 
 

@@ -47,8 +47,6 @@ from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
-    AT_LEAST,
-    DEFAULT_HAS,
     Evaluation,
     Outcome,
     Stage,
@@ -59,9 +57,6 @@ from bo_tuner.trials import (
     count_evaluations,
     ended_as,
 )
-
-ORIGIN = "from"
-"""Key of an evaluation's details that names the run it comes from."""
 
 OF_MEASURING = re.compile(r"\b(metric|signal) ")
 """In the reason of a failure: it lies in how the run was measured."""
@@ -101,7 +96,7 @@ class LeftOutError(Exception):
 
 def is_carried(trial: Trial) -> bool:
     """Whether a trial was taken over from another run."""
-    return any(ORIGIN in evaluation.outcome.details for evaluation in trial.evaluations)
+    return any(evaluation.outcome.notes.carried_from for evaluation in trial.evaluations)
 
 
 def remeasured(then: Study, now: Study) -> list[str]:
@@ -265,7 +260,7 @@ class Taking:
         )
 
     def _origin(self, trial: Trial) -> str:
-        return f"{trial.origin} ({ORIGIN} {self.run}, trial {trial.number})"
+        return f"{trial.origin} (from {self.run}, trial {trial.number})"
 
     def _check_parameters(self, trial: Trial) -> None:
         """Refuse a parameter set that the study does not permit, and say why in a few words."""
@@ -311,7 +306,7 @@ class Taking:
                 raise LeftOutError("failed by what is measured otherwise now")
             return outcome
         known = {n: outcome.metrics[n] for n in self._study.metrics if n not in self._anew}
-        known |= self._relative(known, outcome.details)
+        known |= self._relative(known, outcome.notes.default)
         anew = self._anew - known.keys()
         if not anew:
             metrics = {name: known[name] for name in self._study.metrics}
@@ -320,28 +315,28 @@ class Taking:
         if measured is None or (measured.complete and not anew <= measured.metrics.keys()):
             raise LeftOutError(f"without a record of {', '.join(sorted(anew))}")
         if not measured.complete:
-            return dataclasses.replace(measured, details=outcome.details)
+            return dataclasses.replace(measured, details=outcome.details, notes=outcome.notes)
         metrics = {name: known.get(name, measured.metrics[name]) for name in self._study.metrics}
         return dataclasses.replace(outcome, metrics=metrics)
 
     def _bounds(self, outcome: Outcome) -> Outcome:
         """Return the outcome of a run that was cut short with the bounds that hold still."""
-        gone = outcome.at_least.keys() - (self._study.metrics.keys() - self._anew)
-        keys = {f"{AT_LEAST}{name}" for name in gone}
-        details = {key: text for key, text in outcome.details.items() if key not in keys}
-        bounded = dataclasses.replace(outcome, details=details)
-        if not bounded.at_least or not self._method.takes_parts():
+        kept = self._study.metrics.keys() - self._anew
+        bounds = {name: value for name, value in outcome.notes.at_least.items() if name in kept}
+        if not bounds or not self._method.takes_parts():
             raise LeftOutError("cut short")
-        return bounded
+        return outcome.noted(at_least=bounds)
 
-    def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:
+    def _relative(
+        self, known: Mapping[str, float], default: Mapping[str, float]
+    ) -> dict[str, float]:
         """Return metrics relative to the default, as far as the default's values are on record."""
         if not _same_default(self._then, self._study):
             return {}
         return {
-            name: metric.value(known, {metric.relative: float(details[key])})
+            name: metric.value(known, default)
             for name, metric in self._study.relative_metrics.items()
-            if metric.relative in known and (key := f"{DEFAULT_HAS}{metric.relative}") in details
+            if metric.relative in known and metric.relative in default
         }
 
     def _worst_cases(self, trial: Trial) -> dict[str, WorstCase]:
@@ -389,8 +384,8 @@ def _named(trial: Trial, run: str) -> Trial:
         evaluations=tuple(
             dataclasses.replace(
                 evaluation,
-                outcome=dataclasses.replace(
-                    evaluation.outcome, details={ORIGIN: run, **evaluation.outcome.details}
+                outcome=evaluation.outcome.noted(
+                    carried_from=evaluation.outcome.notes.carried_from or run
                 ),
             )
             for evaluation in trial.evaluations

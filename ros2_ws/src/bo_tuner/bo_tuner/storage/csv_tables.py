@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from bo_tuner.run_notes import Notes
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.typed_json import to_json
 from bo_tuner.text import csv_cell
 from bo_tuner.trials import Evaluation, Trial
 
@@ -76,12 +78,26 @@ def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
         "reason": outcome.reason,
         **_columns("metrics", outcome.metrics),
         **_columns("details", outcome.details),
+        **_noted("notes", to_json(outcome.notes), to_json(Notes())),
     }
 
 
 def _columns(section: str, values: Mapping[str, object]) -> dict[str, object]:
     """Name each column by its section, too: names are unique within one only."""
     return {f"{section}.{name}": value for name, value in values.items()}
+
+
+def _noted(
+    section: str, content: Mapping[str, object], blank: Mapping[str, object]
+) -> dict[str, object]:
+    """Return what differs from `blank`, each number and text under a name of its own."""
+    columns: dict[str, object] = {}
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            columns |= _noted(f"{section}.{name}", value, {})
+        elif name not in blank or value != blank[name]:
+            columns[f"{section}.{name}"] = value
+    return columns
 
 
 def _write(path: Path, rows: Sequence[Mapping[str, object]], first: str) -> None:

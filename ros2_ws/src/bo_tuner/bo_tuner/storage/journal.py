@@ -18,12 +18,13 @@ from typing import Self
 from bo_tuner.errors import JournalError
 from bo_tuner.plans import Event
 from bo_tuner.storage.atomic import synchronize, temporary_path
+from bo_tuner.storage.rows import notes_text
 from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.storage.typed_json import to_json
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """Of the tables and of a session's provenance; a journal of another version is refused."""
 
 COLUMNS = {
@@ -34,7 +35,7 @@ COLUMNS = {
     ),
     "evaluation": (
         "trial", "position", "stage", "parameters", "context", "seed", "state", "reason",
-        "metrics", "details", "load", "seconds",
+        "metrics", "details", "load", "notes", "seconds",
     ),
     "event": ("phase", "tasks", "kind", "detail"),
 }  # fmt: skip
@@ -51,7 +52,7 @@ CREATE TABLE evaluation (
     trial INTEGER NOT NULL, position INTEGER NOT NULL, stage TEXT NOT NULL,
     parameters TEXT NOT NULL, context TEXT NOT NULL, seed INTEGER NOT NULL, state TEXT NOT NULL,
     reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, load TEXT NOT NULL,
-    seconds REAL NOT NULL,
+    notes TEXT NOT NULL, seconds REAL NOT NULL,
     checksum INTEGER NOT NULL
 );
 CREATE TABLE event (
@@ -226,6 +227,7 @@ def evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
         json.dumps(dict(outcome.metrics)),
         json.dumps(dict(outcome.details)),
         json.dumps(None if outcome.load is None else to_json(outcome.load)),
+        notes_text(outcome.notes),
         float(evaluation.seconds),
     )
 

@@ -12,7 +12,8 @@ from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.processor_load import Load
-from bo_tuner.storage.typed_json import from_json
+from bo_tuner.run_notes import Notes
+from bo_tuner.storage.typed_json import from_json, to_json
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -28,6 +29,8 @@ from bo_tuner.trials import (
 )
 
 Row = Mapping[str, object]
+
+_BLANK = to_json(Notes())
 
 
 def provenance_of(row: Row) -> dict[str, str]:
@@ -50,9 +53,7 @@ def evaluation_of(row: Row) -> Evaluation:
         # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
-    outcome = Outcome(state, metrics, reason, _texts(row, "details"), _load(row))
-    if unbounded := [name for name, value in outcome.at_least.items() if not math.isfinite(value)]:
-        raise ValueError(f"details: {unbounded[0]} is at least {outcome.at_least[unbounded[0]]}")
+    outcome = Outcome(state, metrics, reason, _texts(row, "details"), _load(row), _notes(row))
     return Evaluation(
         trial=_count(row, "trial"),
         index=_count(row, "position"),
@@ -148,7 +149,8 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             check_parameters(evaluation.parameters)
             check_context(evaluation.context)
             _same_names(outcome.metrics, study.metrics if complete else (), "metrics")
-            _same_names(outcome.at_least, set(outcome.at_least) & set(study.metrics), "details")
+            bounded = outcome.notes.at_least
+            _same_names(bounded, set(bounded) & set(study.metrics), "notes")
             _check_size(outcome.metrics.values(), "metrics")
             for objective in study.objectives if complete else ():
                 if not math.isfinite(float(objective.to_cost(outcome.metrics[objective.metric]))):
@@ -193,6 +195,24 @@ def _load(row: Row) -> Load | None:
         return None if content is None else from_json(Load, content)
     except ValueError as error:
         raise ValueError(f"load: {error}") from error
+
+
+def notes_text(notes: Notes) -> str:
+    """Return notes as their column has them: what differs from those of a run without any."""
+    content = to_json(notes)
+    noted = {name: value for name, value in content.items() if value != _BLANK[name]}
+    # Texts of others may have half a character.
+    return json.dumps(noted, ensure_ascii=False).encode(errors="replace").decode()
+
+
+def _notes(row: Row) -> Notes:
+    try:
+        notes = from_json(Notes, _BLANK | _object(row, "notes"))
+        if missing := [name for name, value in notes.at_least.items() if math.isnan(value)]:
+            raise ValueError(f"at_least.{missing[0]}: expected a number, found nothing")
+    except ValueError as error:
+        raise ValueError(f"notes: {error}") from error
+    return notes
 
 
 def _text(row: Row, column: str) -> str:

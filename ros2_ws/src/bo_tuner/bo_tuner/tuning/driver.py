@@ -13,7 +13,7 @@ from typing import Generic
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.plans import Event, EventKind, Plan, Runs, TaskT
-from bo_tuner.trials import DEATHS, DIED, DIED_ANYWAY, Evaluation, Outcome
+from bo_tuner.trials import Evaluation, Outcome
 from bo_tuner.tuning.gate import OPEN, Gate
 from bo_tuner.tuning.losses import Losses
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -224,10 +224,10 @@ class _Planned(Generic[TaskT]):
         if not outcome.unusable:
             if not self._died_anyway:
                 return evaluation
-            details = {**outcome.details, DEATHS: str(self._died_anyway)}
-            return replace(evaluation, outcome=replace(outcome, details=details))
-        if DIED in outcome.details and self._died + 1 == DEADLY:
-            return replace(evaluation, outcome=outcome.died_of_parameters())
+            return replace(evaluation, outcome=outcome.noted(deaths=self._died_anyway))
+        death = outcome.notes.death
+        if death is not None and not death.anyway and self._died + 1 == DEADLY:
+            return replace(evaluation, outcome=outcome.died_of_parameters(death.node))
         return evaluation
 
     def take(self, evaluation: Evaluation) -> None:
@@ -243,10 +243,10 @@ class _Planned(Generic[TaskT]):
         self.next = self.task.ask()
 
     def _is_due_again(self, outcome: Outcome) -> bool:
-        if DIED in outcome.details:
-            self._died += 1
-            return True
-        if DIED_ANYWAY in outcome.details:
+        if (death := outcome.notes.death) is not None:
+            if not death.anyway:
+                self._died += 1
+                return True
             self._died_anyway += 1
             return self._died_anyway < MOST_DEATHS
         self._failed += 1

@@ -1,15 +1,18 @@
 """Counting consecutive losses, which end a run."""
 
+from collections.abc import Mapping
+
 from bo_tuner.errors import RunError
-from bo_tuner.trials import DISTURBED, UNPREPARED, Evaluation, EvaluationState, Outcome
+from bo_tuner.run_notes import Unusable
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 LOST_IN_A_ROW = 3
 """Number of consecutive losses that ends a run: the nodes are gone, or not ours alone."""
 
-HOW = {
+HOW: Mapping[str, str] = {
     EvaluationState.LOST: "were lost with their nodes",
-    DISTURBED: "were disturbed",
-    UNPREPARED: "could not be prepared",
+    Unusable.DISTURBED: "were disturbed",
+    Unusable.UNPREPARED: "could not be prepared",
 }
 
 

@@ -55,6 +55,7 @@ from bo_tuner.metrics.recording import (
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.processor_load import with_children
+from bo_tuner.run_notes import Death, Notes, Unusable
 from bo_tuner.study.configuring import stays_in_force
 from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
@@ -63,14 +64,6 @@ from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
-    DIED,
-    DIED_ANYWAY,
-    DISTURBED,
-    HOLDS,
-    NOTE,
-    RAMPED,
-    RESTED,
-    UNPREPARED,
     Evaluation,
     EvaluationState,
     Outcome,
@@ -316,8 +309,9 @@ class RosBackend(SequentialBackend):
                 yield dataclasses.replace(planned, outcome=fault, seconds=seconds)
                 continue
             for evaluation in super().run([planned]):
-                outcome = evaluation.outcome.with_warm_up(count, seconds)
-                yield dataclasses.replace(evaluation, outcome=outcome) if count else evaluation
+                warmed = {"warm_ups": count, "warm_up_seconds": round(seconds, 3)} if count else {}
+                outcome = evaluation.outcome.noted(**warmed)
+                yield dataclasses.replace(evaluation, outcome=outcome)
 
     @property
     def _runs_to_warm_up(self) -> int:
@@ -346,10 +340,9 @@ class RosBackend(SequentialBackend):
                 continue
             self._latest_run = None
             reason = brief(f"run {k + 1} of {count} to warm up: {outcome.reason}")
-            details = {k: v for k, v in outcome.details.items() if k not in (DIED, DIED_ANYWAY)}
-            if not outcome.unusable:
-                details[UNPREPARED] = reason
-            return dataclasses.replace(outcome, reason=reason, details=details)
+            unusable = outcome.notes.unusable if outcome.unusable else Unusable.UNPREPARED
+            fault = dataclasses.replace(outcome, reason=reason)
+            return fault.noted(unusable=unusable, death=None)
         return None
 
     def outcome(self, planned: Evaluation) -> Outcome:
@@ -411,7 +404,7 @@ class RosBackend(SequentialBackend):
         if outcome.state is EvaluationState.COMPLETE:
             # The outcome of a complete run does not say what went wrong after it.
             self._opened.tuner.warn(text)
-            return dataclasses.replace(outcome, details={**outcome.details, "park": text})
+            return outcome.noted(park_problem=text)
         said = [problem for problem in problems if problem not in outcome.reason]
         reason = brief("; ".join(dict.fromkeys([outcome.reason, *said])))
         return dataclasses.replace(outcome, reason=reason)
@@ -480,32 +473,30 @@ class RosBackend(SequentialBackend):
             # A metric may be a function of the user's that takes its time.
             self._suspension.skip()
         except CutShortError as end:
-            return cut_short(self._study, planned.beyond, end.seconds, end.so_far, self._counts())
+            ended = cut_short(self._study, planned.beyond, end.seconds, end.so_far)
+            return self._counted(ended)
         except (RefusedError, FailedRunError) as refusal:
-            return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), self._counts())
+            return self._counted(Outcome(EvaluationState.FAILED, {}, brief(str(refusal))))
         except DisturbedError as error:
-            reason = brief(str(error))
-            details = {DISTURBED: reason, **self._counts()}
-            return Outcome(EvaluationState.FAILED, {}, reason, details)
+            disturbed = Notes(unusable=Unusable.DISTURBED)
+            return self._counted(
+                Outcome(EvaluationState.FAILED, {}, brief(str(error)), notes=disturbed)
+            )
         except GuardActedError as acted:
             return self._overruled(acted)
         except UnpreparedError as error:
-            reason = brief(str(error))
-            return Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
+            unprepared = Notes(unusable=Unusable.UNPREPARED)
+            return Outcome(EvaluationState.FAILED, {}, brief(str(error)), notes=unprepared)
         except LostError as loss:
             loss = self._death_behind(loss)
-            death = self._death(loss) if in_force else {}
-            return Outcome(EvaluationState.LOST, {}, brief(str(loss)), death)
-        details = {
-            **result.details,
-            "ignored_results": str(client.results.take_ignored()),
-            **self._counts(),
-            **self._rates.details(self.recording),
-            **{f"{HOLDS}{key}.{name}": str(value) for key, name, value in client.rounded},
-        }
-        if remarks := self._rates.remarks(self.recording):
-            details[NOTE] = brief("; ".join(remarks))
-        return dataclasses.replace(result, details=details)
+            notes = Notes(death=self._death(loss) if in_force else None)
+            return Outcome(EvaluationState.LOST, {}, brief(str(loss)), notes=notes)
+        return self._counted(result).noted(
+            ignored_results=client.results.take_ignored(),
+            rates=self._rates.of(self.recording),
+            remark=brief("; ".join(self._rates.remarks(self.recording))),
+            held={f"{key}.{name}": value for key, name, value in client.rounded},
+        )
 
     def _death_behind(self, loss: LostError) -> LostError:
         """Return that a node has died, if that is why it is lost: its topics may go ahead of it."""
@@ -519,18 +510,23 @@ class RosBackend(SequentialBackend):
             return death
         return loss
 
-    def _death(self, loss: LostError) -> dict[str, str]:
-        """Return details on a node that has died with the values of an evaluation in force."""
+    def _death(self, loss: LostError) -> Death | None:
+        """Return which node has died with the values of an evaluation in force."""
         if not isinstance(loss, DiedError):
-            return {}
-        is_failure = self._study.nodes[loss.key].death == FAILURE
-        return {DIED if is_failure else DIED_ANYWAY: loss.key}
+            return None
+        return Death(loss.key, anyway=self._study.nodes[loss.key].death != FAILURE)
 
-    def _counts(self) -> dict[str, str]:
-        ramped = self._opened.client.approach.take_seconds()
-        times = {RESTED: self._rested, RAMPED: ramped}
-        waited = {key: f"{seconds:.3f}" for key, seconds in times.items() if seconds}
-        return waited if self._procedure is None else waited | self._procedure.counts()
+    def _counted(self, outcome: Outcome) -> Outcome:
+        """Return an outcome with the times that the machine took, and the messages of the run."""
+        outcome = outcome.noted(
+            rested_seconds=round(self._rested, 3),
+            ramped_seconds=round(self._opened.client.approach.take_seconds(), 3),
+        )
+        if self._procedure is None:
+            return outcome
+        return outcome.noted(
+            signals=self._procedure.recording.counts(), streams=self._procedure.published()
+        )
 
     def _rest(self, procedure: Procedure) -> None:
         """Let the machine rest ahead of a run.

@@ -34,6 +34,7 @@ from bo_tuner.metrics.recording import (
     Recording,
 )
 from bo_tuner.metrics.so_far import MetricsSoFar
+from bo_tuner.run_notes import Published
 from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
@@ -254,9 +255,9 @@ class Procedure:
         self.recording.check(self._study.signals, largest_gaps)
         self._streams.check_follow(self.recording)
 
-    def counts(self) -> dict[str, str]:
-        """Say in words how many messages of signals and of streams there were in the last run."""
-        return self.recording.counts() | self._streams.counts()
+    def published(self) -> dict[str, Published]:
+        """Return how the messages of each stream came out in the last run."""
+        return self._streams.published()
 
     @property
     def reason_of_abort(self) -> str:

@@ -22,10 +22,10 @@ from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, Recording
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.run_notes import Published
 from bo_tuner.study.building import under
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Publish
-from bo_tuner.trials import STREAMS
 
 UNSERVED = 0.5
 """Time [s] after which a stream ends if the tuner's node is not served."""
@@ -122,12 +122,11 @@ class Jitter:
         self.latest = max(self.latest, late)
         self.gap = max(self.gap, gap)
 
-    def __str__(self) -> str:
+    @property
+    def summary(self) -> Published:
+        """What is noted of them."""
         late = self.late / max(self.published, 1)
-        return (
-            f"{self.published} messages, {self.left_out} left out, late by {late * 1e3:.2f} ms on "
-            f"average and {self.latest * 1e3:.2f} ms at most, longest gap {self.gap * 1e3:.1f} ms"
-        )
+        return Published(self.published, self.left_out, late, self.latest, self.gap)
 
 
 class Stream:
@@ -440,6 +439,6 @@ class Streams:
         for stream in self._streams:
             stream.check_follow(recording)
 
-    def counts(self) -> dict[str, str]:
-        """Say in words how the messages of each came out in the last run."""
-        return {f"{STREAMS}{stream.name}": str(stream.jitter) for stream in self._streams}
+    def published(self) -> dict[str, Published]:
+        """Return how the messages of each came out in the last run."""
+        return {stream.name: stream.jitter.summary for stream in self._streams}

@@ -14,6 +14,7 @@ from bo_tuner.backends.ros.trigger import TriggeredRun
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
 
 LONGEST_LEASE = 21.0
 """Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
@@ -45,13 +46,13 @@ class StudyClient:
         What they say of the present evaluation.
     rounded : list of tuple
         Key, name and value of each parameter that a node had in the last evaluation in fewer
-        digits than were set.
+        digits than were set; of an array a list as JSON.
     """
 
     def __init__(self, study: Study, tuner: TunerNode, started: StartedNodes | None) -> None:
         self._study = study
         self._renewed: set[str] = set()
-        self.rounded: list[tuple[str, str, object]] = []
+        self.rounded: list[tuple[str, str, Value]] = []
         nodes = {key: spec.node for key, spec in study.nodes.items()}
         self.parameters = NodeParameters(
             tuner,
@@ -150,7 +151,10 @@ class StudyClient:
             # A node that was killed stays in the graph as long as its lease.
             self._refuse_other_nodes()
             readback.check()
-            self.rounded = list(readback.rounded())
+            self.rounded = [
+                (key, name, value if isinstance(value, bool | int | float | str) else str(value))
+                for key, name, value in readback.rounded()
+            ]
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:

@@ -81,7 +81,7 @@ def deaths_in_words(deaths: Deaths, confidence: float) -> Iterator[str]:
 
 def _events(evaluations: Iterable[Evaluation]) -> np.ndarray:
     """Return of all runs in their order whether a node died."""
-    ended = [e.outcome.deaths for e in evaluations if not e.outcome.unusable]
+    ended = [e.outcome.notes.deaths for e in evaluations if not e.outcome.unusable]
     return np.array([died for count in ended for died in [True] * count + [False]], dtype=bool)
 
 
@@ -101,7 +101,7 @@ def _dependent(
     if events.sum() < FEWEST:
         return
     for name in numbers:
-        values = [v for e in ended for v in [float(e.context[name])] * (e.outcome.deaths + 1)]
+        values = [v for e in ended for v in [float(e.context[name])] * (e.outcome.notes.deaths + 1)]
         at = np.array(values)
         if mannwhitneyu(at[events], at[~events]).pvalue < level:
             yield name

@@ -33,7 +33,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.measured import seen_in
 from bo_tuner.study.study import Study
-from bo_tuner.trials import DEFAULT, HOLDS, TUNED, Stage, Trial, evaluations_of
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, Value, evaluations_of
 
 
 def make_certificate(
@@ -180,15 +180,14 @@ def _widths(study: Study, evidence: Evidence) -> tuple[SearchWidth, ...]:
 
 def _held(study: Study, evidence: Evidence) -> dict[str, float]:
     """Return what devices have of the parameters in place of values with more digits."""
-    details: dict[str, str] = {}
+    noted: dict[str, Value] = {}
     for evaluation in evidence.evaluations:
-        details |= evaluation.outcome.details
+        noted |= evaluation.outcome.notes.held
     held = {}
     for name, item in study.parameters.items():
-        if text := details.get(f"{HOLDS}{item.node}.{item.array or item.parameter}", ""):
-            # The text of an array is a JSON list.
-            reported = json.loads(text)
-            held[name] = reported[item.item] if item.array else reported
+        reported = noted.get(f"{item.node}.{item.array or item.parameter}")
+        if reported is not None:
+            held[name] = json.loads(str(reported))[item.item] if item.array else float(reported)
     return {
         name: value
         for name, value in held.items()

@@ -46,10 +46,10 @@ def failures(analysis: Analysis) -> Section:
 
 def _gaps(evaluations: Sequence[Evaluation]) -> list[str]:
     """Name the evaluations with gaps in their signals, and the gaps of the first few."""
-    marked = [e for e in evaluations if e.outcome.complete and e.outcome.note]
-    notes = [f"Gaps in signals, {e.place}: {e.outcome.note}." for e in marked[:MOST_NOTES]]
+    marked = [e for e in evaluations if e.outcome.complete and e.outcome.notes.remark]
+    notes = [f"Gaps in signals, {e.place}: {e.outcome.notes.remark}." for e in marked[:MOST_NOTES]]
     if rest := len(marked) - len(notes):
-        notes.append(f"{rest} more have gaps: column details.note of evaluations.csv.")
+        notes.append(f"{rest} more have gaps: column notes.remark of evaluations.csv.")
     return notes
 
 

@@ -36,20 +36,19 @@ def timing(analysis: Analysis) -> Section | None:
         f"Test runs of the trials took {quantity(float(evaluating.sum()), 's')}, proposals "
         f"{quantity(float(proposing.sum()), 's')} ({share:.0f} % of both){later}."
     )
-    outcomes = [evaluation.outcome for evaluation in analysis.record.evaluations]
-    starts = [outcome.starts for outcome in outcomes]
-    if count := sum(number for number, _ in starts):
-        seconds = sum(each for _, each in starts)
+    notes = [evaluation.outcome.notes for evaluation in analysis.record.evaluations]
+    if count := sum(noted.starts for noted in notes):
+        seconds = sum(noted.start_seconds for noted in notes)
         lead += (
             f" Of the test runs {quantity(seconds, 's')} went into {counted(count, 'start')} of "
             f"nodes with other values, {quantity(seconds / count, 's')} each."
         )
-    if rested := sum(outcome.rested for outcome in outcomes):
+    if rested := sum(noted.rested_seconds for noted in notes):
         lead += f" For {quantity(rested, 's')} of the test runs the machine was at rest."
-    if ramped := sum(outcome.ramped for outcome in outcomes):
+    if ramped := sum(noted.ramped_seconds for noted in notes):
         lead += f" For {quantity(ramped, 's')} the parameters were on their way to others."
-    if count := sum(number for number, _ in (outcome.warm_up for outcome in outcomes)):
-        warming = sum(seconds for _, seconds in (outcome.warm_up for outcome in outcomes))
+    if count := sum(noted.warm_ups for noted in notes):
+        warming = sum(noted.warm_up_seconds for noted in notes)
         lead += f" Beside these, {counted(count, 'run')} to warm up took {quantity(warming, 's')}."
     places = np.array([trial.number for trial in trials], dtype=float)
     figure = Figure(
