@@ -7,22 +7,24 @@ there, midway, and shortly before it would end, as it did in a run that nobody d
 
 Whatever comes of it, a command must end, and tell the same by its exit code, to ``--notify`` and as
 JSON; name a way to go on where it has begun something that can be resumed; show no traceback; and
-leave no process behind.
+leave no process behind. Before its first run it may end with an error and exit code 2.
 """
 
 import contextlib
 import json
 import os
+import queue
+import random
 import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,7 @@ from bo_tuner.backends.ros.isolation import isolated_environment
 from bo_tuner.study import strict_yaml
 
 EXAMPLE = BENCHMARKS.parent / "examples" / "unchanged_system"
+SEED = 1
 LOADS = (0, 8)
 """Numbers of busy programs beside them."""
 MOMENTS: Mapping[str, float] = {"at once": 0.0, "midway": 0.5, "late": 0.9}
@@ -235,6 +238,9 @@ def killed(
 def wrong(command: Command, code: int, life: Life, *, has_ended: bool, left: int) -> list[str]:
     """Return what of the end is not as it should be."""
     said = life.text("err")
+    if code == 2 and said.count("\nerror: ") + said.startswith("error: ") == 1 and not left:
+        # Nothing has begun: there is nothing to tell of, or to go on with.
+        return ["told of nothing"] if life.text("told") or life.text("out") else []
     found = [] if has_ended else [f"no end within {LONGEST:g} s"]
     if code not in (0, 1, 3):
         found.append(f"exit code {code}")
@@ -264,39 +270,46 @@ def made(folder: Path, domain: int) -> Path:
     return folder
 
 
-def cases(folder: Path, jobs: int, first: int, until: float) -> list[dict[str, Any]]:
-    """Kill each process of each command at each moment; `jobs` commands at once."""
-    domains = list(range(first, first + jobs))
-    lock = threading.Lock()
-    original = made(folder / "made", domains[0])
+def cases(folder: Path, jobs: int, first: int, minutes: float) -> list[dict[str, Any]]:
+    """Kill each process of each command at each moment, in any order, until the time is over."""
+    domains: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for domain in range(first, first + jobs):
+        domains.put(domain)
+    original = made(folder / "made", first)
 
-    def of_command(command: Command) -> list[dict[str, Any]]:
-        with lock:
-            domain = domains.pop()
-        found: list[dict[str, Any]] = []
-
-        def anew() -> Path:
-            copy = Path(tempfile.mkdtemp(dir=folder))
-            shutil.copytree(original, copy, symlinks=True, dirs_exist_ok=True)
-            return copy
-
+    def anew(act: Callable[..., Any], *arguments: Any) -> Any:
+        """Do something in a copy of the folder and a ROS domain of its own."""
+        domain = domains.get()
+        copy = Path(tempfile.mkdtemp(dir=folder))
         try:
-            lives = spans(command, anew(), domain)
-            for kind in command.helpers:
-                for moment, part in MOMENTS.items():
-                    if time.monotonic() > until:
-                        break
-                    end = killed(command, kind, part * lives[kind], anew(), domain)
-                    about = {"command": command.name, "killed": kind, "moment": moment}
-                    found.append(about | ({"hit": False} if end is None else {"hit": True, **end}))
-                    print(found[-1], flush=True)
+            shutil.copytree(original, copy, symlinks=True, dirs_exist_ok=True)
+            return act(*arguments, copy, domain)
         finally:
-            with lock:
-                domains.append(domain)
-        return found
+            domains.put(domain)
 
     with ThreadPoolExecutor(jobs) as pool:
-        return [case for of in pool.map(of_command, COMMANDS) for case in of]
+        lives = list(pool.map(partial(anew, spans), COMMANDS))
+        begun = time.monotonic()
+
+        def one(case: tuple[int, str, str]) -> dict[str, Any] | None:
+            if time.monotonic() - begun > 60.0 * minutes:
+                return None
+            number, kind, moment = case
+            command, after = COMMANDS[number], MOMENTS[moment] * lives[number][kind]
+            about = {"command": command.name, "killed": kind, "moment": moment}
+            end = anew(killed, command, kind, after)
+            found = about | {"hit": end is not None} | (end or {})
+            print(found, flush=True)
+            return found
+
+        every = [
+            (number, kind, moment)
+            for number, command in enumerate(COMMANDS)
+            for kind in command.helpers
+            for moment in MOMENTS
+        ]
+        random.Random(SEED).shuffle(every)
+        return [found for found in pool.map(one, every) if found is not None]
 
 
 def summed_up(found: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -321,15 +334,15 @@ def main() -> None:
     parser = result_parser(__doc__ or "", "helper_kills.json")
     parser.add_argument("--jobs", type=int, default=1, help="commands at once")
     parser.add_argument("--minutes", type=float, default=60.0, help="the longest time of each load")
+    parser.add_argument("--loads", type=int, nargs="+", default=LOADS, help="busy programs beside")
     parser.add_argument("--domain", type=int, default=92, help="ROS domain of the first of them")
     arguments = parser.parse_args()
     result: dict[str, Any] = {"provenance": provenance(), "jobs": arguments.jobs}
     rows = []
-    for load in LOADS:
-        end = time.monotonic() + 60.0 * arguments.minutes
+    for load in arguments.loads:
         with tempfile.TemporaryDirectory() as name, busy(load):
             os.environ["XDG_STATE_HOME"] = name
-            found = cases(Path(name), arguments.jobs, arguments.domain, end)
+            found = cases(Path(name), arguments.jobs, arguments.domain, arguments.minutes)
         result[f"beside {load}"] = {"cases": found, "by process": summed_up(found)}
         rows += [[load, kind, *row.values()] for kind, row in summed_up(found).items()]
         write_result(arguments.result, result)
