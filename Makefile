@@ -13,7 +13,7 @@ INSTALL := $(PIP) install --quiet $(CONSTRAINTS:%=--constraint %)
 CONSISTENT := ! $(PIP) check | grep -v -e '^No broken requirements' -e '^rotorpy '
 PACKAGES := feed_axis_common mpc_controller milling_plant bo_tuner tuning_benchmark
 # With the folders, so that a deleted file counts as a change too.
-SOURCES := $(shell find $(PACKAGES:%=ros2_ws/src/%) \
+PACKAGE_FILES := $(shell find $(PACKAGES:%=ros2_ws/src/%) \
 	\( -name __pycache__ -o -name '*.egg-info' -o -name build \) -prune -o -print)
 SOURCE_PATH := $(subst $() ,:,$(PACKAGES:%=ros2_ws/src/%))
 
@@ -64,18 +64,21 @@ help:
 
 setup: $(VENV)/.packages
 
-# The wheels say where Python and NumPy lay when they were built.
-interfaces: setup $(VENV)/.colcon $(VENV)/.interfaces
-	@test -d '$(INTERFACES)' || { echo 'error: INTERFACES=$(INTERFACES) is not a folder; name one' \
-		'with packages of .msg, .srv or .action files: make interfaces INTERFACES=~/my_ws/src' >&2; \
-		exit 1; }
+# Packages of messages, or of C++ nodes as well; with the folder of the one or the other.
+FOLDER = $(if $(filter workspace,$@),$(SOURCES),$(INTERFACES))
+# A program is linked although the wheels' libraries ask for symbols of those that they bring along, and of Python.
+interfaces workspace: setup $(VENV)/.colcon $(VENV)/.interfaces
+	@test -d '$(FOLDER)' || { echo 'error: $(if $(filter workspace,$@),SOURCES,INTERFACES)=$(FOLDER) is not a' \
+		'folder; name that of the packages: make $@' \
+		'$(if $(filter workspace,$@),SOURCES,INTERFACES)=~/my_ws/src' >&2; exit 1; }
 	@command -v cmake >/dev/null && command -v c++ >/dev/null || { echo 'error: CMake or a C++' \
 		'compiler is not found; on Debian and Ubuntu: apt install cmake g++ python3-dev' >&2; exit 1; }
 	$(BIN)/python requirements/repair_exports.py
 	PATH='$(CURDIR)/$(BIN)':"$$PATH" AMENT_PREFIX_PATH='$(CURDIR)/$(VENV)' \
 		CMAKE_PREFIX_PATH='$(CURDIR)/$(VENV)' $(BIN)/colcon --log-base $(VENV)/log/colcon build \
-		--base-paths '$(INTERFACES)' --build-base $(VENV)/build --install-base $(VENV) --merge-install \
-		--cmake-args -DBUILD_TESTING=OFF
+		--base-paths '$(FOLDER)' --build-base $(VENV)/build --install-base $(VENV) --merge-install \
+		--cmake-args -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
+		-DCMAKE_EXE_LINKER_FLAGS='-Wl,--as-needed -Wl,--unresolved-symbols=ignore-in-shared-libs'
 	@rm -rf $(VENV)/build
 
 tune: setup
@@ -154,7 +157,7 @@ $(VENV)/.runtime: requirements/runtime.txt requirements/$(DISTRO)/runtime.txt $(
 	@touch $@
 
 # Built from a copy: a build leaves folders in its source tree, from which deleted modules return.
-$(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
+$(VENV)/.packages: $(PACKAGE_FILES) $(VENV)/.runtime
 	@rm -rf $(VENV)/build && mkdir $(VENV)/build
 	@cp -R $(PACKAGES:%=ros2_ws/src/%) $(VENV)/build
 	@cd $(VENV)/build && rm -rf */build */*.egg-info

@@ -71,7 +71,8 @@ class MetricBackend(SequentialBackend):
 
     name = "synthetic"
 
-    def __init__(self, metric: Response) -> None:
+    def __init__(self, study: Study, metric: Response) -> None:
+        super().__init__(study)
         self._metric = metric
 
     def open(self) -> None:
@@ -126,7 +127,7 @@ def case(seed: int) -> dict[str, Any]:
     asked = {"upper": limit} | ({"probability": PROBABILITY} if single else {})
     study = study_of(metric, asked, seed, uniform=uniform)
     (evidence,) = Certification(
-        study, Driver(MetricBackend(metric)), confidence=CONFIDENCE
+        study, Driver(MetricBackend(study, metric)), confidence=CONFIDENCE
     ).collect([Subject("tuned", {"gain": 0.5})], DRAWS)
     found = judge(study, evidence, CONFIDENCE)
     (constraint,) = found.constraints

@@ -178,11 +178,12 @@ def main() -> None:
     parser.add_argument("--schedules", type=int, default=200, help="schedules of freezes")
     parser.add_argument("--minutes", type=float, default=60.0, help="the longest time of each load")
     parser.add_argument("--jobs", type=int, default=1, help="schedules at once")
+    parser.add_argument("--loads", type=int, nargs="+", default=LOADS, help="busy programs beside")
     parser.add_argument("--domain", type=int, default=88, help="ROS domain of the first of them")
     arguments = parser.parse_args()
     result: dict[str, Any] = {"provenance": provenance(), "seed": SEED, "jobs": arguments.jobs}
     rows = []
-    for load in LOADS:
+    for load in arguments.loads:
         spawn = multiprocessing.get_context("spawn")
         with busy(load), ProcessPoolExecutor(arguments.jobs, spawn) as pool:
             numbers = range(arguments.jobs)

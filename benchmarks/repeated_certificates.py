@@ -159,7 +159,7 @@ def certify(bump: Bump, *, remembered: bool) -> dict[str, Any]:
     for attempt in range(1, ATTEMPTS + 1):
         confidence = spent(CONFIDENCE, attempt)
         (evidence,) = Certification(
-            study, Driver(MetricBackend(metric)), confidence=confidence, attempt=attempt
+            study, Driver(MetricBackend(study, metric)), confidence=confidence, attempt=attempt
         ).collect([Subject("tuned", PARAMETERS, earlier=earlier)], DRAWS)
         findings = judge(study, evidence, confidence)
         first = first or _search(study.context_space(), evidence, metric, bump)

@@ -1,7 +1,8 @@
-"""Let the CMake files of the ROS wheels name this Python and NumPy.
+"""Let the CMake files of the ROS wheels name what is there.
 
-They name those of the machine on which the wheels were built, and CMake refuses a folder that does
-not exist.
+They name Python, NumPy and libraries of the machine on which the wheels were built. CMake refuses
+a folder that does not exist, and nothing is linked to a library that is missing. The wheels have
+these libraries beside those that need them.
 """
 
 import re
@@ -14,6 +15,7 @@ import numpy
 BUILT = re.compile(
     r"/opt/python/cp\d+-cp\d+/(include/python[\d.]+|lib/[^;\"]*/numpy/_core/include)"
 )
+LINKED = re.compile(r'(?<=[;"])(?:/usr/lib64/libtinyxml2\.so|lttng-ust);')
 
 
 def main() -> None:
@@ -24,6 +26,7 @@ def main() -> None:
         named = BUILT.sub(
             lambda match: python if match[1].startswith("include") else numpy.get_include(), text
         )
+        named = LINKED.sub("", named)
         if named != text:
             path.write_text(named, encoding="utf-8")
 

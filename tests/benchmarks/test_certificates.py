@@ -1,9 +1,11 @@
 """Parameter sets that are infeasible by as little as bisection finds."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
 from certificates import BISECTIONS, answers, just_infeasible, summary
+from common import BENCHMARKS, RESULTS
 
 from bo_tuner.study.study_file import load_study
 
@@ -55,3 +57,15 @@ def test_a_summary_counts_what_passed():
     assert found["median_of_least"] == 0.5
     assert found["interval"][0] < 2 / 3 < found["interval"][1]
     assert summary([]) is None
+
+
+def test_the_readme_says_what_the_record_has():
+    record = json.loads((RESULTS / "certificates.json").read_text(encoding="utf-8"))
+    runs = [run for case in record["cases"].values() for run in case["runs"]]
+    kept = [run["answer"]["passed"] for run in runs if run["feasible"] and "answer" in run]
+    broken = [run["infeasible"]["passed"] for run in runs if "infeasible" in run]
+    readme = (BENCHMARKS.parent / "README.md").read_text(encoding="utf-8")
+    assert (
+        f"PASS for {sum(kept)} of {len(kept)} results that are truly within limits, and for "
+        f"{sum(broken)} of {len(broken)} that are just over"
+    ) in readme

@@ -8,6 +8,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -288,8 +289,33 @@ def test_workers_that_do_not_come_back_are_not_waited_for(monkeypatch):
         monkeypatch.setattr(f"bo_tuner.backends.workers.pool.{name}", 0.0)
     pool = WorkerPool("odd", 2, Odd)
     pool._client, pool._process = Deserted(), process
-    with pytest.raises(RunError, match="there has been no worker for"):
+    with pytest.raises(RunError, match="no worker has been heard of for"):
         list(pool.run([doing(FIRST, 0)]))
+
+
+def test_a_scheduler_that_stands_still_is_not_waited_for_beyond_a_request(monkeypatch):
+    monkeypatch.setattr(pool_module, "LOOK_FOR_WORKERS", 0.0)
+    never, asked = threading.Event(), threading.Event()
+
+    class Silent(Deserted):
+        scheduler = SimpleNamespace(identity=None)
+
+        def sync(self, *_arguments, **_options):
+            asked.set()
+            never.wait()
+
+    class Stop(BaseException):
+        pass
+
+    def interrupted():
+        if asked.is_set():
+            raise Stop
+
+    pool = WorkerPool("odd", 2, Odd, interrupted)
+    pool._client, pool._process = Silent(), process
+    with pytest.raises(Stop):
+        list(pool.run([doing(FIRST, 0)]))
+    never.set()
 
 
 def test_workers_that_are_killed_while_they_get_ready_are_named(monkeypatch):

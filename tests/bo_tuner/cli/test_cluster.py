@@ -1,5 +1,7 @@
 """Workers of a running Dask cluster: the answer is that of one process here."""
 
+import os
+import signal
 import subprocess
 
 import pytest
@@ -125,6 +127,19 @@ class TestTwoHosts:
         code, _, err = finish(runs.start("tune", "--resume", "gone/latest"))
         assert code == 0, err
         assert runs.results("gone") == whole
+
+    def test_a_scheduler_that_stands_still(self, cluster, runs, whole):
+        """Ctrl-C ends the run all the same."""
+        process = runs.begin("still", "--scheduler", cluster.address, "--workers", 2, "--window", 4)
+        wait_until(lambda: runs.places, "an evaluation", process)
+        os.kill(cluster.scheduler.pid, signal.SIGSTOP)
+        process.send_signal(signal.SIGINT)
+        code, _, err = finish(process)
+        assert code == 130, err
+        assert "interrupted by SIGINT; resume it with: tune --resume still/" in err
+        code, _, err = finish(runs.start("tune", "--resume", "still/latest", "--workers", 1))
+        assert code == 0, err
+        assert runs.results("still") == whole
 
     def test_a_run_that_is_killed_leaves_nothing_on_the_workers(self, cluster, runs, whole):
         (runs.folder / "hold").touch()

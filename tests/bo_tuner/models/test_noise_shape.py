@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import expon, norm
+from scipy.stats import binom, expon, norm
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.noise_shape import NoiseShape
@@ -21,10 +21,37 @@ def shape(residuals):
 
 @pytest.mark.parametrize("probability", [0.9, 0.95, 0.99])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_long_tail_reaches_as_far_as_its_quantile(probability, sign):
+def test_a_long_tail_reaches_to_the_bound_of_its_quantile(probability, sign):
     """An exponential law less its mean has the standard deviation 1."""
     found = shape(sign * (expon.ppf(LEVELS) - 1.0)).deviations(norm.ppf(probability), sign)
-    assert found == pytest.approx(expon.ppf(probability) - 1.0, rel=0.02)
+    # The first of the values in order that fewer than it are below the quantile 19 times of 20.
+    below = binom.ppf(0.95, COUNT, probability)
+    assert found == pytest.approx(expon.ppf((below + 0.5) / COUNT) - 1.0)
+    assert found > expon.ppf(probability) - 1.0
+
+
+@pytest.mark.parametrize("share", [0.06, 0.1, 0.2, 0.5])
+def test_two_kinds_of_runs_reach_beyond_their_quantile(share):
+    """Of 60 runs of mean 0 and standard deviation 1, wherever few of a kind are among them."""
+    rng, tight = np.random.default_rng(4), 0.2
+    apart = np.sqrt((1.0 - tight**2) / (share * (1.0 - share)))
+    quantile = (1.0 - share) * apart + tight * norm.ppf(1.0 - 0.05 / share)
+    kept = [
+        shape(
+            apart * ((rng.random(60) < share) - share) + tight * rng.standard_normal(60)
+        ).deviations(norm.ppf(0.95), 1.0)
+        >= min(quantile, np.sqrt(19.0))
+        for _ in range(400)
+    ]
+    # Runs miss the kind altogether with a probability of (1 - share)^60.
+    assert np.mean(kept) > 0.95 - (1.0 - share) ** 60 - 3.0 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_it_is_left_before_too_many_are_beyond():
+    """Three of 60 are far off, as many as may be beyond the normal quantile for 0.95."""
+    residuals = np.concatenate([0.5 * norm.ppf((np.arange(57) + 0.5) / 57), np.full(3, 4.0)])
+    assert shape(residuals).deviations(norm.ppf(0.95), 1.0) == pytest.approx(4.0)
+    assert shape(residuals).deviations(norm.ppf(0.95), -1.0) == norm.ppf(0.95)
 
 
 @pytest.mark.parametrize("residuals", [norm.ppf(LEVELS), np.linspace(-1.5, 1.5, 101)])
@@ -37,7 +64,8 @@ def test_it_is_never_less_than_normal(residuals):
 @pytest.mark.parametrize(("beyond", "contradicts"), [(5, False), (8, False), (10, True)])
 def test_more_of_100_residuals_than_chance_puts_there_contradict(beyond, contradicts):
     """Of 100 normal ones 10 or more exceed the quantile for 0.95 once in 35 times, 8 in 8."""
-    residuals = np.where(np.arange(100) < beyond, 3.0, 0.0)
+    # As many on the other side, so that they are not skewed.
+    residuals = np.repeat([-3.0, 0.0, 3.0], [beyond, 100 - 2 * beyond, beyond])
     assert (shape(residuals).deviations(1.645, 1.0) > 1.645) == contradicts
 
 

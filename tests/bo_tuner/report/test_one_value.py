@@ -78,7 +78,7 @@ def test_every_screen_and_file_has_the_same_number(result):
     (error,) = [q for q in verdict.quantities if q.objective]
     default, tuned = (shown(estimate.value) for estimate in error.estimates)
     kind = "validation, adjusted for contexts"
-    assert error.basis == kind
+    assert error.basis.startswith(kind)
     # Not the mean of the draws as they are.
     plain = np.mean(verdict.observed[0].values("error"))
     assert abs(plain - error.default) > 1e-3
@@ -88,7 +88,7 @@ def test_every_screen_and_file_has_the_same_number(result):
     tile = next(tile for tile in screen.tiles if tile.label == "objective: mean error")
     assert tile.value == tuned
     assert f"default {default}" in tile.remarks
-    assert kind in tile.remarks
+    assert error.basis in tile.remarks
     (row,) = [row for row in screen.table.rows if row[0] == "objective: mean error"]
     assert row[1:3] == [default, tuned]
 
@@ -130,7 +130,8 @@ def test_a_certificate_repeats_no_number_of_the_verdict(tuned_only):
     (error,) = [q for q in verdict.quantities if q.objective]
     assert not any("mean error" in row.label for row in certificate_rows(record.study, certificate))
     lines = certificate_lines(verdict, record.study, certificate, 9)
-    assert f"{error.gain_in_words}; validation, adjusted for contexts" in lines
+    assert f"{error.gain_in_words}; {error.basis}" in lines
+    assert error.basis.startswith("validation, adjusted for contexts; in the 25 draws")
     # Its own draws are other evidence, which its file has by the same rule.
     own = certificate.tuned.objective
     assert own.kind == "certificate, adjusted for contexts"

@@ -254,7 +254,8 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     if with_default:
         assert (error.default, error.tuned) == (2.0, 1.0)
     lines = on_terminal(run, verdict).splitlines()
-    assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
+    basis = "certificate" if with_default else f"validation; {told}"
+    assert any(line.endswith(f": {basis}") for line in lines)
     assert (told in on_page(run)) if told else ("draws that both" not in on_page(run))
     assert verdict.evidence == (
         "the same 40 fresh draws of context and noise"

@@ -20,7 +20,7 @@ from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.validation import validate
+from bo_tuner.tuning.validation import ValidationPlan
 
 PLANE = {
     "contexts": {
@@ -43,7 +43,7 @@ class TestEvaluations:
         assert gains == [0.25, 0.75, 0.75, 0.25, 0.25, 0.75, 0.75, 0.25]
         before = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
         list(Tuning(study, Driver(before), METHODS["IV"]))
-        validate(study, Driver(before), [{"gain": 0.25}])
+        Driver(before).complete(ValidationPlan(study, [{"gain": 0.25}]))
         for key in ("load", "seed"):
             drawn = {c.context[key] if key == "load" else c.seed for c in tuned.drawn}
             assert not drawn & {call[key] for call in before.calls}

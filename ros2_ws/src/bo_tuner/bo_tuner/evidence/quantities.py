@@ -84,7 +84,7 @@ def quantities(
                 limit=nan,
                 bound=nan,
                 remark="",
-                draws=_draws(default, beside, name, difference),
+                draws=_draws(default, tuned, name, difference),
                 objective=name in objectives,
             )
         )

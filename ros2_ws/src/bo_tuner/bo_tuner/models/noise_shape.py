@@ -2,30 +2,47 @@
 
 A limit on single runs needs the quantile of the noise. Under a law with a long tail or a second
 mode that is farther out than the normal one of the same variance, and a normal margin would promise
-more than is kept. So where more residuals are beyond the normal quantile than a normal law would
-put there by chance, the quantile is that of the residuals, each divided by the local standard
-deviation (as in split conformal prediction, Lei and others 2018). Elsewhere it is the normal one:
-the quantile of some hundred residuals differs from it by chance, and each half of a standard
-deviation costs as much in the objective as the limit does. A residual at an observation that
-determines the mean there shows nothing of the noise; its weight is the share that the mean leaves
-unexplained.
+more than is kept. So where the residuals, each divided by the local standard deviation, contradict
+a normal law, the quantile is bounded by theirs: of n values the r-th in ascending order is below
+the quantile for P with the probability
+
+    P(X >= r),  X ~ Binomial(n, P),
+
+whatever the law (Wilks 1941), and the first one for which that is small is the bound. They
+contradict it if they are skewed towards the limit (D'Agostino 1970), as those of two kinds of runs
+are of which the rarer is the worse, or if more of them are beyond the normal quantile than a normal
+law would put there by chance. Elsewhere the quantile is the normal one: that bound differs from it
+by chance, and each half of a standard deviation costs as much in the objective as the limit does. A
+residual at an observation that determines the mean there shows nothing of the noise; its weight is
+the share that the mean leaves unexplained.
 
 References
 ----------
-Lei, G'Sell, Rinaldo, Tibshirani and Wasserman (2018). Distribution-free predictive inference for
-regression. Journal of the American Statistical Association 113(523).
+D'Agostino (1970). Transformation to normality of the null distribution of g1. Biometrika 57(3).
+Wilks (1941). Determination of sample sizes for setting tolerance limits. Annals of Mathematical
+Statistics 12(1).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.special import betainc, ndtr
+from scipy.special import betainc, ndtr, ndtri
+from scipy.stats import skewtest
 
 from bo_tuner.numerics.arrays import Array
 
 CHANCE = 0.05
-"""Probability of as many residuals beyond the normal quantile from which on they are chance."""
+"""Probability that residuals of a normal law contradict it, and that a bound is missed."""
+
+FEWEST = 8
+"""Residuals from which on the test of skewness holds."""
+
+ALIKE = 1e-9
+"""Share of their size by which residuals differ by rounding alone."""
+
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +69,9 @@ class NoiseShape:
     def deviations(self, z: float, sign: float) -> float:
         """Return the standard deviations within which noise stays with the probability P = Φ(z).
 
-        It is z, or where the residuals contradict that, their quantile for P (1 + 1 / n) with n of
-        them, which a further one exceeds with a probability of at most 1 - P, or the largest. It is
-        at most √(P / (1 - P)), which bounds it for any law (Cantelli's inequality).
+        It is z, or where the residuals contradict that, an upper bound of their quantile for P, or
+        the largest. It is at most √(P / (1 - P)), which bounds it for any law (Cantelli's
+        inequality).
 
         Parameters
         ----------
@@ -70,10 +87,28 @@ class NoiseShape:
         residuals, weights = self.residuals, self.weights
         if sign < 0.0:
             residuals, weights = -residuals[::-1], weights[::-1]
-        beyond = float(weights[residuals > z].sum())
-        # The upper tail of a binomial law; counts need not be integers.
-        if not beyond or betainc(beyond, count - beyond + 1.0, 1.0 - probability) > CHANCE:
+        if not (self._is_skewed(sign) or _too_many_beyond(z, residuals, weights)):
             return z
-        share = (np.cumsum(weights) - 0.5 * weights) / count
-        own = float(np.interp(probability * (1.0 + 1.0 / count), share, residuals))
-        return max(z, min(own, float(np.sqrt(probability / (1.0 - probability)))))
+        rank = np.cumsum(weights)
+        missed = betainc(np.maximum(rank, TINY), np.maximum(count - rank, 0.0) + 1.0, probability)
+        bound = residuals[min(int(np.sum(missed > CHANCE)), len(residuals) - 1)]
+        return max(z, min(float(bound), float(np.sqrt(probability / (1.0 - probability)))))
+
+    def _is_skewed(self, sign: float) -> bool:
+        """Return whether the residuals have a longer tail on one side than a normal law."""
+        return sign * self._skewness > float(ndtri(1.0 - CHANCE))
+
+    @cached_property
+    def _skewness(self) -> float:
+        """Normal under a normal law; of those residuals that are mostly their own."""
+        own = self.residuals[self.weights > 0.5]
+        if len(own) < FEWEST or np.ptp(own) < ALIKE * np.abs(own).max():
+            return 0.0
+        return float(skewtest(own).statistic)
+
+
+def _too_many_beyond(z: float, residuals: Array, weights: Array) -> bool:
+    """Return whether more residuals are beyond z than a normal law puts there by chance."""
+    beyond, count = float(weights[residuals > z].sum()), float(weights.sum())
+    # The upper tail of a binomial law; counts need not be integers.
+    return bool(beyond) and betainc(beyond, count - beyond + 1.0, ndtr(-z)) <= CHANCE

@@ -208,7 +208,7 @@ class WorkerPool:
         if workers_of(self._client, self._interrupted):
             self._last_seen = time.monotonic()
         elif (seconds := time.monotonic() - self._last_seen) > LEFT_ALONE:
-            raise RunError(f"there has been no worker for {seconds:.0f} s")
+            raise RunError(f"no worker has been heard of for {seconds:.0f} s")
         self._next_look = time.monotonic() + LOOK_FOR_WORKERS
 
     def _end_stopped(self, after: float) -> None:

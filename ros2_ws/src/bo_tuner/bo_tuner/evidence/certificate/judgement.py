@@ -134,7 +134,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
 
 def _objective(study: Study, drawn: Sequence[Evaluation]) -> Estimate:
     metric = study.objective.metric
-    complete = {e.index: e for e in drawn if e.outcome.complete}
+    complete = {k: e for k, e in enumerate(drawn) if e.outcome.complete}
     return of_draws(
         {k: e.outcome.metrics[metric] for k, e in complete.items()},
         {k: e.context for k, e in complete.items()},
