@@ -231,14 +231,21 @@ def killed(
         "exit code": code,
         "seconds": seconds,
         "said": (life.text("err").strip().splitlines() or [""])[-1],
-        "wrong": wrong(command, code, life, has_ended=has_ended, left=len(left)),
+        "wrong": wrong(command, code, life, after, has_ended=has_ended, left=len(left)),
     }
 
 
-def wrong(command: Command, code: int, life: Life, *, has_ended: bool, left: int) -> list[str]:
+def wrong(
+    command: Command, code: int, life: Life, after: float, *, has_ended: bool, left: int
+) -> list[str]:
     """Return what of the end is not as it should be."""
     said = life.text("err")
-    if code == 2 and said.count("\nerror: ") + said.startswith("error: ") == 1 and not left:
+    if (
+        after == 0.0
+        and code == 2
+        and said.count("\nerror: ") + said.startswith("error: ") == 1
+        and not left
+    ):
         # Nothing has begun: there is nothing to tell of, or to go on with.
         return ["told of nothing"] if life.text("told") or life.text("out") else []
     found = [] if has_ended else [f"no end within {LONGEST:g} s"]
