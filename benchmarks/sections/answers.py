@@ -7,7 +7,6 @@ from sections.layout import Result
 
 from tuning_benchmark.pages.tables import markdown
 
-
 SAVED = "13daafaf5a"
 """Commit with certificates that saved runs by rules that did not keep the level."""
 
