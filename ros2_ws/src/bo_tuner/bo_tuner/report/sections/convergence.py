@@ -138,8 +138,9 @@ def _objective(analysis: Analysis) -> Figure:
         name="convergence",
         title=f"Would more trials help? {capitalized(y.label)} of each trial, and of the best "
         "so far",
-        caption="The best so far is the parameter set that would be the result if the run ended "
-        f"there; its line is {line}. {_edge_in_words(sign)}",
+        caption=f"The mean of each trial is {analysis.means_in_words}. The best so far is the "
+        f"parameter set that would be the result if the run ended there; its line is {line}. "
+        f"{_edge_in_words(sign)}",
         alternative=_summary(analysis, best_by_trial),
         panels=[
             Panel(
