@@ -32,6 +32,7 @@ SECTIONS = {
     "certificates": ("Certificates", answers.certificates),
     "example_certificates": ("Certificates of the examples", answers.example_certificates),
     "false_passes": ("Limits that are broken, and passes", answers.false_passes),
+    "single_run_limits": ("Limits on single runs", answers.single_run_limits),
     "safe_search": ("Limits broken by a safe search", answers.safety),
     "simulation_prior": ("What a simulation is worth on the machine", answers.simulation_prior),
     "identify": ("Where a machine is, and whether it drifts", answers.identification),

@@ -99,6 +99,30 @@ def false_passes(result: Result) -> list[str]:
     ]
 
 
+def single_run_limits(result: Result) -> list[str]:
+    """Tell how often a promise is kept, and what the answer costs, beside random sampling."""
+    rows = []
+    for case in result["cases"].values():
+        row = [case["title"]]
+        for found in (case["runs"], [run["random"] for run in case["runs"]]):
+            answers = [run for run in found if "kept" in run]
+            row += [
+                f"{sum(run['keeps'] for run in answers)} of {len(found)}",
+                f"{100.0 * statistics.median(run['above'] for run in answers):.0f}",
+                f"{statistics.median(run['runs'] for run in found):g}",
+            ]
+        rows.append(row)
+    return [
+        "Answers under a limit that a run must keep with a probability P, over the contexts "
+        "(*drawn*) or in each (*worst*), by the truth: how many keep it, and the median of the "
+        "cost above the optimum. Beside them random sampling (II) with about as many runs.",
+        markdown(
+            ["case", "kept", "above [%]", "runs", "random: kept", "above [%]", "runs"],
+            rows,
+        ),
+    ]
+
+
 def safety(result: Result) -> list[str]:
     """Say how often a safe search breaks a limit, beside a plain one, and what it costs."""
     rows = []
