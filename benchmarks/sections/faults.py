@@ -33,8 +33,8 @@ def helpers(result: Result) -> list[str]:
     return [
         "A process of `tune`, `validate`, `validate --against`, `check`, `try` or `replay` is "
         "killed as soon as it is there, midway, or late. An end is wrong if it does not come, or "
-        "exit code, `--notify` and JSON differ, no way to go on is named, or a process is left. Seconds "
-        "from the kill to the end of the command, which may first come to its result.",
+        "exit code, `--notify` and JSON differ, no way to go on is named, or a process is left. "
+        "Seconds from the kill to the end of the command, which may first come to its result.",
         markdown([*header, "end, median [s]", "worst"], rows),
     ]
 
