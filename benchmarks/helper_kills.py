@@ -44,6 +44,11 @@ MOMENTS: Mapping[str, float] = {"at once": 0.0, "midway": 0.5, "late": 0.9}
 LONGEST = 240.0
 """Time [s] within which a command must end."""
 NODE, GUARD, FUNCTION, WORKER = "node", "guard", "function", "worker"
+SETTINGS = {
+    "OPENBLAS_NUM_THREADS": "1",
+    # Commands at once, and other programs, make heartbeats late.
+    "BO_TUNER_GUARD_TIMEOUT": "5",
+}
 MARKS = {
     NODE: "pid_node.py",
     GUARD: "bo_tuner.backends.ros.guard",
@@ -154,7 +159,7 @@ class Life:
             self.process = psutil.Popen(
                 [sys.executable, "-m", "bo_tuner", *command.arguments],
                 cwd=folder,
-                env=os.environ | isolated_environment(domain) | {"OPENBLAS_NUM_THREADS": "1"},
+                env=os.environ | isolated_environment(domain) | SETTINGS,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
