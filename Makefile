@@ -73,6 +73,7 @@ interfaces workspace: setup $(VENV)/.colcon $(VENV)/.interfaces
 		'$(if $(filter workspace,$@),SOURCES,INTERFACES)=~/my_ws/src' >&2; exit 1; }
 	@command -v cmake >/dev/null && command -v c++ >/dev/null || { echo 'error: CMake or a C++' \
 		'compiler is not found; on Debian and Ubuntu: apt install cmake g++ python3-dev' >&2; exit 1; }
+	@rm -rf $(VENV)/build
 	$(BIN)/python requirements/repair_exports.py
 	PATH='$(CURDIR)/$(BIN)':"$$PATH" AMENT_PREFIX_PATH='$(CURDIR)/$(VENV)' \
 		CMAKE_PREFIX_PATH='$(CURDIR)/$(VENV)' $(BIN)/colcon --log-base $(VENV)/log/colcon build \

@@ -40,7 +40,7 @@ def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, Any]:
     files = [Path(getattr(module, "__file__", None) or "") for module in list(sys.modules.values())]
     code = (*STARTED, *(path.stem for path in files if path.parent == BENCHMARKS))
     return {
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": " ".join([Path(sys.argv[0]).name, *_without_result(sys.argv[1:])]),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "commit": commit(code),
         "source_digest": digest(code),
@@ -50,6 +50,12 @@ def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": {package: version_of(package) for package in packages},
     }
+
+
+def _without_result(arguments: Sequence[str]) -> list[str]:
+    """Leave out where the result goes, which changes nothing of it."""
+    places = [k for k, argument in enumerate(arguments) if argument == "--result"]
+    return [a for k, a in enumerate(arguments) if k not in places and k - 1 not in places]
 
 
 def start_command(folder: Path, *arguments: str) -> subprocess.Popen:

@@ -194,6 +194,7 @@ def main() -> None:
             "schedules": found,
             "not begun": len(made) - len(found),
             "left unsafe": sum(f["left unsafe"] for f in found),
+            "load_average": os.getloadavg(),
         }
         for name, discovery in ((WITHIN, False), (BEYOND, True)):
             if (row_of := figures(found, discovery)) is not None:

@@ -106,7 +106,7 @@ COMMANDS = (
     ),
     Command(
         "validate",
-        ("validate", "runs/latest", "--draws", "20", *NOTIFY),
+        ("validate", "runs/latest", "--draws", "10", *NOTIFY),
         BY_NODES,
         "continue with: validate",
     ),
@@ -134,7 +134,10 @@ def write_studies(folder: Path) -> None:
     content["budget"] = {
         "trials": 3, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3
     }  # fmt: skip
-    content["certificate"] = {"draws": 20, "confidence": 0.5}
+    for limit in content["constraints"].values():
+        # So that a certificate, also a second one, is of few runs.
+        limit["probability"] = 0.5
+    content["certificate"] = {"draws": 10, "confidence": 0.5}
     (folder / "study.yaml").write_text(strict_yaml.dump(content))
     (folder / "judge.py").write_text(JUDGE)
     (folder / "axis.yaml").write_text(OF_AXIS)
@@ -230,15 +233,22 @@ def killed(
         "ended": has_ended,
         "exit code": code,
         "seconds": seconds,
-        "said": (life.text("err").strip().splitlines() or [""])[-1],
-        "wrong": wrong(command, code, life, has_ended=has_ended, left=len(left)),
+        "said": (life.text("err").strip().splitlines() or [""])[-1].replace(str(folder), "."),
+        "wrong": wrong(command, code, life, after, has_ended=has_ended, left=len(left)),
     }
 
 
-def wrong(command: Command, code: int, life: Life, *, has_ended: bool, left: int) -> list[str]:
+def wrong(
+    command: Command, code: int, life: Life, after: float, *, has_ended: bool, left: int
+) -> list[str]:
     """Return what of the end is not as it should be."""
     said = life.text("err")
-    if code == 2 and said.count("\nerror: ") + said.startswith("error: ") == 1 and not left:
+    if (
+        after == 0.0
+        and code == 2
+        and said.count("\nerror: ") + said.startswith("error: ") == 1
+        and not left
+    ):
         # Nothing has begun: there is nothing to tell of, or to go on with.
         return ["told of nothing"] if life.text("told") or life.text("out") else []
     found = [] if has_ended else [f"no end within {LONGEST:g} s"]
@@ -343,7 +353,11 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name, busy(load):
             os.environ["XDG_STATE_HOME"] = name
             found = cases(Path(name), arguments.jobs, arguments.domain, arguments.minutes)
-        result[f"beside {load}"] = {"cases": found, "by process": summed_up(found)}
+        result[f"beside {load}"] = {
+            "cases": found,
+            "by process": summed_up(found),
+            "load_average": os.getloadavg(),
+        }
         rows += [[load, kind, *row.values()] for kind, row in summed_up(found).items()]
         write_result(arguments.result, result)
     header = ["busy programs", "killed", "times", "with a result", "wrong", "median [s]", "worst"]

@@ -40,7 +40,9 @@ SECTIONS = {
     "workers": ("Several workers", cost.workers),
     "recording": ("Cost of recording", cost.recording),
     "kill_soak": ("Killed at random moments", faults.kill),
+    "helper_kills": ("Processes of a command are killed", faults.helpers),
     "guard_faults": ("The guard", faults.guard),
+    "freezes": ("Off the processor at random", faults.freezes),
 }
 """Of each script the heading of its section, and what makes the paragraphs."""
 

@@ -1,4 +1,4 @@
-"""Sections on what the tuner survives: kills, and faults under a guard."""
+"""Sections on what the tuner survives: kills, freezes, and faults under a guard."""
 
 from sections.layout import Result
 
@@ -19,6 +19,51 @@ def kill(result: Result) -> list[str]:
         "next cut was on record:",
         markdown(["killed", "times", "median [s]", "worst [s]"], rows),
     ]
+
+
+def helpers(result: Result) -> list[str]:
+    """How commands end whose processes are killed."""
+    rows = [
+        [kind, load.removeprefix("beside "), r["cases"], r["with a result"], r["wrong"]]
+        + [f"{r[which]:.1f}" for which in ("median", "worst")]
+        for load, of_load in _by_load(result)
+        for kind, r in of_load["by process"].items()
+    ]
+    header = ["killed", "busy programs", "times", "ends with a result", "wrong end"]
+    return [
+        "A process of `tune`, `validate`, `validate --against`, `check`, `try` or `replay` is "
+        "killed as soon as it is there, midway, or late. An end is wrong if it does not come, or "
+        "exit code, `--notify` and JSON differ, no way to go on is named, or a process is left. Seconds "
+        "from the kill to the end of the command, which may first come to its result.",
+        markdown([*header, "end, median [s]", "worst"], rows),
+    ]
+
+
+def freezes(result: Result) -> list[str]:
+    """How soon a machine is stopped by processes that were off the processor."""
+    rows = []
+    texts = []
+    for load, of_load in _by_load(result):
+        for name in ("within the lease", "beyond the lease"):
+            if (r := of_load.get(name)) is not None:
+                within = f"{r['within 2 s']} of {r['schedules']}"
+                times = [f"{r[which]:.2f}" for which in ("median", "worst")]
+                rows.append([name, load.removeprefix("beside "), within, *times])
+        count = len(of_load["schedules"])
+        texts.append(
+            f"{count} schedules {load} busy programs ({of_load['not begun']} more did not come to "
+            f"a run), {of_load['left unsafe']} of them without safe values in the end"
+        )
+    return [
+        "Tuner, guard and node are stopped at random for 0.2 to 30 s. Where that is longer than a "
+        "guard waits, seconds from the moment at which tuner or guard can act to the stop message; "
+        "beyond the lease of ROS they first discover each other anew. " + "; ".join(texts) + ".",
+        markdown(["off", "busy programs", "within 2 s", "stop, median [s]", "worst"], rows),
+    ]
+
+
+def _by_load(result: Result) -> list[tuple[str, Result]]:
+    return [(name, value) for name, value in result.items() if name.startswith("beside ")]
 
 
 def guard(result: Result) -> list[str]:

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from bo_tuner.method_names import BOUNDARY
 from bo_tuner.methods.boundary.settling import with_repetitions
-from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance
+from bo_tuner.methods.boundary.stage_one import AdaptedAvoidance, new_point
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.driver import Driver
@@ -22,6 +22,7 @@ ALGORITHM = METHODS[BOUNDARY]
 SCHEDULE = ALGORITHM.schedule
 NODE = {"node": "axis"}
 PEAK = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+CHANCE = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
 
 
 def double(lower=0.0, upper=1.0):
@@ -141,6 +142,22 @@ class TestProtocol:
         for trial in later:
             stages = [evaluation.stage for evaluation in trial.evaluations]
             assert stages == [Stage.DRAWN, Stage.SEARCH, Stage.SEARCH]
+
+    @pytest.mark.parametrize(
+        ("peak", "sections", "planned"),
+        [
+            (CHANCE, {}, (3, 0)),
+            (CHANCE, {"contexts": {}}, (3, 0)),
+            (CHANCE, {"contexts": {}, "noise": "none"}, (1, 0)),
+            (None, {}, (1, 0)),
+            (PEAK, {}, (1, 2)),
+        ],
+        ids=["over contexts", "over noise", "a run tells all", "no limit", "worst case"],
+    )
+    def test_new_points_are_run_where_their_limits_are_doubtful(
+        self, study_of, peak, sections, planned
+    ):
+        assert new_point(study_of(peak=peak, **sections)) == planned
 
     def test_the_evaluations_ahead_are_those_that_come(self, run):
         study, trials, _ = run

@@ -152,7 +152,9 @@ class TestWorstCase:
         assert f"{widest:.4g}, limit" in found.reason
 
     def test_without_contexts_none_is_named(self, make_study):
-        (found,) = judge(make_study(), nowhere(noisy(MANY, 0.55, 0.05)), 0.95).constraints
+        (found,) = judge(
+            make_study(contexts={}), nowhere(noisy(MANY, 0.55, 0.05)), 0.95
+        ).constraints
         assert found.reason.startswith("mean over noise at most 0.")
 
     def test_it_needs_a_look_at_the_worst_context(self, make_study):

@@ -7,8 +7,9 @@ parameter set is believed feasible, it is one for the way to the limits (`approa
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
 probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
 them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
-their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
-is most doubtful that they keep their limits; `repetition` decides which, and when that is settled.
+their worst context and one in a drawn one, or three in drawn ones where all limits are over the
+contexts. Before the answer, parameter sets are run again where it is most doubtful that they keep
+their limits; `repetition` decides which, and when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
@@ -49,7 +50,7 @@ DOOMED = 0.95
 """Probability of a failure from which on no point is proposed as long as there are others."""
 
 DRAWN, WORST = 1, 2
-"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
+"""Evaluations of a new point: in drawn contexts, and where limits are most doubtful."""
 
 
 LEAST = 2
@@ -259,5 +260,11 @@ def provable(surrogates: PooledSurrogates, ahead: int) -> Surrogates:
 
 
 def new_point(study: Study) -> tuple[int, int]:
-    """Return the evaluations of a point at the boundary: in drawn and in worst contexts."""
-    return DRAWN, WORST * len(study.worst_case_constraints)
+    """Return the evaluations of a point at the boundary: in drawn and in worst contexts.
+
+    A limit over the contexts is doubtful in drawn ones, so where all are, the runs are made there.
+    """
+    worst = WORST * len(study.worst_case_constraints)
+    if worst or not study.constraints or study.a_run_tells_all:
+        return DRAWN, worst
+    return DRAWN + WORST, 0
