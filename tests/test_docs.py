@@ -8,6 +8,7 @@ import re
 import shlex
 import signal
 import subprocess
+import tomllib
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -439,3 +440,14 @@ def test_the_first_study_of_the_unchanged_system_passes_the_check(tmp_path, monk
 
 def test_the_study_of_the_unchanged_system_is_short():
     assert len((UNCHANGED / "study.yaml").read_text().splitlines()) <= 40
+
+
+def test_the_picture_of_rooms_has_them_in_the_order_of_their_layers():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (rooms,) = (c for c in contracts["contracts"] if c["id"] == "rooms")
+    layers = {n: k for k, row in enumerate(rooms["layers"]) for n in row.split(" | ")}
+    package = ROOT / "ros2_ws" / "src" / "bo_tuner" / "bo_tuner"
+    drawn = re.findall(r"<text x=[^>]*>(\w+)</text>", (ROOT / "docs/images/rooms.svg").read_text())
+    assert {*drawn} == {name for name in layers if (package / name).is_dir()}
+    order = [layers[name] for name in drawn]
+    assert order == sorted(order)

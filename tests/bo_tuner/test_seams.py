@@ -11,6 +11,7 @@ from report_runs import axis_study, run_study
 from bo_tuner.acquisition.acquisition import Acquisition
 from bo_tuner.cli import validate
 from bo_tuner.cli.report import run
+from bo_tuner.evidence.limit_words import OfMean, words_of_kind
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.protocol import AnswerSearch, Method
 from bo_tuner.methods.recommendation import Recommendation
@@ -319,6 +320,11 @@ class MeanOverContexts(OnMean):
     def response(self, models):
         # The median of runs stands for their mean.
         return models.over_contexts(self.limited, 0.5)
+
+
+@words_of_kind.register(MeanOverContexts)
+class OverContexts(OfMean):
+    """Its words, where they are not those of another mean."""
 
     def asked(self, *, everywhere):
         return "by the mean over contexts and noise"

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from bo_tuner.evidence.limit_proof import Runs, proof_of_kind
+from bo_tuner.evidence.limit_words import words_of_kind
 from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.limit_kinds.on_mean import OnMean
 from bo_tuner.study.limit_kinds.registry import KINDS
 
@@ -49,26 +50,26 @@ def spread_around(mean, count=200):
 
 def test_runs_far_within_the_limit_show_it(rule):
     runs = runs_of(rule, spread_around(0.5))
-    assert rule.is_shown(runs, CONFIDENCE)
-    assert not rule.is_refuted(runs, CONFIDENCE)
-    assert not rule.is_hopeless(runs, 1000, CONFIDENCE)
+    assert proof_of_kind(rule).is_shown(runs, CONFIDENCE)
+    assert not proof_of_kind(rule).is_refuted(runs, CONFIDENCE)
+    assert not proof_of_kind(rule).is_hopeless(runs, 1000, CONFIDENCE)
     assert rule.agrees(runs.values, alone=False)
-    assert not rule.contradicts(rule.together(runs))
+    assert not proof_of_kind(rule).contradicts(proof_of_kind(rule).together(runs))
 
 
 def test_runs_far_beyond_the_limit_refute_it(rule):
     runs = runs_of(rule, spread_around(1.5))
-    assert rule.is_refuted(runs, CONFIDENCE)
-    assert not rule.is_shown(runs, CONFIDENCE)
+    assert proof_of_kind(rule).is_refuted(runs, CONFIDENCE)
+    assert not proof_of_kind(rule).is_shown(runs, CONFIDENCE)
     assert not rule.agrees(runs.values, alone=False)
-    assert rule.contradicts(rule.together(runs))
+    assert proof_of_kind(rule).contradicts(proof_of_kind(rule).together(runs))
 
 
 def test_a_few_runs_show_nothing_and_refute_nothing(rule):
     runs = runs_of(rule, [0.5, 0.6])
-    assert not rule.is_shown(runs, CONFIDENCE)
-    assert not rule.is_refuted(runs, CONFIDENCE)
-    assert not rule.is_hopeless(runs, 1000, CONFIDENCE)
+    assert not proof_of_kind(rule).is_shown(runs, CONFIDENCE)
+    assert not proof_of_kind(rule).is_refuted(runs, CONFIDENCE)
+    assert not proof_of_kind(rule).is_hopeless(runs, 1000, CONFIDENCE)
 
 
 def test_a_lower_limit_is_the_mirror_image(rule):
@@ -81,8 +82,12 @@ def test_a_lower_limit_is_the_mirror_image(rule):
     for mean in (0.5, 0.9, 1.0, 1.5):
         values = spread_around(mean, 40)
         there, here = runs_of(mirrored, -values), runs_of(rule, values)
-        assert mirrored.is_shown(there, CONFIDENCE) == rule.is_shown(here, CONFIDENCE)
-        assert mirrored.is_refuted(there, CONFIDENCE) == rule.is_refuted(here, CONFIDENCE)
+        assert proof_of_kind(mirrored).is_shown(there, CONFIDENCE) == proof_of_kind(rule).is_shown(
+            here, CONFIDENCE
+        )
+        assert proof_of_kind(mirrored).is_refuted(there, CONFIDENCE) == proof_of_kind(
+            rule
+        ).is_refuted(here, CONFIDENCE)
         assert mirrored.agrees(-values, alone=True) == rule.agrees(values, alone=True)
 
 
@@ -96,12 +101,15 @@ def test_only_what_draws_estimate_is_judged_by_the_estimate(rule):
 
 def test_its_words_name_the_limit_and_what_was_found(rule):
     beyond = runs_of(rule, spread_around(1.5, 90))
-    said = rule.said_of_draws(beyond, "N", CONFIDENCE, passed=False)
+    said = words_of_kind(rule).said_of_draws(beyond, "N", CONFIDENCE, passed=False)
     assert "allowed 0.1" in said or "limit 1 N" in said
     assert "may be" in said
-    assert rule.asked(everywhere=False)
-    assert rule.asked(everywhere=True).endswith(" in every context") or not rule.in_every_context
-    assert "m" in rule.predicted("m", quantile=False).split()
+    assert words_of_kind(rule).asked(everywhere=False)
+    assert (
+        words_of_kind(rule).asked(everywhere=True).endswith(" in every context")
+        or not rule.in_every_context
+    )
+    assert "m" in words_of_kind(rule).predicted("m", quantile=False).split()
 
 
 def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
@@ -109,8 +117,8 @@ def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
     rule = Constraint(name="c", kind="mean", metric="m", upper=1.0).rule
     for count in (LEAST - 2, LEAST):
         runs = runs_of(rule, spread_around(0.5, count))
-        assert rule.is_shown(runs, CONFIDENCE) == (count >= LEAST)
-        said = rule.said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST)
+        assert proof_of_kind(rule).is_shown(runs, CONFIDENCE) == (count >= LEAST)
+        said = words_of_kind(rule).said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST)
         if count < LEAST:
             assert said == f"too few draws ({count}) to bound the mean over contexts and noise"
         else:

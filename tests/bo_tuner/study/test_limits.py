@@ -23,7 +23,7 @@ from bo_tuner.study.limits import (
 from bo_tuner.text import JOIN
 from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning.driver import Driver
-from bo_tuner.tuning.validation import validate
+from bo_tuner.tuning.validation import ValidationPlan
 from tuning_benchmark.paper.check import with_check
 
 CHANCE = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
@@ -167,7 +167,9 @@ def test_confirmation_validation_and_record_judge_the_same_values_alike(
 
     remaining = iter(peaks)
     backend = function_backend(study, lambda **_: {"error": 1.0, "peak": next(remaining)})
-    (validation,) = validate(study, Driver(backend), [{"gain": 0.5}])
+    plan = ValidationPlan(study, [{"gain": 0.5}])
+    Driver(backend).complete(plan)
+    (validation,) = plan.results
     assert validation.feasible
     assert validation.constraints["peak"].violations == 2
 

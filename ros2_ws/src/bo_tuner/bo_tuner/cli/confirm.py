@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from bo_tuner.cli.streams import prompt, typed
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.interruption import LOOK_AROUND
 from bo_tuner.methods.protocol import Method
 from bo_tuner.models.surrogates import Surrogates
@@ -195,7 +196,9 @@ def _predicted(study: Study, models: Surrogates, x: Array) -> Iterator[str]:
         constraint = study.constraints[name]
         ends = np.concatenate(limit.band(x, reach))
         band = _band(study, constraint.metric, ends)
-        words = constraint.rule.predicted(study.metrics[constraint.metric].title, quantile=True)
+        words = words_of(constraint).predicted(
+            study.metrics[constraint.metric].title, quantile=True
+        )
         yield f"  predicted {band}: {words}; limit {shown(constraint.limit)}"
 
 

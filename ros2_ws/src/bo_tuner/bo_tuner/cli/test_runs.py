@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.table import Table
 
+from bo_tuner.evidence.limit_proof import proof_of
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study.constraint import Constraint
@@ -100,7 +101,7 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
             f"rare runs may be far beyond the others; give metrics.{name} a range that no run can "
             f"leave, as [low, high], or constraints.{item.name} a probability"
             for item in limits
-            if any(item.rule.assumption(metric.range))
+            if any(proof_of(item).assumption(metric.range))
         ]
         if name in study.measured:
             # Equal runs may well have another wind.

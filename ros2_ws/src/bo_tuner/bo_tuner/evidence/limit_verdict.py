@@ -6,6 +6,7 @@ limit permits. *Kept* is only what is shown, and it stands with what the limit p
 
 from dataclasses import dataclass
 
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
@@ -55,7 +56,7 @@ class LimitVerdict:
 def asked(study: Study, constraint: Constraint) -> str:
     """Return how often a limit must be kept, in a few words."""
     everywhere = constraint.rule.in_every_context and bool(study.contexts)
-    return constraint.rule.asked(everywhere=everywhere)
+    return words_of(constraint).asked(everywhere=everywhere)
 
 
 def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerdict:
@@ -134,4 +135,4 @@ def _counted(constraint: Constraint, sample: Sample) -> str:
     if not sample.count:
         return "no test run is complete"
     runs = counted(sample.count, "test run")
-    return constraint.rule.counted(sample.violations, runs, sample.count, agrees=sample.agrees)
+    return words_of(constraint).counted(sample.violations, runs, sample.count, agrees=sample.agrees)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from bo_tuner import text
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.evidence.verdict import WITHIN
 from bo_tuner.study.study import Study
 
@@ -18,7 +19,7 @@ def claimed(study: Study, findings: Findings) -> str:
     searched = any(constraint.rule.in_every_context for constraint, _ in limits)
     where = " in the contexts searched" * (searched and not study.context_space().is_discrete)
     shares = [
-        _share(found, constraint.rule.asked(everywhere=False), constraint.beyond)
+        _share(found, words_of(constraint).asked(everywhere=False), constraint.beyond)
         for constraint, found in limits
         if constraint.rule.on_runs
     ]

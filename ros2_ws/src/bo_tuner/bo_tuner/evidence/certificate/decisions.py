@@ -12,8 +12,8 @@ from bo_tuner.evidence.certificate.limited_runs import (
     runs_in_context,
     runs_of,
 )
+from bo_tuner.evidence.limit_proof import Runs, proof_of
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
@@ -116,19 +116,19 @@ def shows(constraint: Constraint, runs: Runs, confidence: float) -> bool:
     """Return whether runs show a limit; the only one of a context shows all without noise."""
     if runs.exact:
         return len(runs.events) > 0 and not any(runs.events)
-    return constraint.rule.is_shown(runs, confidence)
+    return proof_of(constraint).is_shown(runs, confidence)
 
 
 def refutes(constraint: Constraint, runs: Runs, confidence: float) -> bool:
     """Return whether runs refute a limit."""
-    return any(runs.events) if runs.exact else constraint.rule.is_refuted(runs, confidence)
+    return any(runs.events) if runs.exact else proof_of(constraint).is_refuted(runs, confidence)
 
 
 def _is_hopeless(constraint: Constraint, runs: Runs, most: int, confidence: float) -> bool:
     """Return whether runs cannot show a limit any more, up to `most` of them."""
     if runs.exact:
         return any(runs.events)
-    return constraint.rule.is_hopeless(runs, most, confidence)
+    return proof_of(constraint).is_hopeless(runs, most, confidence)
 
 
 def is_failed(evaluations: Sequence[Evaluation]) -> bool:
@@ -146,7 +146,7 @@ def is_refuted_by(
 
     A failed one is a violation of every constraint.
     """
-    return bool(failed_runs(evaluations)) or constraint.rule.is_refuted(
+    return bool(failed_runs(evaluations)) or proof_of(constraint).is_refuted(
         runs_of(constraint, evaluations), confidence
     )
 
@@ -162,11 +162,11 @@ def contradicts_earlier(
     """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
     if not earlier:
         return False
-    return constraint.rule.contradicts(together(constraint, earlier, fresh))
+    return proof_of(constraint).contradicts(together(constraint, earlier, fresh))
 
 
 def together(
     constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
 ) -> float:
     """Return what is limited in earlier and fresh runs together."""
-    return constraint.rule.together(runs_of(constraint, [*earlier, *fresh]))
+    return proof_of(constraint).together(runs_of(constraint, [*earlier, *fresh]))

@@ -7,7 +7,7 @@ show it with the stated confidence 1 - α; too few evaluations to show it are a 
 - A constraint in every context (Eq. 3e) is shown to hold if it is in every candidate for the worst
   context that a separate search finds. Draws can only refute it: what holds in every context holds
   there.
-- What shows a limit in runs is said by its kind (`bo_tuner.study.limit_kinds`): the bound of the
+- What shows a limit in runs is said by its kind (`bo_tuner.evidence.limit_proof`): the bound of the
   probability of a violation is at most what is allowed, or that of the mean is within the limit.
 - A value outside the declared range of its metric is a FAIL: the declaration is wrong.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
@@ -61,10 +61,10 @@ from bo_tuner.evidence.certificate.limited_runs import (
 )
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
 from bo_tuner.evidence.estimates import Estimate, Source, of_draws
+from bo_tuner.evidence.limit_proof import ProofByMean, Runs, proof_of
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.base import Runs
-from bo_tuner.study.limit_kinds.on_mean import OnMean
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -76,7 +76,7 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     runs in each, of which there are at most as many as draws.
     """
     needed = {
-        c.name: c.rule.fewest(declared_range(study, c), confidence)
+        c.name: proof_of(c).fewest(declared_range(study, c), confidence)
         for c in study.constraints.values()
         if not is_exact(study, c)
     }
@@ -92,7 +92,7 @@ def least_evaluations(study: Study, confidence: float) -> int:
     for constraint in study.constraints.values():
         fewest = 1
         if not is_exact(study, constraint):
-            fewest = constraint.rule.fewest(declared_range(study, constraint), confidence)
+            fewest = proof_of(constraint).fewest(declared_range(study, constraint), confidence)
         if constraint.rule.in_every_context:
             repeated = max(repeated, fewest)
         else:
@@ -162,7 +162,7 @@ def _judge(
     else:
         shown = shows(constraint, runs, confidence)
         passed = shown and not against
-        reason_of_draws = rule.said_of_draws(runs, unit, confidence, passed=passed)
+        reason_of_draws = words_of(constraint).said_of_draws(runs, unit, confidence, passed=passed)
         if runs.exact:
             reason_of_draws = (
                 f"{sum(runs.events)} of {text.counted(len(runs.events), 'run')} violate the limit "
@@ -265,7 +265,7 @@ def _worst_case(
     doubted = [w for w in worst if w.contradicted]
     if doubted and all(w.shown or w.contradicted for w in worst):
         return False, _said_of_both(constraint, doubted[0])
-    return passed, constraint.rule.said_of_contexts(worst, refuting, unit, passed=passed)
+    return passed, words_of(constraint).said_of_contexts(worst, refuting, unit, passed=passed)
 
 
 def _worst_context(
@@ -286,7 +286,7 @@ def _worst_context(
         failures=len(evaluations) - len(values),
         violation_bound=_bound(runs, confidence),
         shown=shown and not contradicted,
-        needs_range=not runs.exact and constraint.rule.needs_range(runs),
+        needs_range=not runs.exact and proof_of(constraint).needs_range(runs),
         contradicted=contradicted,
         earlier=len(earlier),
         together=together(constraint, earlier, evaluations) if earlier else float("nan"),
@@ -295,14 +295,14 @@ def _worst_context(
 
 def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     """Return the mean with its bounds; on the side of a limit on it, with the one that decides."""
-    rule = constraint.rule
+    proof = proof_of(constraint)
     if runs.exact and len(runs.values):
         value = float(runs.values[0])
         return Mean(value, 0.0, upper=value, lower=value)
     mean = mean_of(runs.values, confidence)
-    if not isinstance(rule, OnMean) or len(runs.values) < 2:
+    if not isinstance(proof, ProofByMean) or len(runs.values) < 2:
         return mean
-    bound = rule.bound(runs, confidence)
+    bound = proof.bound(runs, confidence)
     return replace(mean, upper=bound) if constraint.sign > 0.0 else replace(mean, lower=bound)
 
 
@@ -315,7 +315,7 @@ def _said_of_draws(
     if not contradicts_earlier(constraint, earlier, fresh):
         return ""
     both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
-    return constraint.rule.said_together(both, together(constraint, earlier, fresh))
+    return words_of(constraint).said_together(both, together(constraint, earlier, fresh))
 
 
 def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
@@ -323,7 +323,7 @@ def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
     where = f" in a context ({inside})" if inside else ""
     fresh = worst.evaluations + worst.failures
     both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
-    return constraint.rule.said_together(both, worst.together)
+    return words_of(constraint).said_together(both, worst.together)
 
 
 def _bound(runs: Runs, confidence: float) -> float:
@@ -343,7 +343,7 @@ def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> tup
             f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics",
             "its runs are free of noise, as declared",
         )
-    return constraint.rule.assumption(declared_range(study, constraint))
+    return proof_of(constraint).assumption(declared_range(study, constraint))
 
 
 def _failure(evaluation: Evaluation) -> str:

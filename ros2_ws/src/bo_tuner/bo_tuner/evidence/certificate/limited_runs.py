@@ -9,9 +9,9 @@ from bo_tuner.evidence.certificate.findings import (
     Earlier,
     Evidence,
 )
+from bo_tuner.evidence.limit_proof import Runs
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limit_kinds.base import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 

@@ -23,6 +23,7 @@ from bo_tuner.evidence.certificate.independent_search import (
 )
 from bo_tuner.evidence.certificate.limited_runs import declared_range, is_exact
 from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.evidence.limit_proof import proof_of
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.sequential import log_evidence, log_mean_evidence, spent
@@ -172,7 +173,7 @@ class _Simulation:
         # None of the others may be as bad.
         declared = declared_range(self.study, constraint)
         exact = is_exact(self.study, constraint)
-        fewest = 1 if exact else constraint.rule.fewest(declared, self.confidence)
+        fewest = 1 if exact else proof_of(constraint).fewest(declared, self.confidence)
         space = self.study.context_space()
         count = int(self.rng.integers(least_candidates(space), most_candidates(space) + 1))
         others = self.rng.integers(min(fewest, worst), worst + 1, size=count - 1)
@@ -190,7 +191,7 @@ class _Simulation:
             declared = self.study.metrics[constraint.metric].range
             if declared is None:
                 evidence = log_mean_evidence(beyond, 0.0)
-                evidence[: constraint.rule.fewest(None, self.confidence) - 1] = 0.0
+                evidence[: proof_of(constraint).fewest(None, self.confidence) - 1] = 0.0
             else:
                 ends = sorted(constraint.sign * (end - constraint.limit) for end in declared)
                 evidence = log_wealth(np.clip(beyond, ends[0], ends[1]), 0.0, ends[1])

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.figures.figure import (
     Axis,
     Color,
@@ -175,7 +176,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     return Figure(
         name=name,
         title=f"Which trials stay within the limit of {metric.title} in their worst context?",
-        caption=f"{constraint.rule.decisive}; {side} the line the limit is kept. "
+        caption=f"{words_of(constraint).decisive}; {side} the line the limit is kept. "
         f"{_edge_in_words(sign)}",
         alternative=f"Within the limit of {quantity(constraint.limit, metric.unit)}: {within} of "
         f"{counted(len(decisive_values), 'trial')}.",

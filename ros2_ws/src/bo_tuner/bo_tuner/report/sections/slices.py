@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.figures.figure import (
     Axis,
     Band,
@@ -118,7 +119,7 @@ def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
 
 def predicted_title(constraint: Constraint, model: LimitedResponse, metric: Metric) -> str:
     """Name what the model predicts, which is held against its limit."""
-    return constraint.rule.predicted(metric.title, quantile=_is_of_quantile(constraint, model))
+    return words_of(constraint).predicted(metric.title, quantile=_is_of_quantile(constraint, model))
 
 
 def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
