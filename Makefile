@@ -66,7 +66,9 @@ setup: $(VENV)/.packages
 
 # Packages of messages, or of C++ nodes as well; with the folder of the one or the other.
 FOLDER = $(if $(filter workspace,$@),$(SOURCES),$(INTERFACES))
-# A program is linked although the wheels' libraries ask for symbols of those that they bring along, and of Python.
+# The wheels' libraries ask for symbols of Python, and of libraries that lie in folders of their own.
+PROGRAM_FLAGS = -Wl,--unresolved-symbols=ignore-in-shared-libs -Wl,--disable-new-dtags \
+	$(shell $(BIN)/python requirements/program_libraries.py)
 interfaces workspace: setup $(VENV)/.colcon $(VENV)/.interfaces
 	@test -d '$(FOLDER)' || { echo 'error: $(if $(filter workspace,$@),SOURCES,INTERFACES)=$(FOLDER) is not a' \
 		'folder; name that of the packages: make $@' \
@@ -79,7 +81,7 @@ interfaces workspace: setup $(VENV)/.colcon $(VENV)/.interfaces
 		CMAKE_PREFIX_PATH='$(CURDIR)/$(VENV)' $(BIN)/colcon --log-base $(VENV)/log/colcon build \
 		--base-paths '$(FOLDER)' --build-base $(VENV)/build --install-base $(VENV) --merge-install \
 		--cmake-args -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
-		-DCMAKE_EXE_LINKER_FLAGS='-Wl,--as-needed -Wl,--unresolved-symbols=ignore-in-shared-libs'
+		-DCMAKE_EXE_LINKER_FLAGS='$(PROGRAM_FLAGS)' -DCMAKE_INSTALL_RPATH_USE_LINK_PATH=ON
 	@rm -rf $(VENV)/build
 
 tune: setup
