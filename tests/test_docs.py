@@ -166,7 +166,9 @@ def takes(parser, arguments):
 
 
 def check_make(arguments):
-    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    # One rule may be that of several targets.
+    rules = re.findall(r"^([a-z -]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    targets = " ".join(rules).split()
     for argument in arguments:
         if argument.startswith("ARGS="):
             if "tune" in arguments:
