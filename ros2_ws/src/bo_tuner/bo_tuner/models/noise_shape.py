@@ -12,10 +12,10 @@ whatever the law (Wilks 1941), and the first one for which that is small is the 
 contradict it if they are skewed towards the limit (D'Agostino 1970), as those of two kinds of runs
 are of which the rarer is the worse, or if more of them are beyond the normal quantile than a normal
 law would put there by chance. Noise that differs from place to place is skewed now and then, too,
-so skewness is tested at the level of `two_kinds`. Elsewhere the quantile is the normal one: that bound differs from it
-by chance, and each half of a standard deviation costs as much in the objective as the limit does. A
-residual at an observation that determines the mean there shows nothing of the noise; its weight is
-the share that the mean leaves unexplained.
+so skewness is tested at the level of `two_kinds`. Elsewhere the quantile is the normal one: that
+bound differs from it by chance, and each half of a standard deviation costs as much in the
+objective as the limit does. A residual at an observation that determines the mean there shows
+nothing of the noise; its weight is the share that the mean leaves unexplained.
 
 References
 ----------
