@@ -69,6 +69,21 @@ def test_more_of_100_residuals_than_chance_puts_there_contradict(beyond, contrad
     assert (shape(residuals).deviations(1.645, 1.0) > 1.645) == contradicts
 
 
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_rare_kind_leaves_few_degrees_of_freedom(share, sign):
+    """A Bernoulli variable has the excess kurtosis (1 - 6 p q) / (p q)."""
+    residuals = sign * np.where(np.arange(1000) < 1000 * share, 3.0, 0.0)
+    product = share * (1.0 - share)
+    kurtosis = 3.0 + (1.0 - 6.0 * product) / product
+    assert shape(residuals).degrees == pytest.approx(2.0 / (kurtosis - 1.0))
+
+
+@pytest.mark.parametrize("residuals", [norm.ppf(LEVELS), np.zeros(40), np.empty(0)])
+def test_each_normal_residual_is_a_degree_of_freedom(residuals):
+    assert shape(residuals).degrees == 1.0
+
+
 def test_it_exceeds_what_no_law_can():
     """Not even if all residuals are far off, as those of a model that does not fit."""
     z = float(norm.ppf(0.95))

@@ -11,10 +11,11 @@ the quantile for P with the probability
 whatever the law (Wilks 1941), and the first one for which that is small is the bound. They
 contradict it if they are skewed towards the limit (D'Agostino 1970), as those of two kinds of runs
 are of which the rarer is the worse, or if more of them are beyond the normal quantile than a normal
-law would put there by chance. Elsewhere the quantile is the normal one: that bound differs from it
-by chance, and each half of a standard deviation costs as much in the objective as the limit does. A
-residual at an observation that determines the mean there shows nothing of the noise; its weight is
-the share that the mean leaves unexplained.
+law would put there by chance. Noise that differs from place to place is skewed now and then, too,
+so skewness is tested at the level of `two_kinds`. Elsewhere the quantile is the normal one: that
+bound differs from it by chance, and each half of a standard deviation costs as much in the
+objective as the limit does. A residual at an observation that determines the mean there shows
+nothing of the noise; its weight is the share that the mean leaves unexplained.
 
 References
 ----------
@@ -29,9 +30,10 @@ from typing import Self
 
 import numpy as np
 from scipy.special import betainc, ndtr, ndtri
-from scipy.stats import skewtest
+from scipy.stats import kurtosis, skewtest
 
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.two_kinds import LEVEL
 
 CHANCE = 0.05
 """Probability that residuals of a normal law contradict it, and that a bound is missed."""
@@ -94,14 +96,30 @@ class NoiseShape:
         bound = residuals[min(int(np.sum(missed > CHANCE)), len(residuals) - 1)]
         return max(z, min(float(bound), float(np.sqrt(probability / (1.0 - probability)))))
 
+    @cached_property
+    def degrees(self) -> float:
+        """Degrees of freedom of a squared residual: 2 / (κ - 1), with the kurtosis κ; 1 if normal.
+
+        The variance of n residuals has the relative variance (κ - 1) / n. Few runs of a rare kind
+        make κ large: what it is in one place, the runs near there do not tell.
+        """
+        if not any(map(self._is_skewed, (1.0, -1.0))):
+            return 1.0
+        return 2.0 / max(float(kurtosis(self._own, fisher=False)) - 1.0, 2.0)
+
     def _is_skewed(self, sign: float) -> bool:
         """Return whether the residuals have a longer tail on one side than a normal law."""
-        return sign * self._skewness > float(ndtri(1.0 - CHANCE))
+        return sign * self._skewness > float(ndtri(1.0 - LEVEL))
+
+    @cached_property
+    def _own(self) -> Array:
+        """Those residuals that are mostly their own."""
+        return self.residuals[self.weights > 0.5]
 
     @cached_property
     def _skewness(self) -> float:
-        """Normal under a normal law; of those residuals that are mostly their own."""
-        own = self.residuals[self.weights > 0.5]
+        """Normal under a normal law."""
+        own = self._own
         if len(own) < FEWEST or np.ptp(own) < ALIKE * np.abs(own).max():
             return 0.0
         return float(skewtest(own).statistic)

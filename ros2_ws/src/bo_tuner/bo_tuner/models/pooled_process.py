@@ -421,8 +421,9 @@ class PooledProcess:
         return NoiseShape.of(residuals / np.sqrt(np.maximum(left, least)), left)
 
     def _noise(self, squares: Array, degrees: Array) -> tuple[Array, Array]:
-        total = degrees + PRIOR_DEGREES
-        return self.noise_variance * (squares + PRIOR_DEGREES) / total, total
+        each = self._shape.degrees
+        total = each * degrees + PRIOR_DEGREES
+        return self.noise_variance * (each * squares + PRIOR_DEGREES) / total, total
 
     def _spread(self, x: Array, contexts: Array) -> Array:
         """Return the variance (m, k) of the mean response over the rows of `over`."""
