@@ -61,6 +61,7 @@ NOTIFY = ("--notify", 'echo "$BO_TUNER_EXIT_CODE" >told')
 NEW = ("tune", "--json-lines", *NOTIFY)
 AXIS = """\
 import time
+from pathlib import Path
 
 
 class Axis:
@@ -68,6 +69,7 @@ class Axis:
         self.__dict__.update(values)
 
     def evaluate(self):
+        Path("ran").touch()
         time.sleep(0.2)
         return {"status": "ok", "error": self.load * (1 + (self.gain - 0.3) ** 2)}
 """
@@ -82,10 +84,13 @@ objective: {metric: error}
 budget: {trials: 5, initial_trials: 3, drawn_contexts: 4, validation_draws: 10}
 """
 JUDGE = """\
+from pathlib import Path
+
 import numpy as np
 
 
 def largest(signals):
+    Path("ran").touch()
     _, values = signals["angle"]
     return float(np.max(np.abs(values)))
 """
@@ -154,7 +159,8 @@ class Life:
 
     def __init__(self, command: Command, folder: Path, domain: int) -> None:
         self._folder = folder
-        (folder / "told").unlink(missing_ok=True)
+        for name in ("told", "ran"):
+            (folder / name).unlink(missing_ok=True)
         with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
             self.process = psutil.Popen(
                 [sys.executable, "-m", "bo_tuner", *command.arguments],
@@ -220,6 +226,7 @@ def killed(
     if life.ended() or not there[0].is_running():
         life.process.wait()
         return None
+    has_begun = (folder / "ran").exists()
     there[0].kill()
     begun = time.monotonic()
     while not life.ended() and time.monotonic() - begun < LONGEST:
@@ -239,23 +246,23 @@ def killed(
         "exit code": code,
         "seconds": seconds,
         "said": (life.text("err").strip().splitlines() or [""])[-1].replace(str(folder), "."),
-        "wrong": wrong(command, code, life, after, has_ended=has_ended, left=len(left)),
+        "wrong": wrong(command, code, life, begun=has_begun, has_ended=has_ended, left=len(left)),
     }
 
 
 def wrong(
-    command: Command, code: int, life: Life, after: float, *, has_ended: bool, left: int
+    command: Command, code: int, life: Life, *, begun: bool, has_ended: bool, left: int
 ) -> list[str]:
     """Return what of the end is not as it should be."""
     said = life.text("err")
     if (
-        after == 0.0
-        and code == 2
+        code == 2
+        and not begun
         and said.count("\nerror: ") + said.startswith("error: ") == 1
         and not left
     ):
         # Nothing has begun: there is nothing to tell of, or to go on with.
-        return ["told of nothing"] if life.text("told") or life.text("out") else []
+        return ["told of nothing"] if life.text("told") else []
     found = [] if has_ended else [f"no end within {LONGEST:g} s"]
     if code not in (0, 1, 3):
         found.append(f"exit code {code}")
@@ -337,6 +344,7 @@ def summed_up(found: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             result[kind] = {
                 "cases": len(of_kind),
                 "with a result": sum(case["exit code"] in (0, 3) for case in of_kind),
+                "at the start": sum(case["exit code"] == 2 for case in of_kind),
                 "wrong": sum(bool(case["wrong"]) for case in of_kind),
                 "median": statistics.median(seconds),
                 "worst": max(seconds),
@@ -365,9 +373,18 @@ def main() -> None:
         }
         rows += [[load, kind, *row.values()] for kind, row in summed_up(found).items()]
         write_result(arguments.result, result)
-    header = ["busy programs", "killed", "times", "with a result", "wrong", "median [s]", "worst"]
+    header = [
+        "busy programs",
+        "killed",
+        "times",
+        "with a result",
+        "at the start",
+        "wrong",
+        "median [s]",
+        "worst",
+    ]
     print(table(header, rows))
-    if any(row[4] for row in rows):
+    if any(row[5] for row in rows):
         sys.exit(1)
 
 

@@ -24,12 +24,26 @@ def kill(result: Result) -> list[str]:
 def helpers(result: Result) -> list[str]:
     """How commands end whose processes are killed."""
     rows = [
-        [kind, load.removeprefix("beside "), r["cases"], r["with a result"], r["wrong"]]
+        [
+            kind,
+            load.removeprefix("beside "),
+            r["cases"],
+            r["with a result"],
+            r["at the start"],
+            r["wrong"],
+        ]
         + [f"{r[which]:.1f}" for which in ("median", "worst")]
         for load, of_load in _by_load(result)
         for kind, r in of_load["by process"].items()
     ]
-    header = ["killed", "busy programs", "times", "ends with a result", "wrong end"]
+    header = [
+        "killed",
+        "busy programs",
+        "times",
+        "ends with a result",
+        "with an error at the start",
+        "wrong end",
+    ]
     return [
         "A process of `tune`, `validate`, `validate --against`, `check`, `try` or `replay` is "
         "killed as soon as it is there, midway, or late. An end is wrong if it does not come, or "

@@ -185,6 +185,11 @@ class TestServed:
         result = read_run(finished).result
         assert float(rows["first"][gain]) == result.parameters["gain"]
 
+    def test_runs_that_have_ended_take_no_models(self, folder, monkeypatch):
+        """There may be a thousand of them."""
+        monkeypatch.setattr(Analysis, "models", property(lambda _: pytest.fail("models")))
+        assert len(Runs(folder).table().splitlines()) == 4
+
     def test_what_has_no_number_is_an_empty_cell(self, tmp_path):
         """All draws of the default failed, so that it has no mean."""
         run = run_axis(tmp_path, **with_ends(0.4))

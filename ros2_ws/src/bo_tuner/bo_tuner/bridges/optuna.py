@@ -190,9 +190,8 @@ def _suggested(name: str, value: Value, distribution: BaseDistribution) -> Any:
         return value
     choices = distribution.choices if isinstance(distribution, CategoricalDistribution) else ()
     # Of different types 1 would be True.
-    equal = (choice for choice in choices if type(choice) is type(value) and choice == value)
-    same = [*equal, *(choice for choice in choices if str(choice) == value)]
-    if not same or same[0] is None:
+    same: list[object] = [c for c in choices if type(c) is type(value) and c == value]
+    if not (same := same or [choice for choice in choices if str(choice) == value]):
         found = ", ".join(map(checks.show, choices))
         raise StudyError(f"expected choices with {checks.show(value)}, found {found}", (name,))
     return same[0]

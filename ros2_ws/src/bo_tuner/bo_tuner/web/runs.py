@@ -301,7 +301,9 @@ class Runs:
 
 def _values(analysis: Analysis) -> dict[str, Value]:
     """Return the parameters of a run's result, and the numbers of its verdict, by columns."""
-    answer = analysis.answer
+    record = analysis.record
+    # Before there is one, models find it, which take a second a run.
+    answer = analysis.answer if record.summary is None else record.result
     found: dict[str, Value] = {}
     if answer is not None:
         for name, item in analysis.study.parameters.items():
