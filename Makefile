@@ -39,13 +39,14 @@ JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
-.PHONY: help setup interfaces tune quadrotor cessna benchmark performance site dist test test-all lint \
+.PHONY: help setup interfaces workspace tune quadrotor cessna benchmark performance site dist test test-all lint \
 	types format check colcon clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make setup      install ROS 2 and the packages into $(VENV) (PYTHON=python3.12, DISTRO=kilted)'
 	@echo 'make interfaces build the interface packages in a folder into $(VENV) (INTERFACES=~/my_ws/src)'
+	@echo 'make workspace  the same of any packages, also in C++ (SOURCES=~/my_ws/src)'
 	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
 	@echo 'make quadrotor  tune a quadrotor in wind: RotorPy and its controller (docs/examples.md)'
 	@echo 'make cessna     tune a Cessna 172: JSBSim and its autopilot (docs/examples.md)'
