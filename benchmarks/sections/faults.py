@@ -65,8 +65,9 @@ def freezes(result: Result) -> list[str]:
                 rows.append([name, load.removeprefix("beside "), within, *times])
         count = len(of_load["schedules"])
         texts.append(
-            f"beside {load.removeprefix('beside ')} busy programs {count} schedules came to a run "
-            f"and {of_load['not begun']} did not; {of_load['left unsafe']} ended without safe values"
+            f"beside {load.removeprefix('beside ')} busy programs {count} of "
+            f"{count + of_load['not begun']} schedules came to a run, and {of_load['left unsafe']} "
+            "ended without safe values"
         )
     return [
         "Tuner, guard and node are stopped at random for 0.2 to 30 s. Where that is longer than a "
