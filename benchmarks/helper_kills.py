@@ -116,7 +116,7 @@ COMMANDS = (
     ),
     Command(
         "validate",
-        ("validate", "runs/latest", "--draws", "10", *NOTIFY),
+        ("validate", "runs/latest", "--draws", "40", *NOTIFY),
         BY_NODES,
         "continue with: validate",
     ),
@@ -144,10 +144,7 @@ def write_studies(folder: Path) -> None:
     content["budget"] = {
         "trials": 3, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3
     }  # fmt: skip
-    for limit in content["constraints"].values():
-        # So that a certificate, also a second one, is of few runs.
-        limit["probability"] = 0.5
-    content["certificate"] = {"draws": 10, "confidence": 0.5}
+    content["certificate"] = {"draws": 40, "confidence": 0.5}
     (folder / "study.yaml").write_text(strict_yaml.dump(content))
     (folder / "judge.py").write_text(JUDGE)
     (folder / "axis.yaml").write_text(OF_AXIS)

@@ -65,15 +65,23 @@ def freezes(result: Result) -> list[str]:
                 rows.append([name, load.removeprefix("beside "), within, *times])
         count = len(of_load["schedules"])
         texts.append(
-            f"{count} schedules {load} busy programs ({of_load['not begun']} more did not come to "
-            f"a run), {of_load['left unsafe']} of them without safe values in the end"
+            f"beside {load.removeprefix('beside ')} busy programs {count} of "
+            f"{count + of_load['not begun']} schedules came to a run, and {of_load['left unsafe']} "
+            "ended without safe values"
         )
     return [
         "Tuner, guard and node are stopped at random for 0.2 to 30 s. Where that is longer than a "
         "guard waits, seconds from the moment at which tuner or guard can act to the stop message; "
-        "beyond the lease of ROS they first discover each other anew. " + "; ".join(texts) + ".",
+        "beyond the lease of ROS they first discover each other anew. "
+        + _sentence("; ".join(texts))
+        + " "
+        "(a node that is stopped itself for longer than anybody tries).",
         markdown(["off", "busy programs", "within 2 s", "stop, median [s]", "worst"], rows),
     ]
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _by_load(result: Result) -> list[tuple[str, Result]]:
