@@ -6,6 +6,7 @@ import pytest
 from signal_runs import signal_study
 
 from bo_tuner.cli.check import _estimate
+from bo_tuner.run_notes import Notes
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
@@ -38,7 +39,8 @@ def test_ramps_count(capsys, sections, said, runs, sets):
     study = study_from_mapping(
         signal_study(budget={"trials": 7, "initial_trials": 2, "drawn_contexts": 5}, **sections)
     )
-    outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0}, "", {"ramped_seconds": "12"})
+    ramped = Notes(ramped_seconds=12.0)
+    outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0}, notes=ramped)
     made = Evaluation(0, 0, Stage.NOMINAL, {"gain": 0.5}, {}, 1, outcome, seconds=13.0)
     _estimate(study, [made])
     out = " ".join(capsys.readouterr().out.split())
