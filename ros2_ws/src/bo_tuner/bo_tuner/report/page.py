@@ -198,7 +198,7 @@ def section_html(section: Section) -> str:
 
 def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
     """Return the HTML of what the page of a run in progress has of its trials, by name."""
-    macros = _environment().get_template("live_parts.html").module
+    macros: Any = _environment().get_template("live_parts.html").module
     panels = limit_panels(study, trials)
     objective = Figure(
         name="objective",
