@@ -45,39 +45,20 @@ def test_it_follows_the_run(chromium, run):
     chromium.open(run.entrance)
     # The token is in no address that the browser keeps.
     assert chromium.evaluate("location.href") == run.address
-    chromium.wait_for("document.querySelector('#details') !== null")
+    chromium.wait_for(f"{TRIALS} > 0")
     before = chromium.evaluate(TRIALS)
     assert 0 < before < 7
-    chromium.evaluate("document.querySelector('#trials details').open = true; window.stays = 1")
-    chromium.evaluate(
-        "(() => { const input = document.querySelector('#trials .filter input');"
-        "input.value = 'initial'; input.dispatchEvent(new Event('input'));"
-        "document.querySelectorAll('#trials thead button')[0].click();"
-        "document.querySelectorAll('#trials thead button')[0].click(); })()"
-    )
-    order = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.hash)")
-    assert order[:2] == ["#now", "#answer"]
-    titles = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.textContent)")
-    assert titles[:2] == ["Now", "Result"]
-    assert titles[-1] == "Details"
-    stamp = chromium.evaluate("document.querySelector('.stamp').textContent")
-    assert stamp.startswith(f"As of {before} trial")
+    chromium.evaluate("window.stays = 1")
+    assert chromium.evaluate("document.querySelector('.links a').pathname") == f"/runs/{run.name}"
 
     run.go_on()
-    chromium.wait_for(
-        "!document.querySelector('#answer h2').textContent.startsWith('No result yet')"
-    )
+    chromium.wait_for("!document.querySelector('#answer').hidden")
     chromium.wait_for(f"{TRIALS} === 7")
-    # The same page, with what was unfolded.
+    # The same page, the latest trial at the top.
     assert chromium.evaluate("window.stays") == 1
-    assert chromium.evaluate("document.querySelector('#trials details').open") is True
-    # And with the words that the table is filtered by, and the column that it is sorted by.
-    assert chromium.evaluate("document.querySelector('#trials .filter input').value") == "initial"
-    head = "document.querySelector('#trials thead th')"
-    assert chromium.evaluate(f"{head}.getAttribute('aria-sort')") == "descending"
     first = chromium.evaluate("document.querySelector('#trials tbody tr').cells[0].textContent")
     assert first.strip() == "6"
-    chromium.wait_for("document.querySelector('#now h2').textContent.startsWith('Ended. ')")
+    chromium.wait_for("document.querySelector('#state').textContent.startsWith('Ended. ')")
     assert chromium.evaluate("'harmed' in window") is False
     assert [url for url in chromium.requests if not url.startswith((run.address, "data:"))] == []
     # Only that the server is gone may be said.
@@ -87,7 +68,8 @@ def test_it_follows_the_run(chromium, run):
 def test_a_trial_has_a_page(chromium, shown_run):
     chromium.open(shown_run.entrance)
     chromium.wait_for("document.querySelector('#trials tbody a') !== null")
-    link = chromium.evaluate("document.querySelector('#trials tbody a').href")
+    # The latest one is at the top.
+    link = chromium.evaluate("[...document.querySelectorAll('#trials tbody a')].at(-1).href")
     assert link == f"{shown_run.address}runs/{shown_run.name}/trials/0"
     chromium.open(link)
     assert chromium.evaluate("document.querySelector('h1').textContent").endswith("trial 0")
@@ -99,8 +81,7 @@ def test_a_trial_has_a_page(chromium, shown_run):
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
 def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
     chromium.open(shown_run.entrance, theme=theme, width=width)
-    chromium.wait_for("document.querySelector('#details') !== null")
-    chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
+    chromium.wait_for(f"{TRIALS} > 0")
     assert axe(chromium) == []
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
     for page in (f"runs/{shown_run.name}/trials/0", "runs"):
@@ -108,6 +89,19 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
         chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_it_fits_and_stands_still(chromium, shown_run):
+    """Without scrolling on a screen of 1440 x 900, and what comes moves nothing."""
+    chromium.open(shown_run.entrance, width=1440)
+    chromium.evaluate(
+        "window.shifted = 0; new PerformanceObserver((list) => list.getEntries().forEach("
+        "(entry) => { window.shifted += entry.value; }))"
+        ".observe({ type: 'layout-shift', buffered: true }); 0"
+    )
+    chromium.wait_for(f"{TRIALS} > 0")
+    assert chromium.evaluate("document.querySelector('main').scrollHeight") < 840
+    assert chromium.evaluate("window.shifted") < 0.05
 
 
 def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path):
@@ -122,7 +116,8 @@ def test_what_is_asked_is_answered_by_a_button(chromium, tmp_path):
         question = "document.querySelector('.question')"
         chromium.wait_for(f"{question}?.querySelector('pre').textContent.startsWith('next, trial')")
         assert not chromium.evaluate(f"{question}.hidden")
-        chromium.evaluate("document.querySelector('[data-request=accept]').click()")
+        assert chromium.evaluate("document.title").startswith("Waiting for you")
+        chromium.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'y'}))")
         journal = tmp_path / "runs" / "latest" / "journal.sqlite"
 
         def answered():
@@ -142,23 +137,23 @@ def test_it_pauses_continues_and_ends_the_run(chromium, run):
         return f"document.querySelector('[data-request={request}]').checkVisibility()"
 
     chromium.open(run.entrance)
-    chromium.wait_for("document.querySelector('#details') !== null")
+    chromium.wait_for(f"{TRIALS} > 0")
     assert chromium.evaluate(f"{shown('pause')} && !{shown('continue')} && !{shown('abort')}")
     press("pause")
     chromium.wait_for(shown("continue"))
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('pauses after')")
     run.go_on()
-    chromium.wait_for("document.querySelector('#now h2').textContent.includes('PAUSED')")
+    chromium.wait_for("document.querySelector('#state').textContent.includes('PAUSED')")
     press("continue")
     chromium.wait_for(
-        f"{shown('pause')} || document.querySelector('#now h2').textContent.startsWith('Ended')"
+        f"{shown('pause')} || document.querySelector('#state').textContent.startsWith('Ended')"
     )
     assert run.finished() == 0
 
 
 def test_it_ends_the_run(chromium, run):
     chromium.open(run.entrance)
-    chromium.wait_for("document.querySelector('#details') !== null")
+    chromium.wait_for(f"{TRIALS} > 0")
     chromium.evaluate("document.querySelector('.control summary').click()")
     chromium.evaluate("document.querySelector('[data-request=abort]').click()")
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('the run ends')")

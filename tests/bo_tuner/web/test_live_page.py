@@ -28,12 +28,13 @@ class TestWhatItShows:
     def test_trials_and_then_the_result(self, held):
         # Evaluations 1 to 8 are those of trials 0 and 1.
         run = held(9)
-        sections = run.state_when(lambda state, made: "trials" in made and "details" in made)
-        assert "<caption" in sections["trials"]
+        sections = run.state_when(lambda state, made: "trials" in made)
         assert ">2 trials<" in sections["trials"]
-        assert "No result yet: 2 of 5 trials" in sections["answer"]
-        # Nobody shall resume a run that goes on.
-        assert "tune --resume" not in sections["answer"]
+        # No report: it is a page of its own, one click away.
+        assert set(sections) == {"objective", "limits", "trials"}
+        status, _, report = run.ask(f"/runs/{run.name}")
+        assert status == 200
+        assert "No result yet: 2 of 5 trials" in report
 
         run.go_on()
         sections = run.state_when(lambda state, made: state["complete"])
@@ -48,6 +49,7 @@ class TestWhatItShows:
         run.state_when(lambda state, _: state["now"].get("trials") == 2 and not found.append(state))
         now = found[-1]["now"]
         assert (now["phase"], now["done"], now["total"], now["trials"]) == ("tuning", 2, 5, 2)
+        assert re.match(r"(trial \d|none yet)", now["best"])
         assert re.fullmatch(r"\d+:\d\d:\d\d", now["time_left"])
         # Names and values are told apart, also without the columns of a terminal.
         latest = now["texts"]["latest trial"]
@@ -56,8 +58,8 @@ class TestWhatItShows:
 
     def test_a_failure_with_its_reason_and_its_page(self, held):
         run = held(3, FAILING="1000")
-        sections = run.state_when(lambda state, made: "details" in made)
-        assert "axis: stalled [/x] for good" in sections["details"]
+        sections = run.state_when(lambda state, made: "trials" in made)
+        assert "axis: stalled [/x] for good" in sections["trials"]
         status, _, page = run.ask(f"/runs/{run.name}/trials/0")
         assert status == 200
         assert "Trial 0: failed" in page

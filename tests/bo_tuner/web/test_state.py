@@ -24,10 +24,10 @@ class Sections:
         trials = self.trials
         self.calls.append(("result" if ended else "all", trials))
         assert self.fitted.wait(DEADLINE)
-        parts = [Part("answer", "Result", f"{'result' if ended else 'best'} of {trials}")]
-        parts.append(Part("trials", "Trials", f"{trials} trials"))
+        parts = [Part("answer", f"{'result' if ended else 'best'} of {trials}")]
+        parts.append(Part("trials", f"{trials} trials"))
         if trials < 3:
-            parts.append(Part("early", "Early", "few trials"))
+            parts.append(Part("early", "few trials"))
         return Made(tuple(parts), f"As of {trials} trials")
 
 

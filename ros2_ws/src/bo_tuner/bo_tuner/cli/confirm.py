@@ -84,13 +84,14 @@ class Confirmation:
             say(f"it may also be answered {' or '.join(self._elsewhere)}")
         question.pose(lines)
         self._prompt()
-        reminded = time.monotonic()
+        began = reminded = time.monotonic()
         while (given := question.given) is None:
             wait()
             self._look_at_terminal(question)
             if time.monotonic() >= reminded + REMINDER:
                 reminded = time.monotonic()
-                say("still waiting for an answer; the machine keeps its safe parameters")
+                minutes = round((reminded - began) / 60.0)
+                say(f"still waiting, {minutes} min; the machine keeps its safe parameters")
         if given.on != TERMINAL:
             # In a line of its own, below the question.
             say(f"\n{given.reply}, by the {given.on}" if self._has_terminal else str(given.reply))

@@ -200,12 +200,19 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
         return "no complete trial yet"
     if not best.believed_feasible:
         return f"none of the trials is likely within limits (closest: trial {best.trial.number})"
+    return f"{BEST}: {best_within(best, study)}"
+
+
+def best_within(best: Candidate | None, study: Study) -> str:
+    """Describe the incumbent if it is believed within limits, and else the closest trial."""
+    if best is None:
+        return "none yet"
+    likely = f"{percent(best.feasibility)} likely within limits"
+    if not best.believed_feasible:
+        return f"none yet; closest: trial {best.trial.number}, {likely}"
     metric = study.metrics[study.objective.metric]
     value = f"{best.objective:.4g} {metric.unit}".rstrip()
-    return (
-        f"{BEST}: trial {best.trial.number}, {metric.title} {value}, "
-        f"{percent(best.feasibility)} likely within limits"
-    )
+    return f"trial {best.trial.number}, {metric.title} {value}, {likely}"
 
 
 def advice_in_words(advice: StopAdvice, study: Study) -> str:

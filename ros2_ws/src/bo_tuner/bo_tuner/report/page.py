@@ -22,6 +22,7 @@ from bo_tuner.figures.svg_renderer import panel_svg
 from bo_tuner.report import library
 from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Chapter, Section, WhatIf
+from bo_tuner.report.live import latest_trials, limit_panels, objective_panel
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
@@ -38,6 +39,7 @@ from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.study import Study
 from bo_tuner.text import printable
 from bo_tuner.trials import Trial
 
@@ -194,9 +196,31 @@ def section_html(section: Section) -> str:
     return str(_macros().show_section(section))
 
 
-def chapter_html(part: Chapter) -> str:
-    """Return the HTML of a chapter by itself."""
-    return str(_macros().show_chapter(part))
+def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
+    """Return the HTML of what the page of a run in progress has of its trials, by name."""
+    macros: Any = _environment().get_template("live_parts.html").module
+    panels = limit_panels(study, trials)
+    objective = Figure(
+        name="objective",
+        title="",
+        caption="",
+        alternative="The objective by trial; the latest ones stand in the table.",
+        panels=[objective_panel(study, trials)],
+        panel_height=215,
+    )
+    limits = replace(
+        objective,
+        name="limits",
+        alternative="Each limit by trial; the latest ones stand in the table.",
+        panels=panels,
+        panel_height=max(80, 160 // max(len(panels), 1)),
+    )
+    found: dict[str, Any] = {
+        "objective": macros.show_objective(objective),
+        "limits": macros.show_limits(limits) if panels else "The study has no limits.",
+        "trials": macros.show_trials(latest_trials(study, trials)),
+    }
+    return {name: str(html) for name, html in found.items()}
 
 
 def answer_html(analysis: Analysis) -> str:
@@ -296,9 +320,9 @@ def _environment() -> Environment:
     return environment
 
 
-def _pictures(figure: Figure) -> list[str]:
-    """Return each panel of a figure as a picture."""
-    width = max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
+def _pictures(figure: Figure, width: int | None = None) -> list[str]:
+    """Return each panel of a figure as a picture, of a width [px] or that of its place in a row."""
+    width = width or max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
     return [panel_svg(panel, width, figure.panel_height) for panel in figure.panels]
 
 

@@ -18,6 +18,7 @@ from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
     advice_in_words,
+    best_within,
     describe,
     duration,
 )
@@ -247,6 +248,7 @@ class LivePage(RunObserver):
                 "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
                 "question": {"number": number, "lines": parts[-1]},
+                "best": printable(best_within(now.incumbent, self._study)),
                 "verdict": "" if now.verdict is None else printable(now.verdict.headline),
                 "texts": {
                     # What the terminal aligns in columns is a sentence here.

@@ -1,34 +1,28 @@
-"""The parts of the page, made anew from the journal whenever the run has come further."""
+"""The parts of the page, made anew from the journal whenever the run has come further.
+
+They need no models, so that they are quick however long the run is; those of the result do.
+"""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.page import answer_html, chapter_html, chapters, fill
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import answer_html, fill, live_parts
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.text import counted
 from bo_tuner.trials import count_trials
 from bo_tuner.tuning.summary import with_summary
-from bo_tuner.web.places import forecasts_address, trials_address
+from bo_tuner.web.places import run_address, trials_address
 
 ANSWER = "answer"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A chapter as it stands on the page, or the result.
-
-    Attributes
-    ----------
-    name, title
-        Its name, and its entry in the navigation.
-    html
-        Its HTML.
-    """
+    """A part as it stands on the page: its name, and its HTML."""
 
     name: str
-    title: str
     html: str
 
 
@@ -39,7 +33,7 @@ class Made:
     Attributes
     ----------
     parts
-        The result, and the chapters behind it.
+        What the trials say, and at the end the result.
     stamp
         What state that is, in words.
     """
@@ -59,34 +53,19 @@ class LiveSections:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._known = Known()
-
-    def analysis(self, *, ended: bool) -> Analysis:
-        """Read the run as it stands now.
-
-        Raises
-        ------
-        RunRecordError
-            If it cannot be read.
-        """
-        record = read_as_it_stands(self._folder, ended=ended)
-        return Analysis(record, self._known, quick=not ended)
 
     def made(self, *, ended: bool) -> Made:
         """Make all parts as of now; raises `RunRecordError` if the run cannot be read."""
-        analysis = self.analysis(ended=ended)
+        record = read_as_it_stands(self._folder, ended=ended)
         when = datetime.now().astimezone().strftime("%H:%M:%S")
-        count = count_trials(analysis.record.trials)
-        stamp = f"As of {counted(count, 'trial')}, {when}"
-        parts = [Part(ANSWER, "Result", answer_html(analysis))]
-        parts += [
-            Part(chapter.name, chapter.title, chapter_html(chapter))
-            for chapter in chapters(analysis)
-        ]
-        return Made(tuple(parts), stamp)
+        made = live_parts(record.study, record.trials)
+        if ended:
+            made = {ANSWER: answer_html(Analysis(record)), **made}
+        stamp = f"As of {counted(count_trials(record.trials), 'trial')}, {when}"
+        return Made(tuple(Part(name, html) for name, html in made.items()), stamp)
 
     def shell(self, control: str) -> str:
-        """Return the page without sections, which the browser asks for.
+        """Return the page without its parts, which the browser asks for.
 
         Parameters
         ----------
@@ -102,7 +81,7 @@ class LiveSections:
             sections=[],
             control=control,
             trials=trials_address(self._folder.name),
-            forecasts=forecasts_address(self._folder.name),
+            report=run_address(self._folder.name),
         )
 
 

@@ -92,7 +92,6 @@ class State(LiveHandler):
                     "problem": printable(state.problem),
                     "complete": state.complete,
                     "stamp": state.stamp,
-                    "order": {name: part.title for name, (_, part) in state.parts.items()},
                     "sections": {
                         name: part.html
                         for name, (since, part) in state.parts.items()

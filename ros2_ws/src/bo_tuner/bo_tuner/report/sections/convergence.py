@@ -132,7 +132,7 @@ def _objective(analysis: Analysis) -> Figure:
     if len(study.objectives) > 1:
         line = "the mean of its test runs; it may rise where another objective gains more"
     default = _default_line(analysis)
-    edge = _edge(analysis, means, y.scale, sign, [limit.value for limit in default])
+    edge = scale_end(_good(analysis), means, y.scale, sign, [limit.value for limit in default])
     places = np.arange(len(trials), dtype=float)
     far = _off_scale(analysis, places, means, edge, sign)
     return Figure(
@@ -150,7 +150,7 @@ def _objective(analysis: Analysis) -> Figure:
                 elements=[
                     *_incumbent_lines(best_by_trial, places, edge, study),
                     *default,
-                    *trial_points(analysis, trials, places, _on_scale(means, edge, sign)),
+                    *trial_points(analysis, trials, places, on_scale(means, edge, sign)),
                     *far,
                 ],
             )
@@ -166,7 +166,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     decisive_values = np.array(
         [math.nan if worst is None else decisive(constraint, worst) for worst in estimates]
     )
-    edge = _edge(analysis, decisive_values, Scale.LINEAR, sign, [constraint.limit])
+    edge = scale_end(_good(analysis), decisive_values, Scale.LINEAR, sign, [constraint.limit])
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
     label, side = f"worst {metric.title}", "below" if sign > 0.0 else "above"
     if constraint.rule.on_runs:
@@ -187,7 +187,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
                 elements=[
                     Limit(value=constraint.limit, name="limit"),
                     *trial_points(
-                        analysis, analysis.trials, places, _on_scale(decisive_values, edge, sign)
+                        analysis, analysis.trials, places, on_scale(decisive_values, edge, sign)
                     ),
                     *_off_scale(analysis, places, decisive_values, edge, sign),
                 ],
@@ -367,15 +367,19 @@ def _default_line(analysis: Analysis) -> list[Limit]:
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
 
 
-def _edge(
-    analysis: Analysis, seen: Array, scale: Scale, sign: float, lines: Sequence[float]
+def _good(analysis: Analysis) -> list[bool]:
+    return [analysis.outcome(trial) == TrialOutcome.WITHIN for trial in analysis.trials]
+
+
+def scale_end(
+    good: Sequence[bool], seen: Array, scale: Scale, sign: float, lines: Sequence[float]
 ) -> float:
     """Return the end of the scale on the side of the worse values: those beyond are off the scale.
 
     Parameters
     ----------
-    analysis
-        Of the run.
+    good
+        Which of n trials are within limits.
     seen
         Values (n,) of the trials.
     scale
@@ -389,8 +393,7 @@ def _edge(
         # Either is its own inverse.
         turned = np.reciprocal if scale is Scale.LOG else np.negative
         others = [float(turned(np.float64(line))) for line in lines]
-        return float(turned(_edge(analysis, turned(seen), scale, -sign, others)))
-    good = [analysis.outcome(trial) == TrialOutcome.WITHIN for trial in analysis.trials]
+        return float(turned(scale_end(good, turned(seen), scale, -sign, others)))
     finite = np.isfinite(seen)
     if not finite.any():
         return max([1.0, *lines])
@@ -407,16 +410,16 @@ def _edge(
     return top
 
 
-def _beyond(values: Array, edge: float, sign: float) -> NDArray[np.bool_]:
+def beyond(values: Array, edge: float, sign: float) -> NDArray[np.bool_]:
     """Return which values (n,) are off the scale."""
-    beyond: NDArray[np.bool_] = sign * values > sign * edge
-    return beyond
+    is_beyond: NDArray[np.bool_] = sign * values > sign * edge
+    return is_beyond
 
 
-def _on_scale(values: Array, edge: float, sign: float) -> Array:
+def on_scale(values: Array, edge: float, sign: float) -> Array:
     """Return the values (n,): those that are missing are at the edge, those beyond are NaN."""
     return np.where(
-        np.isfinite(values), np.where(_beyond(values, edge, sign), math.nan, values), edge
+        np.isfinite(values), np.where(beyond(values, edge, sign), math.nan, values), edge
     )
 
 
@@ -424,7 +427,7 @@ def _off_scale(
     analysis: Analysis, places: Array, values: Array, edge: float, sign: float
 ) -> list[Element]:
     """Return a mark at the edge for each trial with a value beyond, named with the farthest."""
-    far = np.flatnonzero(_beyond(values, edge, sign))
+    far = np.flatnonzero(beyond(values, edge, sign))
     if not len(far):
         return []
     farthest = values[far].max() if sign > 0.0 else values[far].min()

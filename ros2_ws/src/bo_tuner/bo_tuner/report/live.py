@@ -1,0 +1,191 @@
+"""The panels of the page of a run in progress: what trials say by themselves, without models."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.figures.figure import Axis, Color, Element, Limit, Line, Marker, Panel, Points, Scale
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.report.analysis import TrialOutcome
+from bo_tuner.report.content import Table
+from bo_tuner.report.sections.convergence import STYLES, beyond, mean_axis, on_scale, scale_end
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.limits import WITHIN, held_against, outcome_on_screen, uncertain, violated
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted, shown, with_unit
+from bo_tuner.trials import Trial, TrialState
+
+LATEST = 8
+"""Trials in the table."""
+PERCENT = "% of the limit"
+
+
+def outcome_of(study: Study, trial: Trial) -> TrialOutcome:
+    """Return the outcome of a trial by its own runs."""
+    if trial.state is not TrialState.COMPLETE:
+        return TrialOutcome(trial.ending)
+    if violated(study, trial):
+        return TrialOutcome.VIOLATES
+    return TrialOutcome.UNCERTAIN if uncertain(study, trial) else TrialOutcome.WITHIN
+
+
+def of_limit(constraint: Constraint, value: float) -> float:
+    """Return a value in percent of a limit, where that makes sense: else in the metric's unit."""
+    return 100.0 * value / constraint.limit if constraint.limit > 0.0 else value
+
+
+def objective_panel(study: Study, trials: Sequence[Trial]) -> Panel:
+    """Return the objective by trial, and the best within limits so far, from the first one on."""
+    objective = study.objective
+    axis, sign = mean_axis(study, objective), objective.sign
+    outcomes = [outcome_of(study, trial) for trial in trials]
+    values = np.array([_mean(trial, objective.metric) for trial in trials])
+    good = [outcome is TrialOutcome.WITHIN for outcome in outcomes]
+    best = np.array(values)
+    best[[not each for each in good]] = math.nan
+    best = sign * np.fmin.accumulate(sign * best) if len(best) else best
+    places = _places(trials)
+    elements: list[Element] = []
+    if np.isfinite(best).any():
+        elements.append(
+            Line(x=places, y=best, name="best within limits", color=Color.BLUE, step=True)
+        )
+    elements += _points(outcomes, good, places, values, axis.scale, sign, [])
+    return Panel(x=_trials(trials), y=axis, elements=elements)
+
+
+def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
+    """Return a strip for each limit, in percent of it, with a line at 100 %."""
+    outcomes = [outcome_of(study, trial) for trial in trials]
+    good = [outcome is TrialOutcome.WITHIN for outcome in outcomes]
+    places = _places(trials)
+    panels = []
+    for constraint in study.constraints.values():
+        metric = study.metrics[constraint.metric]
+        unit = "%" if constraint.limit > 0.0 else metric.unit
+        values = np.array(
+            [
+                of_limit(constraint, held_against(constraint, trial))
+                if trial.state is TrialState.COMPLETE
+                else math.nan
+                for trial in trials
+            ],
+            dtype=float,
+        )
+        line = of_limit(constraint, constraint.limit)
+        title = with_unit(study.titled(constraint, study.limited(constraint)), unit)
+        side = "≤" if constraint.sign > 0.0 else "≥"
+        limit = with_unit(f"{constraint.limit:g}", metric.unit)
+        panels.append(
+            Panel(
+                title=f"{title}, limit {side} {limit}",
+                x=_trials(trials, ""),
+                y=Axis(label=""),
+                elements=[
+                    Limit(value=line),
+                    *_points(outcomes, good, places, values, Scale.LINEAR, constraint.sign, [line]),
+                ],
+            )
+        )
+    return panels
+
+
+def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
+    """Return the latest trials, the last one at the top."""
+    tuned = [item for item in study.parameters.values() if item.is_tuned]
+    limits = list(study.constraints.values())
+    header = ["trial", *(with_unit(item.title, item.unit) for item in tuned)]
+    for objective in study.objectives:
+        metric = study.metrics[objective.metric]
+        header.append(with_unit(metric.title, metric.unit))
+    for limit in limits:
+        unit = PERCENT if limit.limit > 0.0 else study.metrics[limit.metric].unit
+        header.append(f"{study.titled(limit, study.limited(limit))}, {unit}".removesuffix(", "))
+    rows = []
+    for trial in list(trials)[: -LATEST - 1 : -1]:
+        complete = trial.state is TrialState.COMPLETE
+        against = [of_limit(c, held_against(c, trial)) if complete else math.nan for c in limits]
+        outcome = outcome_on_screen(study, trial)
+        rows.append(
+            [
+                str(trial.number),
+                *(shown(trial.parameters[item.name]) for item in tuned),
+                *(_shown(_mean(trial, objective.metric)) for objective in study.objectives),
+                *(_shown(value, 3) for value in against),
+                str(len(trial.evaluations)),
+                f"✓ {WITHIN}"
+                if outcome == WITHIN
+                else f"✗ {outcome}"
+                if complete
+                else f"✗ {outcome}: {trial.reason}",
+            ]
+        )
+    header += ["runs", "outcome"]
+    return Table(
+        caption=counted(len(trials), "trial"),
+        header=header,
+        rows=rows,
+        numeric=range(1, len(header) - 1),
+    )
+
+
+def _mean(trial: Trial, metric: str) -> float:
+    mean = trial.mean(metric) if trial.state is TrialState.COMPLETE else None
+    return math.nan if mean is None else mean
+
+
+def _shown(value: float, digits: int = 4) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}g}"
+
+
+def _places(trials: Sequence[Trial]) -> Array:
+    return np.array([trial.number for trial in trials], dtype=float)
+
+
+def _trials(trials: Sequence[Trial], label: str = "trial") -> Axis:
+    return Axis(label=label, limits=(-0.5, max(len(trials), 8) - 0.5))
+
+
+def _points(
+    outcomes: Sequence[TrialOutcome],
+    good: Sequence[bool],
+    places: Array,
+    values: Array,
+    scale: Scale,
+    sign: float,
+    lines: Sequence[float],
+) -> list[Element]:
+    """Return a mark for each trial by its outcome; at the edge what has no value, or is beyond."""
+    if not len(values):
+        return []
+    end = scale_end(good, values, scale, sign, lines)
+    far = beyond(values, end, sign)
+    drawn: list[Element] = []
+    on = on_scale(values, end, sign)
+    for kind, (color, marker, filled) in STYLES.items():
+        chosen = np.array([outcome is kind for outcome in outcomes]) & ~far
+        if chosen.any():
+            drawn.append(
+                Points(
+                    x=places[chosen],
+                    y=on[chosen],
+                    name=kind,
+                    color=color,
+                    marker=marker,
+                    size=7.0,
+                    filled=filled,
+                )
+            )
+    if far.any():
+        drawn.append(
+            Points(
+                x=places[far],
+                y=np.full(far.sum(), end),
+                name="off the scale",
+                color=Color.PURPLE,
+                marker=Marker.TRIANGLE,
+                size=8.0,
+            )
+        )
+    return drawn
