@@ -257,24 +257,28 @@ class TestSteps:
         [
             (
                 {"start": [{"publish": {"topic": "/s", "message": {"data": "{goall}"}}}]},
-                "run.start[0].publish.message: there is no context 'goall'; did you mean 'goal'?",
+                "run.start[0].publish.message: there is no context or parameter 'goall'; did you "
+                "mean 'goal'?",
             ),
             (
                 {"after": [{"wait": 1.0}, {"call": {"service": "/s", "request": {"d": "to {y}"}}}]},
-                "run.after[1].call.request: there is no context 'y'",
+                "run.after[1].call.request: there is no context or parameter 'y'",
             ),
             (
                 {"start": [{"send_goal": {"action": "/a", "goal": {"p": {"x": ["{x}"]}}}}]},
-                "run.start[0].send_goal.goal: there is no context 'x'",
+                "run.start[0].send_goal.goal: there is no context or parameter 'x'",
             ),
             (
                 {"before": [{"wait_until": {"condition": "angle > {x}"}}]},
-                "run.before[0].wait_until.condition: there is no context 'x'",
+                "run.before[0].wait_until.condition: there is no context or parameter 'x'",
             ),
-            ({"end": {"when": "angle > {x}"}}, "run.end.when: there is no context 'x'"),
+            (
+                {"end": {"when": "angle > {x}"}},
+                "run.end.when: there is no context or parameter 'x'",
+            ),
             (
                 {"abort_when": "abs(angle - {goal}) > 3"},
-                "run.abort_when: expected no context, found 'goal'",
+                "run.abort_when: expected no name in braces, found 'goal'",
             ),
             (
                 {"after": [{"publish": {"topic": "/s", "message": {"data": "{goal}"}}}]},

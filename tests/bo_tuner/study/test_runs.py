@@ -264,7 +264,7 @@ def test_no_path_of_a_field(text):
         ("run/rest", {}, "run.rest: expected at_least, until, or both"),
         ("run/rest", {"at_least": -1}, "run.rest.at_least: expected 0 to 86400 s, found -1"),
         ("run/rest", {"until": "positon < 1"}, "run.rest.until: there is no signal or function"),
-        ("run/rest", {"until": "position < {kp}"}, "run.rest.until: expected no context, found"),
+        ("run/rest", {"until": "position < {kp}"}, "run.rest.until: expected no name in braces"),
         ("run/rest", {"until": "position < 1", "at_most": 0}, "run.rest.at_most: expected a numb"),
         ("run/rest", {"untill": "position < 1"}, "unknown key; did you mean 'until'?"),
         ("run/ramp", 0.2, None),

@@ -1,6 +1,7 @@
 """Contexts without a node: values in the steps of a run, by their names in braces."""
 
 import pytest
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from servo import failure
 from std_msgs.msg import String
@@ -86,3 +87,43 @@ def test_what_only_some_values_do_to_a_field_is_refused_at_once(refusal):
     assert reason.startswith(
         "run.start[0].publish.message.header.stamp.sec: expected an integer from -2147483648 to "
     )
+
+
+class Drive(Node):
+    """Has a gain that the study sets by a service call, and keeps what it was given."""
+
+    def __init__(self, context):
+        super().__init__("drive", context=context)
+        self.declare_parameter("kp", 1.0)
+        self.given = []
+        self.add_on_set_parameters_callback(self.take)
+
+    def take(self, parameters):
+        self.given += [item.value for item in parameters]
+        return SetParametersResult(successful=True)
+
+
+def gains(value):
+    request = {"parameters": [{"name": "kp", "value": {"type": 3, "double_value": value}}]}
+    return {"call": {"service": "drive/set_parameters", "request": request}}
+
+
+def test_a_tuned_gain_goes_by_a_service_call_and_the_safe_one_after_the_run(backend, join):
+    drive = join(Drive)
+    parameters = {
+        "gain": {"node": "servo", "type": "double", "bounds": [0.05, 1.0], "default": 0.5},
+        "kp": {"type": "double", "bounds": [0.0, 4.0], "default": 1.5},
+    }
+    run = {
+        "before": [{"call": {"service": "servo/reset"}}, gains("{kp}")],
+        "start": [{"publish": {"topic": "setpoint", "message": {"data": 0.5}}}],
+        "end": {"after": 0.3},
+        "after": [gains("{kp}")],
+    }
+    made = backend(run=run, parameters=parameters, park={"parameters": {"kp": 0.25}})
+    drive.given.clear()
+    for kp in (3.0, 2.0):
+        planned = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5, "kp": kp}, {}, 1)
+        outcome = made.outcome(planned)
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert drive.given == [3.0, 0.25, 2.0, 0.25]

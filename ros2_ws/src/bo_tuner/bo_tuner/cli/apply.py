@@ -49,7 +49,7 @@ from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.parameter_file import NodeValues, node_values, to_yaml
+from bo_tuner.storage.parameter_file import NodeValues, node_values, sent_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study import checks
@@ -172,6 +172,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
+            for line in sent_values(record.study, trial.parameters):
+                say(line)
         there = in_namespace_of(record, ros_arguments)
         if arguments.write is not None:
             namespace = named_namespace(there)
@@ -338,7 +340,7 @@ def _own(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValue
 
 def _parked(study: Study, before: NodeValues) -> NodeValues:
     """Return what a run leaves on nodes at its end, in place of what they had before."""
-    keys = {study.nodes[item.node].node: item.node for item in study.parameters.values()}
+    keys = {study.nodes[item.node].node: item.node for item in study.parameters_of_nodes}
     safe = named_safe(study, {keys[node]: values for node, values in before.items()})
     return {node: safe.get(keys[node], {}) for node in before}
 

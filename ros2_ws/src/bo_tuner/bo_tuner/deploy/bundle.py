@@ -16,7 +16,7 @@ from bo_tuner.evidence.certificate.store import evaluations_path, latest_certifi
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
-from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
+from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, sent_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import LOGS, PREVIOUS_PARAMETERS, read_text
 from bo_tuner.storage.run_folder import REPORT
@@ -58,7 +58,7 @@ def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Differen
     """Return present and new values side by side; None for a value that a node does not have."""
     units = {
         (study.nodes[item.node].node, item.parameter): item.unit
-        for item in study.parameters.values()
+        for item in study.parameters_of_nodes
     }
     return [
         Difference(node, name, units.get((node, name), ""), now.get(node, {}).get(name), value)
@@ -114,7 +114,10 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     if rollback is not None:
         _check_restorable(rollback, default)
     folder = record.path / DEPLOY
-    notes = run_verdict(record).file_notes(record.study)
+    notes = [
+        *run_verdict(record).file_notes(record.study),
+        *sent_values(record.study, trial.parameters),
+    ]
     files = {
         PARAMETERS: to_yaml(tuned, notes).encode(),
         DIFFERENCE: _table(differences(record.study, default, tuned)).encode(),

@@ -180,7 +180,7 @@ class LiveParameters:
         BackendError
             If there can be no guard.
         """
-        keys = {study.nodes[item.node].node: item.node for item in study.parameters.values()}
+        keys = {study.nodes[item.node].node: item.node for item in study.parameters_of_nodes}
         values = {keys[node]: of_node for node, of_node in before.items()}
         guard = GuardLink(self._tuner, Plan.of_values(study, values), folder)
         try:

@@ -57,8 +57,8 @@ def proposals(study: Study, parameters: Sequence[ParameterEffects]) -> list[str]
 def file_notes(study: Study, parameters: Iterable[ParameterEffects]) -> tuple[str, ...]:
     """Return what a file of parameters is to say of its values, a line each."""
     return tuple(
-        f"{item.parameter} of {study.nodes[study.parameters[item.parameter].node].node}: not seen "
-        f"to move any metric ({_visible(study, item.effects)})"
+        f"{item.parameter}{_of_node(study, item.parameter)}: not seen to move any metric "
+        f"({_visible(study, item.effects)})"
         for item in parameters
         if item.unseen
     )
@@ -87,7 +87,10 @@ def _visible(study: Study, effects: Sequence[Effect]) -> str:
 
 def _proposal(study: Study, key: str, names: Sequence[str], seen: Sequence[str]) -> str:
     """Return what may be the matter with parameters of a node, others of which were seen to act."""
-    them, node = "it" if len(names) == 1 else "them", study.nodes[key].node
+    them = "it" if len(names) == 1 else "them"
+    if not key:
+        return f"The runs do not depend on {listed(names)}: leave {them} fixed."
+    node = study.nodes[key].node
     if all(_is_set_at_start(study, name) for name in names):
         return (
             f"{node} is started with {listed(names)} (at_start), so it may ignore what it is "
@@ -104,6 +107,12 @@ def _proposal(study: Study, key: str, names: Sequence[str], seen: Sequence[str])
         f"nodes.{key} the tuner starts it with the values of each trial. Otherwise the runs do not "
         f"depend on {them}: leave {them} fixed."
     )
+
+
+def _of_node(study: Study, name: str) -> str:
+    """Return whose a parameter is; empty for one that stands only in steps."""
+    key = study.parameters[name].node
+    return f" of {study.nodes[key].node}" if key else ""
 
 
 def _is_set_at_start(study: Study, name: str) -> bool:

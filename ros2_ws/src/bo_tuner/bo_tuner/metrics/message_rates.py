@@ -14,7 +14,7 @@ import numpy as np
 from bo_tuner.metrics.recording import RecordedSignal, Recording, named
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.run_notes import Rate
-from bo_tuner.study.braces import without_contexts
+from bo_tuner.study.braces import without_names
 from bo_tuner.study.metrics import signals_of
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
@@ -163,5 +163,5 @@ def used_signals(study: Study) -> Collection[str]:
     if study.run is not None:
         for text in (study.run.abort_when, study.run.end.when):
             if text:
-                used |= expression(without_contexts(text), study.signals).names
+                used |= expression(without_names(text), study.signals).names
     return used

@@ -8,6 +8,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.storage.ros_reader import SECTION, read_sections
 from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
+from bo_tuner.study.step_contexts import senders
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Value
@@ -26,6 +27,8 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
     """
     values: dict[str, dict[str, object]] = {}
     for key in dict.fromkeys(study.parameters[name].node for name in parameters):
+        if not key:
+            continue
         spec = study.nodes[key]
         of_node = values.setdefault(spec.node, {})
         of_node.update(
@@ -35,6 +38,15 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
     for key, of_set in study.node_parameters(typed).items():
         values[study.nodes[key].node].update({name: _plain(v) for name, v in of_set.items()})
     return values
+
+
+def sent_values(study: Study, parameters: Mapping[str, Value]) -> list[str]:
+    """Say in a line each where the values of a set stand that no node has."""
+    return [
+        f"{name} = {value}: sent by {' and '.join(senders(study.run, name))}; put it there"
+        for name, value in parameters.items()
+        if not study.parameters[name].node
+    ]
 
 
 def to_yaml(values: NodeValues, notes: Iterable[str] = ()) -> str:

@@ -59,7 +59,8 @@ def _of_nodes(
     """Return the values by parameter of the study, and the line of each."""
     values: dict[str, Value] = {}
     lines: dict[KeyPath, int] = {}
-    for name, item in study.parameters.items():
+    for item in study.parameters_of_nodes:
+        name = item.name
         by_node: dict[str, Value] = {}
         for node in full_names(sections, study.nodes[item.node].node, namespace):
             source = sources(sections, node).get(item.array or item.parameter)

@@ -20,7 +20,7 @@ from bo_tuner.storage.atomic import (
     write_atomically,
 )
 from bo_tuner.storage.json_numbers import without_nan
-from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.storage.parameter_file import node_values, sent_values, to_yaml
 from bo_tuner.storage.run_files import (
     HELD_PARAMETERS,
     LOGS,
@@ -217,7 +217,8 @@ class RunFolder:
         The notes, a line each, become comments ahead of the values. Raises `OutputError` if the
         file cannot be written.
         """
-        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters), notes))
+        told = [*notes, *sent_values(study, parameters)]
+        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters), told))
 
     def write_study(self, study: Study) -> Path:
         """Write ``study.yaml``, and return its path; raises `OutputError` if that fails."""

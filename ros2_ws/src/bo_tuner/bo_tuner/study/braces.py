@@ -1,7 +1,7 @@
-"""Names of contexts in braces, in what a step sends and in conditions on signals.
+"""Names of contexts and parameters in braces, in what a step sends and in conditions on signals.
 
 ``{x: "{goal_x}"}`` is the number itself, and ``"go to {room}"`` a text with it. ``{{room}}`` is the
-text ``{room}``. In a condition a context is a number.
+text ``{room}``. In a condition each is a number.
 """
 
 import re
@@ -9,7 +9,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bo_tuner.study import checks
-from bo_tuner.trials import Context, Value
+from bo_tuner.trials import Value
+
+Values = Mapping[str, Value]
+"""Values of contexts and parameters by their names."""
 
 _NAMED = re.compile(
     rf"\{{\{{(?P<literal>{checks.PARAMETER_NAME.pattern})\}}\}}"
@@ -17,35 +20,35 @@ _NAMED = re.compile(
 )
 
 
-def filled(content: Any, context: Context) -> Any:
+def filled(content: Any, values: Values) -> Any:
     """Return what a step sends, mappings and lists included, with values for names in braces."""
     if isinstance(content, Mapping):
-        return {key: filled(item, context) for key, item in content.items()}
+        return {key: filled(item, values) for key, item in content.items()}
     if isinstance(content, (list, tuple)):
-        return [filled(item, context) for item in content]
+        return [filled(item, values) for item in content]
     if not isinstance(content, str):
         return content
     whole = _NAMED.fullmatch(content)
     if whole is not None and whole["name"]:
-        return context[whole["name"]]
+        return values[whole["name"]]
 
     def in_text(match: re.Match[str]) -> str:
-        return _text(context[match["name"]]) if match["name"] else f"{{{match['literal']}}}"
+        return _text(values[match["name"]]) if match["name"] else f"{{{match['literal']}}}"
 
     return _NAMED.sub(in_text, content)
 
 
-def filled_condition(condition: str, context: Context) -> str:
+def filled_condition(condition: str, values: Values) -> str:
     """Return a condition on signals with numbers for names in braces; a truth value is 1 or 0."""
 
     def number(match: re.Match[str]) -> str:
         name = match["name"]
-        return f"({float(context[name])!r})" if name else match[0]
+        return f"({float(values[name])!r})" if name else match[0]
 
     return _NAMED.sub(number, condition)
 
 
-def without_contexts(condition: str) -> str:
+def without_names(condition: str) -> str:
     """Return a condition on signals with any numbers for names in braces."""
     return _NAMED.sub(lambda match: "(1.0)" if match["name"] else match[0], condition)
 

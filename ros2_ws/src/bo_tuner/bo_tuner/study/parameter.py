@@ -20,7 +20,7 @@ LARGEST_BOUND = 2**53
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Titled):
-    """A ROS parameter of the study.
+    """A parameter of the study: of a node, or a value in the steps of `run`.
 
     A tuned one has `bounds` (a number), `choices` (a string) or only a default (a boolean); any
     other has `tied_to` or `fixed`.
@@ -30,7 +30,8 @@ class Parameter(Titled):
     name : str
         Name in the study.
     node : str
-        Node of the study that has the parameter.
+        Node of the study that has the parameter. One without a node stands in the steps of `run`,
+        by its name in braces: `request: {kp: "{kp}"}`.
     type : str
         `double`, `integer`, `boolean` or `string`, as ROS calls the type.
     bounds : tuple of two numbers, optional
@@ -66,7 +67,7 @@ class Parameter(Titled):
     """
 
     name: str
-    node: str
+    node: str = ""
     type: str
     bounds: tuple[Number, Number] | None = None
     step: Number | None = None
@@ -89,9 +90,14 @@ class Parameter(Titled):
         checks.choice(self.scale, SCALES, "scale")
         check_label(self.label)
         checks.text(self.unit, "unit")
-        if self.parameter == "":
+        if not self.node and self.parameter:
+            raise StudyError("without a node there is no parameter; add node", ("parameter",))
+        if not self.node and array_and_item(self.name)[0]:
+            raise StudyError("missing; expected the node that has the array", ("node",))
+        if self.node and self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.name_in_node(self.parameter, "parameter")
+        if self.node:
+            checks.name_in_node(self.parameter, "parameter")
         if self.fixed is not None:
             self._check_fixed()
         elif self.tied_to is not None:

@@ -9,7 +9,7 @@ from typing import Any
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.braces import without_contexts
+from bo_tuner.study.braces import without_names
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metric_scale import check_limits
@@ -34,7 +34,7 @@ from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.ranges import check_limit
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal, only_numbers
-from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.study.step_contexts import check_braces
 
 
 def check_objectives(
@@ -139,7 +139,7 @@ def check_kinds(
                 metric.check_kinds(signals)
     for text, path in () if run is None else run.conditions:
         with findings.under():
-            only_numbers(without_contexts(text), signals, *path)
+            only_numbers(without_names(text), signals, *path)
     findings.check()
 
 
@@ -205,10 +205,13 @@ def check_names(
     if {"signals", "nodes"} <= names.keys():
         with findings.under():
             check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
-    if "contexts" in names and ("run" in parts or "run" not in names):
+    if {"contexts", "parameters"} <= names.keys() and ("run" in parts or "run" not in names):
         with findings.under():
-            contexts = dict.fromkeys(names["contexts"]) | named["contexts"]
-            check_contexts(parts.get("run"), contexts)
+            check_braces(
+                parts.get("run"),
+                dict.fromkeys(names["contexts"]) | named["contexts"],
+                dict.fromkeys(names["parameters"]) | named["parameters"],
+            )
     if "metrics" not in names:
         return
     metrics = dict.fromkeys(names["metrics"]) | named["metrics"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.braces import without_contexts
+from bo_tuner.study.braces import without_names
 from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
 from bo_tuner.study.signals import expression
@@ -240,7 +240,7 @@ class Run:
                     checks.reference(key, "node", nodes, *path, "restart")
         for condition, path in self.conditions:
             with findings.under():
-                expression(without_contexts(condition), signals, *path)
+                expression(without_names(condition), signals, *path)
         findings.check()
 
 

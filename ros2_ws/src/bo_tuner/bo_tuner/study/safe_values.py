@@ -56,7 +56,9 @@ def named_safe(
     """
     safe, whole = study.safe_parameters, _whole(study)
     by_node: dict[str, dict[str, object]] = {}
-    for item in (study.parameters[name] for name in study.park.parameters):
+    for item in study.parameters_of_nodes:
+        if item.name not in study.park.parameters:
+            continue
         of_node = by_node.setdefault(item.node, {})
         if not item.array:
             of_node[item.parameter] = safe[item.name]

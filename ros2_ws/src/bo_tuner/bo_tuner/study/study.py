@@ -58,7 +58,7 @@ from bo_tuner.study.run import Run
 from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
-from bo_tuner.study.step_contexts import check_contexts
+from bo_tuner.study.step_contexts import check_braces
 from bo_tuner.study.straight_lines import broken_on_lines
 from bo_tuner.study.titles import check_titles
 from bo_tuner.text import counted
@@ -203,7 +203,7 @@ class Study:
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
                 check_kinds(self.run, self.metrics, self.signals)
         with findings.under():
-            check_contexts(self.run, self.contexts)
+            check_braces(self.run, self.contexts, self.parameters)
         # Other references are checked by way of the nodes.
         if has_nodes:
             with findings.under():
@@ -416,6 +416,11 @@ class Study:
         return space.permitted(space.defaults | dict(self.park.parameters))
 
     @property
+    def parameters_of_nodes(self) -> list[Parameter]:
+        """The parameters that nodes have; others stand only in the steps of a run."""
+        return [item for item in self.parameters.values() if item.node]
+
+    @property
     def own_parameters(self) -> dict[str, set[str]]:
         """Names of the ROS parameters that it sets, by node; of all others a node keeps its own."""
         assigned = self.nominal_assignments(self.search_space().defaults)
@@ -569,11 +574,14 @@ class Study:
     ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return a parameter set in the form that nodes take: whole arrays in place of their items.
 
-        The values are by the node's name in the study, then by the node's own parameter name.
+        The values are by the node's name in the study, then by the node's own parameter name;
+        parameters without a node are not among them.
         """
         values: dict[str, dict[str, checks.ParameterValue]] = {}
         for name, value in parameters.items():
             item = self.parameters[name]
+            if not item.node:
+                continue
             of_node = values.setdefault(item.node, {})
             if not item.array:
                 of_node[item.parameter] = value

@@ -61,6 +61,7 @@ from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.safe_values import safe_values
+from bo_tuner.study.step_contexts import left_by_calls
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (
@@ -223,12 +224,14 @@ class RosBackend(SequentialBackend):
                 is_repeat=self._run_log is not None,
             )
             staying = stays_in_force(self._study.configured_by_steps) if self._attach else ()
-            for remark in (*client.parameters.take_remarks(), *staying):
+            run = self._study.run
+            left = () if run is None else left_by_calls(run, self._study.parameters)
+            for remark in (*client.parameters.take_remarks(), *staying, *left):
                 tuner.warn(remark)
-            if self._study.run is not None:
+            if run is not None:
                 restart = None if self._attach else self._bringup.restart
                 self._procedure = Procedure(
-                    self._study, self._study.run, tuner, client.parameters, restart, self._guard
+                    self._study, run, tuner, client.parameters, restart, self._guard
                 )
                 client.start_values.between = self._procedure.forget_ended
                 client.start_values.after = self._procedure.welcome
@@ -460,7 +463,7 @@ class RosBackend(SequentialBackend):
                 self._procedure.forget()
                 self._procedure.expect_rest()
                 self._rest(self._procedure)
-                self._procedure.enter(planned.context, planned.beyond)
+                self._procedure.enter(planned.parameters, planned.context, planned.beyond)
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure)

@@ -145,7 +145,7 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
             node.destroy_node()
     preparation = Preparation(study, tuner, WallClock(), attached=attached)
     contexts = study.context_space()
-    nominal = contexts.to_dict(contexts.nominal())
+    nominal = {**study.safe_parameters, **contexts.to_dict(contexts.nominal())}
     try:
         for path, step in study.run.steps:
             try:

@@ -43,7 +43,7 @@ from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.step_contexts import filled_step, varies
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Context
+from bo_tuner.trials import Context, Value
 
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
@@ -132,6 +132,7 @@ class Procedure:
         space = study.context_space()
         # What is performed ahead of any evaluation is in the nominal context.
         self._context: Context = space.to_dict(space.nominal())
+        self._safe = self._parameters_of_run = study.safe_parameters
         try:
             self._connect()
             self._watch = RunWatch(
@@ -145,7 +146,7 @@ class Procedure:
                 self._streams,
                 MetricsSoFar(study),
             )
-            self._watch.enter(self._context, {})
+            self._watch.enter(self._values(), {})
         except BaseException:
             self.close()
             raise
@@ -158,14 +159,16 @@ class Procedure:
         if problems:
             raise LostError("; ".join(problems))
 
-    def enter(self, context: Context, beyond: Mapping[str, float]) -> None:
-        """Let the steps that follow have the values of a context.
+    def enter(
+        self, parameters: Mapping[str, Value], context: Context, beyond: Mapping[str, float]
+    ) -> None:
+        """Let the steps that follow have the values of a context and, until it ends, of a set.
 
         A run is cut short as soon as one of its metrics is `beyond` its value.
         """
-        self._context = context
-        self._fill(context)
-        self._watch.enter(context, beyond)
+        self._parameters_of_run, self._context = {**self._safe, **parameters}, context
+        self._fill()
+        self._watch.enter(self._values(), beyond)
 
     def rest(self) -> float:
         """Wait until the machine has rested since the last run; returns for how long [s].
@@ -512,7 +515,7 @@ class Procedure:
             self._tuner.spin_once(min(POLL_PERIOD, left))
 
     def _wait_until(self, path: KeyPath, wait: WaitUntil) -> None:
-        text = filled_condition(wait.condition, self._context)
+        text = filled_condition(wait.condition, self._values(path))
         condition = expression(text, self._study.signals)
         used = {name: self._study.signals[name] for name in condition.names - {TIME}}
         if not self._is_recording:
@@ -569,8 +572,13 @@ class Procedure:
         self.request_cancel()
         return [problem for goal in self._started if (problem := goal.cancel())]
 
-    def _fill(self, context: Context) -> None:
-        """Give the prepared steps the values of a context.
+    def _values(self, path: KeyPath = ()) -> dict[str, Value]:
+        """Return the values for names in braces in a step: after a run the safe ones."""
+        is_over = bool({AFTER, RECOVER} & set(path[1:2]))
+        return {**(self._safe if is_over else self._parameters_of_run), **self._context}
+
+    def _fill(self) -> None:
+        """Give the prepared steps the present values.
 
         Raises
         ------
@@ -580,7 +588,7 @@ class Procedure:
         for path, step in self._run.steps:
             if not varies(step):
                 continue
-            filled = filled_step(step, context)
+            filled = filled_step(step, self._values(path))
             with under(*path):
                 if path in self._steps:
                     self._steps[path] = self._steps[path].filled(filled)
@@ -609,18 +617,26 @@ class Procedure:
         )
         self._topics = preparation.topics
         for path, step in self._run.steps:
-            prepared = preparation.prepare(path, filled_step(step, self._context))
+            prepared = preparation.prepare(path, filled_step(step, self._values(path)))
             if isinstance(prepared, Goal):
                 self._goals[path] = prepared
             elif isinstance(prepared, Stream):
                 self._prepared_streams[path] = prepared
             elif prepared is not None:
                 self._steps[path] = prepared
-        # That a field cannot hold a value shows at the ends of what the contexts can be.
-        space = self._study.context_space()
+        # That a field cannot hold a value shows at the ends of contexts and parameters.
+        space, sets = self._study.context_space(), self._study.search_space()
+        nominal = self._context
         for row in space.to_contexts(space.corners()):
-            self._fill(space.to_dict(row))
-        self._fill(self._context)
+            self._context = space.to_dict(row)
+            self._fill()
+        self._context = nominal
+        for share in (0.0, 1.0):
+            point = np.full(sets.dimension, share)
+            self._parameters_of_run = {**self._safe, **sets.to_parameters(point)}
+            self._fill()
+        self._parameters_of_run = self._safe
+        self._fill()
         self._recorder.connect(self._clock, wait)
         for node in self._recorder.publishers:
             # One that is none of the study's need not answer.

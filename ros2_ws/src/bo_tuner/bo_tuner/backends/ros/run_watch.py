@@ -16,10 +16,9 @@ from bo_tuner.metrics.recording import CutShortError, FailedRunError
 from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
-from bo_tuner.study.braces import filled_condition
+from bo_tuner.study.braces import Values, filled_condition
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import TIME, Signal, expression
-from bo_tuner.trials import Context
 
 LOOK, PART = 0.1, 0.02
 """Time between two looks at the metrics so far: in seconds, and as a part of that of the run."""
@@ -88,13 +87,13 @@ class RunWatch:
         self._largest_gaps: Mapping[str, float] = {}
         self.aborted: float | None = None
 
-    def enter(self, context: Context, beyond: Mapping[str, float]) -> None:
-        """Let the condition that ends a run have the values of a context.
+    def enter(self, values: Values, beyond: Mapping[str, float]) -> None:
+        """Let the condition that ends a run have values for names in braces.
 
         A run is cut short as soon as one of its metrics is `beyond` its value.
         """
         self._beyond = beyond
-        self._when = filled_condition(self._run.end.when, context)
+        self._when = filled_condition(self._run.end.when, values)
         self._end = expression(self._when, self._signals) if self._when else None
 
     def prepare(self) -> None:

@@ -14,7 +14,7 @@ from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.report.sections.trajectories import response
-from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.storage.parameter_file import node_values, sent_values, to_yaml
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.function_study import FUNCTION
@@ -115,7 +115,9 @@ def answer(analysis: Analysis) -> Answer:
         status=verdict.status,
         advice=advice,
         values=_values(analysis),
-        file=to_yaml(node_values(study, parameters)) if usable else "",
+        file=to_yaml(node_values(study, parameters), sent_values(study, parameters))
+        if usable
+        else "",
         tiles=tiles,
         figure=response(analysis),
         sentences=sentences,

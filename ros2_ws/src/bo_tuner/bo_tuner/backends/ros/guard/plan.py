@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import takewhile
 from typing import NamedTuple
 
 from rclpy.expand_topic_name import expand_topic_name
@@ -17,6 +16,7 @@ from bo_tuner.study.publishing import Topic
 from bo_tuner.study.run import WALL
 from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
+from bo_tuner.study.step_contexts import filled_after
 from bo_tuner.study.study import Study
 
 PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
@@ -112,7 +112,6 @@ class Plan:
         run = study.run
         if run is None:
             return cls(study.name, nodes, safe, configured=configured)
-        head = takewhile(lambda step: step.publish is not None, run.after)
         steps = [step for _, step in run.steps]
         return cls(
             study.name,
@@ -120,7 +119,7 @@ class Plan:
             safe,
             tuple(
                 topic
-                for step in head
+                for step in filled_after(run, study.safe_parameters)
                 if step.publish is not None
                 for topic in step.publish.ending(study.folder)
             ),
