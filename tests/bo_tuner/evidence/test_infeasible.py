@@ -214,6 +214,22 @@ class TestWords:
             "to at most 0.123 m, or the limit of solve time to at least 2.31 ms."
         ) in advice_in_words(facts)
 
+    @pytest.mark.parametrize(
+        ("excess", "advice"),
+        [
+            (-0.01, "Loosen the limit of solve time, which leaves the least to spare."),
+            (-0.97, "Trial 9 has much to spare: validate --trial 9 tests it."),
+        ],
+    )
+    def test_a_trial_that_kept_all_limits(self, make_study, excess, advice):
+        """A limit that is kept with ease is not what blocks."""
+        kept = Nearest(9, "real_time", 2.0 * (1.0 + excess), excess)
+        facts = replace(
+            by_hand(make_study()), blocker=Blocker.MARGIN, nearest=kept, loosened=(), beyond=()
+        )
+        assert advice in advice_in_words(facts)
+        assert len(advice_in_words(facts)) == 2
+
     def test_a_death(self, make_study):
         facts = replace(by_hand(make_study()), blocker=Blocker.DEATHS, blocking=(), died=14)
         assert blocker_in_words(facts) == "14 of 20 trials failed: axis: stalled"

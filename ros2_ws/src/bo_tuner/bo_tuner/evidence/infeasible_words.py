@@ -8,6 +8,8 @@ from bo_tuner.text import counted, percent, shown_beside
 
 SMALL = 0.05
 """Chance below which more trials are not the first thing to try."""
+LITTLE = 0.2
+"""Share of its limit up to which a value that is within it has little to spare."""
 
 
 def blocker_in_words(facts: Infeasible) -> str:
@@ -103,6 +105,10 @@ def _of_limits(facts: Infeasible) -> Iterator[str]:
         ways = (" and ".join(_loosened(facts, item) for item in way) for way in facts.loosened)
         yield f"Loosen {', or '.join(ways)}."
     elif facts.blocker is Blocker.MARGIN and facts.nearest is not None:
+        if facts.nearest.excess < -LITTLE:
+            number = facts.nearest.trial
+            yield f"Trial {number} has much to spare: validate --trial {number} tests it."
+            return
         title = facts.of(facts.nearest.limit).title
         yield f"Loosen the limit of {title}, which leaves the least to spare."
 
