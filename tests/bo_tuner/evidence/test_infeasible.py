@@ -235,6 +235,11 @@ class TestWords:
         assert blocker_in_words(facts) == "14 of 20 trials failed: axis: stalled"
         assert advice_in_words(facts)[0].startswith("See why test runs fail first")
 
+    def test_of_a_limit_that_no_trial_came_to_nothing_is_said(self, facts):
+        assert reasons_in_words(facts((), ())) == (
+            "What blocks: 2 of 2 trials failed: axis: stalled.",
+        )
+
     @pytest.mark.parametrize(
         ("chance", "order"),
         [

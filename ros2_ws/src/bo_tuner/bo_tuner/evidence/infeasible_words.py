@@ -33,11 +33,12 @@ def blocker_in_words(facts: Infeasible) -> str:
 
 
 def reasons_in_words(facts: Infeasible) -> tuple[str, ...]:
-    """Return sentences on what blocks, on each limit, and on the trial that is nearest to all."""
+    """Return sentences on what blocks, on each limit of which trials tell, and on the nearest."""
     blocks = [f"What blocks: {blocker_in_words(facts)}."]
     if facts.died and facts.blocker is not Blocker.DEATHS:
         blocks.append(f"{facts.died} of {counted(facts.trials, 'trial')} failed: {facts.death}.")
-    return (*blocks, *map(_of_limit, facts.limits), *_nearest(facts))
+    known = (_of_limit(item) for item in facts.limits if item.trials)
+    return (*blocks, *known, *_nearest(facts))
 
 
 def advice_in_words(facts: Infeasible) -> tuple[str, ...]:
