@@ -406,6 +406,29 @@ def test_a_tuner_that_was_stopped_until_ros_had_forgotten_it(tuner, system, peer
     assert is_safe(system)
 
 
+def test_a_node_that_hangs_when_the_tuner_ends_is_safe_when_it_answers_again(tuner, system):
+    """Its guard outlives the tuner for that."""
+    made = tuner("short")
+    assert made.expect("state") == "complete"
+    assert gain(system) == 0.75
+    hanging, goes_on = threading.Event(), threading.Event()
+
+    def hang():
+        hanging.set()
+        goes_on.wait(DEADLINE)
+
+    system.create_timer(0.01, hang)
+    assert hanging.wait(DEADLINE)
+    try:
+        made.end()
+        assert "until then its guard tries to set the safe values" in made.expect("left")
+        assert made.guards
+    finally:
+        goes_on.set()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: not made.guards, "the guard's end")
+
+
 def test_a_guard_that_dies_ends_the_run_with_the_machine_safe(tuner, system):
     made = tuner()
     (guard,) = made.guards

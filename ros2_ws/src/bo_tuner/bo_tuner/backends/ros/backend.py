@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from bo_tuner.backends.ros.errors import (
     UnpreparedError,
 )
 from bo_tuner.backends.ros.guard.link import LEASE, GuardActedError, GuardLink, GuardSilentError
-from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.guard.plan import GIVE_UP, Plan
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
@@ -714,7 +714,7 @@ class RosBackend(SequentialBackend):
             if self._tuner is not None and self._client is not None:
                 stack.enter_context(self._tuner.watched_by(self._look))
                 if self._guard is not None:
-                    stack.callback(self._guard.end)
+                    stack.callback(self._let_go_of_guard, self._guard, problems)
                 if self._previous is not None:
                     stack.callback(self._restore, self._previous, problems)
                     stack.callback(self._client.parameters.forget_all)
@@ -724,8 +724,20 @@ class RosBackend(SequentialBackend):
                     stack.callback(self._warn_of, self._tuner, park)
         if problems:
             problems.append("the next command with --attach does that")
+            if self._guarded:
+                problems.append(
+                    f"until then its guard tries to set the safe values, for {GIVE_UP / 60.0:g} min"
+                )
         if undone or problems:
             raise BackendError("; ".join([*undone, *problems]))
+
+    @staticmethod
+    def _let_go_of_guard(guard: GuardLink, problems: Collection[str]) -> None:
+        # A node that does not answer now may do so later, with the values of a trial.
+        if problems:
+            guard.hand_over()
+        else:
+            guard.end()
 
     def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
         if self._client is not None:

@@ -33,7 +33,7 @@ from bo_tuner.backends.ros.guard.messages import (
     Beat,
     State,
 )
-from bo_tuner.backends.ros.guard.plan import Patience, Plan
+from bo_tuner.backends.ros.guard.plan import GIVE_UP, Patience, Plan
 from bo_tuner.backends.ros.guard.watch import Cause, Watch
 from bo_tuner.backends.ros.lifecycle import ACTIVE
 from bo_tuner.backends.ros.own_topics import OwnTopic
@@ -54,9 +54,8 @@ ANSWER = 2.0
 """Time [s] that all nodes have to take the safe values."""
 AGAIN = 0.5
 """Time [s] after which what the nodes have is checked again while they are held safe."""
-GIVE_UP, GONE = 600.0, 3.0
-"""Time [s] for which a guard whose tuner has ended tries to leave the nodes safe, and the same of
-nodes that end with it."""
+GONE = 3.0
+"""Time [s] for which a guard tries to leave nodes safe that end with their tuner."""
 ACKNOWLEDGED = 1
 """Time [s] for the tuner to hear of the last act."""
 ASLEEP = 0.3

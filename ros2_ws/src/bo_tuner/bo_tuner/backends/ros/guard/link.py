@@ -101,6 +101,9 @@ class _Wire(Protocol):
     def kill(self) -> None:
         """Let go of a guard that does nothing any more, without waiting for it."""
 
+    def leave(self) -> None:
+        """Let go of a guard that goes on by itself."""
+
 
 class _Process:
     """A guard that this process has started."""
@@ -153,6 +156,11 @@ class _Process:
         if self._process.stdout is not None:
             self._process.stdout.close()
 
+    def leave(self) -> None:
+        self._hang_up()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
     def _hang_up(self) -> None:
         with self._lock:
             self._is_open = False
@@ -179,7 +187,7 @@ class _Topic:
     def close(self) -> None:
         """Do nothing: the guard goes on, for the next tuner."""
 
-    kill = close
+    kill = leave = close
 
 
 class GuardLink:
@@ -376,15 +384,23 @@ class GuardLink:
 
     def end(self) -> None:
         """Report to the guard that the nodes are left as they are to be, and let go of it."""
-        wire = self._wire
+        if (wire := self._still()) is not None:
+            self._turn(END)
+            wire.close()
+            self._wire = None
+
+    def hand_over(self) -> None:
+        """Let go of the guard while the nodes are not: to it this process has died."""
+        if (wire := self._still()) is not None:
+            wire.leave()
+            self._wire = None
+
+    def _still(self) -> _Wire | None:
+        """Send no more heartbeats; returns the connection, if there is one still."""
         self._over.set()
         if self._thread is not None:
             self._thread.join()
-        if wire is None:
-            return
-        self._turn(END)
-        wire.close()
-        self._wire = None
+        return self._wire
 
     def _find(self) -> bool:
         """Take the guard of these nodes that somebody has started, if there is one."""

@@ -22,6 +22,8 @@ from bo_tuner.study.study import Study
 PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
 """Environment variable with the least time [s] that a guard waits for a heartbeat: how busy a
 computer may be is no matter of a study."""
+GIVE_UP = 600.0
+"""Time [s] for which a guard whose tuner has ended tries to leave the nodes safe."""
 WIDEST = 1.5
 """Time [s] to which late heartbeats widen it at most, unless somebody has named the time."""
 
