@@ -22,7 +22,7 @@ PROFILE = Path(__file__).parents[2] / "ros2_ws/src/bo_tuner/config/fastdds_profi
 
 @pytest.fixture(scope="module", autouse=True)
 def ros_environment(tmp_path_factory):
-    """This machine only, a domain of this worker, no shared memory, logs in a scratch folder.
+    """This machine only, a domain of this worker, no shared memory, logs and state in folders.
 
     The discovery range LOCALHOST would make rmw_fastrtps choose its own transports, with shared
     memory and whatever the profile or FASTDDS_BUILTIN_TRANSPORTS say. So the profile does it all.
@@ -34,6 +34,8 @@ def ros_environment(tmp_path_factory):
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         patch.setenv(profile_variable(), str(PROFILE))
         patch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
+        # What a killed tuner of another module has left on its nodes is no matter here.
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         patch.setenv("RCUTILS_COLORIZED_OUTPUT", "0")
         patch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
         before = shared_memory_of(domain)
