@@ -118,7 +118,7 @@ def test_a_part_of_itself(make_function_study, holder):
 
 
 def test_commands_do_not_take_a_file_without_nodes_for_whole():
-    with pytest.raises(bt.StudyError, match=r"parameters\.gain\.node: missing"):
+    with pytest.raises(bt.StudyError, match=r"parameters\.gain: is used nowhere; expected node"):
         parse_study(TEXT)
 
 
