@@ -124,7 +124,7 @@ def position(folder: Path, images: Path) -> dict[str, str]:
     animation = (
         sys.executable,
         EXAMPLE / "animation.py",
-        folder / "position",
+        folder / "position" / "latest",
         images / "position.gif",
     )
     subprocess.run(animation, check=True)
