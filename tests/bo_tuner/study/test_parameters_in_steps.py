@@ -6,7 +6,7 @@ from signal_runs import signal_study
 
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.parameter_file import node_values, sent_values
-from bo_tuner.study.step_contexts import filled_after, left_by_calls
+from bo_tuner.study.step_values import filled_after, left_by_calls
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 
 KP = {"type": "double", "bounds": [0.0, 4.0], "default": 1.0}

@@ -105,13 +105,13 @@ def _of_limits(facts: Infeasible) -> Iterator[str]:
     if facts.loosened:
         ways = (" and ".join(_loosened(facts, item) for item in way) for way in facts.loosened)
         yield f"Loosen {', or '.join(ways)}."
-    elif facts.blocker is Blocker.MARGIN and facts.nearest is not None:
-        if facts.nearest.excess < -LITTLE:
-            number = facts.nearest.trial
+    elif facts.blocker is Blocker.MARGIN and (nearest := facts.nearest) is not None:
+        if nearest.excess < -LITTLE:
+            number = nearest.trial
             yield f"Trial {number} has much to spare: validate --trial {number} tests it."
-            return
-        title = facts.of(facts.nearest.limit).title
-        yield f"Loosen the limit of {title}, which leaves the least to spare."
+        else:
+            title = facts.of(nearest.limit).title
+            yield f"Loosen the limit of {title}, which leaves the least to spare."
 
 
 def _loosened(facts: Infeasible, item: Loosened) -> str:

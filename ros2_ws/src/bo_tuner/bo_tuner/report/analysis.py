@@ -55,6 +55,15 @@ OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
 """Outcomes of trials that say something about their parameters."""
 
 
+def outcome_by_runs(study: Study, trial: Trial) -> TrialOutcome:
+    """Return the outcome of a trial by its own runs, without models."""
+    if trial.state is not TrialState.COMPLETE:
+        return TrialOutcome(trial.ending)
+    if violated(study, trial):
+        return TrialOutcome.VIOLATES
+    return TrialOutcome.UNCERTAIN if uncertain(study, trial) else TrialOutcome.WITHIN
+
+
 K = TypeVar("K", bound=Hashable)
 
 
@@ -222,13 +231,10 @@ class Analysis:
         return outcome
 
     def _outcome(self, trial: Trial) -> TrialOutcome:
-        if trial.state is not TrialState.COMPLETE:
-            return TrialOutcome(trial.ending)
-        if trial.number in self.models.outliers:
+        complete = trial.state is TrialState.COMPLETE
+        if complete and trial.number in self.models.outliers:
             return TrialOutcome.OUTLIER
-        if violated(self.study, trial):
-            return TrialOutcome.VIOLATES
-        return TrialOutcome.UNCERTAIN if uncertain(self.study, trial) else TrialOutcome.WITHIN
+        return outcome_by_runs(self.study, trial)
 
     def blind(self, points: Array) -> NDArray[np.bool_]:
         """Return where trials nearby are not in the models, at points (n, d) of the unit cube.

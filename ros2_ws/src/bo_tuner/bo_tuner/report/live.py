@@ -7,11 +7,17 @@ import numpy as np
 
 from bo_tuner.figures.figure import Axis, Color, Element, Limit, Line, Marker, Panel, Points, Scale
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.report.analysis import TrialOutcome
+from bo_tuner.report.analysis import TrialOutcome, outcome_by_runs
 from bo_tuner.report.content import Table
-from bo_tuner.report.sections.convergence import STYLES, beyond, mean_axis, on_scale, scale_end
+from bo_tuner.report.sections.convergence import (
+    beyond,
+    mean_axis,
+    on_scale,
+    points_by_outcome,
+    scale_end,
+)
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limits import WITHIN, held_against, outcome_on_screen, uncertain, violated
+from bo_tuner.study.limits import WITHIN, held_against, outcome_on_screen
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, with_unit
 from bo_tuner.trials import Trial, TrialState
@@ -21,29 +27,23 @@ LATEST = 8
 PERCENT = "% of the limit"
 
 
-def outcome_of(study: Study, trial: Trial) -> TrialOutcome:
-    """Return the outcome of a trial by its own runs."""
-    if trial.state is not TrialState.COMPLETE:
-        return TrialOutcome(trial.ending)
-    if violated(study, trial):
-        return TrialOutcome.VIOLATES
-    return TrialOutcome.UNCERTAIN if uncertain(study, trial) else TrialOutcome.WITHIN
+def in_percent(constraint: Constraint) -> bool:
+    """Return whether values are told in percent of a limit: of none below 0, or at it."""
+    return constraint.limit > 0.0
 
 
 def of_limit(constraint: Constraint, value: float) -> float:
-    """Return a value in percent of a limit, where that makes sense: else in the metric's unit."""
-    return 100.0 * value / constraint.limit if constraint.limit > 0.0 else value
+    """Return a value in percent of a limit, if it has any: else in the metric's unit."""
+    return 100.0 * value / constraint.limit if in_percent(constraint) else value
 
 
 def objective_panel(study: Study, trials: Sequence[Trial]) -> Panel:
     """Return the objective by trial, and the best within limits so far, from the first one on."""
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
-    outcomes = [outcome_of(study, trial) for trial in trials]
+    outcomes = [outcome_by_runs(study, trial) for trial in trials]
     values = np.array([_mean(trial, objective.metric) for trial in trials])
-    good = [outcome is TrialOutcome.WITHIN for outcome in outcomes]
-    best = np.array(values)
-    best[[not each for each in good]] = math.nan
+    best = np.where(_within(outcomes), values, math.nan)
     best = sign * np.fmin.accumulate(sign * best) if len(best) else best
     places = _places(trials)
     elements: list[Element] = []
@@ -51,19 +51,18 @@ def objective_panel(study: Study, trials: Sequence[Trial]) -> Panel:
         elements.append(
             Line(x=places, y=best, name="best within limits", color=Color.BLUE, step=True)
         )
-    elements += _points(outcomes, good, places, values, axis.scale, sign, [])
+    elements += _points(outcomes, places, values, axis.scale, sign, [])
     return Panel(x=_trials(trials), y=axis, elements=elements)
 
 
 def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
     """Return a strip for each limit, in percent of it, with a line at 100 %."""
-    outcomes = [outcome_of(study, trial) for trial in trials]
-    good = [outcome is TrialOutcome.WITHIN for outcome in outcomes]
+    outcomes = [outcome_by_runs(study, trial) for trial in trials]
     places = _places(trials)
     panels = []
     for constraint in study.constraints.values():
         metric = study.metrics[constraint.metric]
-        unit = "%" if constraint.limit > 0.0 else metric.unit
+        unit = "%" if in_percent(constraint) else metric.unit
         values = np.array(
             [
                 of_limit(constraint, held_against(constraint, trial))
@@ -84,7 +83,7 @@ def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
                 y=Axis(label=""),
                 elements=[
                     Limit(value=line),
-                    *_points(outcomes, good, places, values, Scale.LINEAR, constraint.sign, [line]),
+                    *_points(outcomes, places, values, Scale.LINEAR, constraint.sign, [line]),
                 ],
             )
         )
@@ -100,7 +99,7 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         metric = study.metrics[objective.metric]
         header.append(with_unit(metric.title, metric.unit))
     for limit in limits:
-        unit = PERCENT if limit.limit > 0.0 else study.metrics[limit.metric].unit
+        unit = PERCENT if in_percent(limit) else study.metrics[limit.metric].unit
         header.append(f"{study.titled(limit, study.limited(limit))}, {unit}".removesuffix(", "))
     rows = []
     for trial in list(trials)[: -LATEST - 1 : -1]:
@@ -147,9 +146,12 @@ def _trials(trials: Sequence[Trial], label: str = "trial") -> Axis:
     return Axis(label=label, limits=(-0.5, max(len(trials), 8) - 0.5))
 
 
+def _within(outcomes: Sequence[TrialOutcome]) -> list[bool]:
+    return [outcome is TrialOutcome.WITHIN for outcome in outcomes]
+
+
 def _points(
     outcomes: Sequence[TrialOutcome],
-    good: Sequence[bool],
     places: Array,
     values: Array,
     scale: Scale,
@@ -159,24 +161,12 @@ def _points(
     """Return a mark for each trial by its outcome; at the edge what has no value, or is beyond."""
     if not len(values):
         return []
-    end = scale_end(good, values, scale, sign, lines)
+    end = scale_end(_within(outcomes), values, scale, sign, lines)
     far = beyond(values, end, sign)
-    drawn: list[Element] = []
-    on = on_scale(values, end, sign)
-    for kind, (color, marker, filled) in STYLES.items():
-        chosen = np.array([outcome is kind for outcome in outcomes]) & ~far
-        if chosen.any():
-            drawn.append(
-                Points(
-                    x=places[chosen],
-                    y=on[chosen],
-                    name=kind,
-                    color=color,
-                    marker=marker,
-                    size=7.0,
-                    filled=filled,
-                )
-            )
+    near = np.flatnonzero(~far)
+    drawn = points_by_outcome(
+        [outcomes[int(k)] for k in near], places[near], on_scale(values, end, sign)[near]
+    )
     if far.any():
         drawn.append(
             Points(

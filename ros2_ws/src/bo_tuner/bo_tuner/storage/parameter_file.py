@@ -8,7 +8,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.storage.ros_reader import SECTION, read_sections
 from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
-from bo_tuner.study.step_contexts import senders
+from bo_tuner.study.step_values import senders
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Value

@@ -48,19 +48,19 @@ def stays_in_force(configured: list[str]) -> Iterator[str]:
         )
 
 
+def is_named(node: str, named: str) -> bool:
+    """Return whether a step names a node; maybe with a namespace, which the study does not know."""
+    return f"/{named.strip('/')}".endswith(f"/{node.strip('/')}")
+
+
 def _configures(step: Step, node: str) -> bool:
     change, call = step.lifecycle, step.call
     if change is not None:
-        return change.transition == "configure" and _is(node, change.node)
+        return change.transition == "configure" and is_named(node, change.node)
     if call is None:
         return False
     owner, _, service = call.service.rpartition("/")
     if service == CHANGE_STATE:
-        return _is(node, owner)
+        return is_named(node, owner)
     name = node.rpartition("/")[2]
     return service in CONTROLLER_SERVICES and json.dumps(name) in json.dumps(call.request)
-
-
-def _is(node: str, named: str) -> bool:
-    """Return whether a step names a node; maybe with a namespace, which the study does not know."""
-    return f"/{named.strip('/')}".endswith(f"/{node.strip('/')}")

@@ -34,7 +34,7 @@ from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.ranges import check_limit
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal, only_numbers
-from bo_tuner.study.step_contexts import check_braces
+from bo_tuner.study.step_values import check_braces
 
 
 def check_objectives(

@@ -58,7 +58,7 @@ from bo_tuner.study.run import Run
 from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
-from bo_tuner.study.step_contexts import check_braces
+from bo_tuner.study.step_values import check_braces
 from bo_tuner.study.straight_lines import broken_on_lines
 from bo_tuner.study.titles import check_titles
 from bo_tuner.text import counted

@@ -19,8 +19,7 @@ QUICK = 0.5
 REST = 4.0
 """Pause after all parts were made, in multiples of the time beyond `QUICK` that this took.
 
-The models of many trials take seconds, and the run may need the processor. A trial that takes
-longer than that is in the models at once.
+To read a long run takes seconds, and the run may need the processor.
 """
 
 
@@ -40,7 +39,7 @@ class LiveState:
         By the name of a part, in their order, the version of its last change, and the part.
     stamp
         Which state of the run they show, in words.
-    models, pages
+    making, pages
         Threads of the parts, and of the page around them.
     """
 
@@ -60,8 +59,8 @@ class LiveState:
         self._due = asyncio.Event()
         self._over = asyncio.Event()
         # One thread: what is made shares what it knows.
-        self.models = ThreadPoolExecutor(1)
-        # Another for the page, which need not wait for the models.
+        self.making = ThreadPoolExecutor(1)
+        # Another for the page, which need not wait for the parts.
         self.pages = ThreadPoolExecutor(1)
 
     async def call(self, thread: Executor, function: Any, *arguments: Any) -> Any:
@@ -137,7 +136,7 @@ class LiveState:
     async def _make(self, *, ended: bool) -> None:
         """Make the parts and show them, all at once; after the end only those of the end."""
         try:
-            made = await self.call(self.models, partial(self.sections.made, ended=ended))
+            made = await self.call(self.making, partial(self.sections.made, ended=ended))
         except BoTunerError as error:
             self._show_problem(f"The page cannot be brought up to date: {error}")
         except Exception as error:

@@ -61,7 +61,7 @@ from bo_tuner.study.nodes import FAILURE
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.safe_values import safe_values
-from bo_tuner.study.step_contexts import left_by_calls
+from bo_tuner.study.step_values import left_by_calls
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import (

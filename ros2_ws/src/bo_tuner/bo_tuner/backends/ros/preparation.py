@@ -24,7 +24,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
-from bo_tuner.study.step_contexts import filled_step
+from bo_tuner.study.step_values import filled_step
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
 

@@ -40,7 +40,7 @@ from bo_tuner.study.braces import filled_condition
 from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, BEFORE, RECOVER, REST, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
-from bo_tuner.study.step_contexts import filled_step, varies
+from bo_tuner.study.step_values import filled_step, varies
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Value

@@ -225,10 +225,30 @@ def outcome_points(
     analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array, size: float = 7.0
 ) -> list[Element]:
     """Return a point for each trial at (x, y), by its outcome."""
+    return points_by_outcome(
+        [analysis.outcome(trial) for trial in trials],
+        x,
+        y,
+        size,
+        hover=[describe(analysis, trial) for trial in trials],
+        trials=[trial.number for trial in trials],
+    )
+
+
+def points_by_outcome(
+    outcomes: Sequence[TrialOutcome],
+    x: Array,
+    y: Array,
+    size: float = 7.0,
+    *,
+    hover: Sequence[str] = (),
+    trials: Sequence[int] = (),
+) -> list[Element]:
+    """Return points (x, y) by the outcomes of their trials, with texts and numbers if given."""
     drawn: list[Element] = []
-    outcomes = np.array([analysis.outcome(trial) for trial in trials])
+    kinds = np.array(outcomes)
     for kind, (color, marker, filled) in STYLES.items():
-        chosen = np.flatnonzero(outcomes == kind)
+        chosen = np.flatnonzero(kinds == kind)
         if len(chosen):
             drawn.append(
                 Points(
@@ -239,8 +259,8 @@ def outcome_points(
                     marker=marker,
                     size=size,
                     filled=filled,
-                    hover=[describe(analysis, trials[int(k)]) for k in chosen],
-                    trials=[trials[int(k)].number for k in chosen],
+                    hover=[hover[int(k)] for k in chosen] if hover else (),
+                    trials=[trials[int(k)] for k in chosen] if trials else (),
                 )
             )
     return drawn

@@ -16,7 +16,7 @@ from bo_tuner.study.publishing import Topic
 from bo_tuner.study.run import WALL
 from bo_tuner.study.safe_values import safe_values
 from bo_tuner.study.signals import Signal
-from bo_tuner.study.step_contexts import filled_after
+from bo_tuner.study.step_values import filled_after
 from bo_tuner.study.study import Study
 
 PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
