@@ -360,8 +360,7 @@ def test_values_come_into_force_by_steps_of_the_study(running, backend):
     parked = study("reload", node=RELOAD, park={"between_runs": True})
     made = backend(parked, attach=True)
     for gain in (1.0, 2.0):
-        # What was published last before the start is of the safe value.
-        assert run(made, gain).metrics["used"] == gain
+        assert complete(made, gain).metrics["used"] == gain
         assert heard() == SAFE
     made.close()
     assert heard() == SAFE

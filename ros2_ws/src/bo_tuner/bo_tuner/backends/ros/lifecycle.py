@@ -37,6 +37,8 @@ class LifecycleNode:
         Name of the other one, relative to the namespace.
     """
 
+    goes_on = False
+
     def __init__(self, tuner: TunerNode, node: str) -> None:
         self._tuner = tuner
         self._change = LifecycleChange.prepare(tuner, Lifecycle(node=node, transition="configure"))

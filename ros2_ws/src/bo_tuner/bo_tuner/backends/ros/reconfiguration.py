@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from bo_tuner.backends.ros.answers import refusal
 from bo_tuner.backends.ros.errors import RefusedError
-from bo_tuner.backends.ros.lifecycle import ACTIVE, UNCONFIGURED, LifecycleNode
+from bo_tuner.backends.ros.lifecycle import ACTIVE, MANAGED, UNCONFIGURED, LifecycleNode
 from bo_tuner.backends.ros.steps import LifecycleChange, PreparedStep, ServiceCall, service_at
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import StudyError
@@ -17,12 +17,14 @@ from bo_tuner.study.steps import Step
 
 CHANGE = 10.0
 """Time [s] that a controller_manager has for an answer: it switches in its control loop."""
-MANAGED = 20.0
-"""Time [s] that the programs of a launch file have to configure and activate a controller."""
 
 
 class Reconfiguration(Protocol):
     """A running node that can be configured anew; methods raise `LostError` if it is silent."""
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it goes on publishing meanwhile."""
 
     @property
     def state(self) -> str:
@@ -63,6 +65,7 @@ class CalledSteps:
 
     steps: Sequence[PreparedStep]
     state: str = ACTIVE
+    goes_on: bool = True
 
     @classmethod
     def prepare(cls, tuner: TunerNode, steps: Sequence[Step]) -> "CalledSteps":
@@ -105,6 +108,8 @@ class ControlledNode:
     services
         Types and clients of the manager's services, by their names.
     """
+
+    goes_on = False
 
     def __init__(
         self, tuner: TunerNode, node: str, services: Mapping[str, tuple[Any, Any]]

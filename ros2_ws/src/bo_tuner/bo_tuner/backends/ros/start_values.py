@@ -17,6 +17,7 @@ from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.at_start import starter_of
 from bo_tuner.study.building import under
+from bo_tuner.study.configuring import is_named
 from bo_tuner.study.nodes import PARAMETER_FILE
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
@@ -325,11 +326,17 @@ class StartValues:
         self._configured.add(key)
         target = self._targets[key] = self._target(key, node)
 
+        names = [self._study.nodes[key].node.rpartition("/")[2]]
+
         def assign() -> None:
-            self.between([self._study.nodes[key].node.rpartition("/")[2]])
+            if not node.goes_on:
+                self.between(names)
             self._parameters.assign_and_read_back(key, values)
 
         node.configure_anew(target, assign)
+        if node.goes_on:
+            # What it has published so far is of the values before.
+            self.between(names)
         del self._targets[key]
         self._in_force[key] = self._part(key, values)
         if self._started is not None:
@@ -357,5 +364,5 @@ class StartValues:
     def _is_configured_in_run(self, key: str) -> bool:
         run = self._study.run
         changes = () if run is None else (step.lifecycle for _, step in run.steps)
-        name = f"/{self._study.nodes[key].node.strip('/')}"
-        return any(c is not None and f"/{c.node}".endswith(name) for c in changes)
+        node = self._study.nodes[key].node
+        return any(c is not None and is_named(node, c.node) for c in changes)
