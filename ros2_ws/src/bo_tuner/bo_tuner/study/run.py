@@ -8,6 +8,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_names
 from bo_tuner.study.building import Findings, arguments, build
+from bo_tuner.study.playing import Play
 from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import SetParameter, Step, build_steps
@@ -22,7 +23,7 @@ REST = "rest"
 """Key of the rest between two runs."""
 PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
-RESULT = "result"
+RESULT, PLAYED = "result", "played"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,16 +38,21 @@ class End:
         Condition on signals.
     result : bool
         The results of all goals that `start` sends.
+    played : bool
+        The end of the bag that `start` plays.
     """
 
     after: float | None = None
     when: str = ""
     result: bool = False
+    played: bool = False
 
     def __post_init__(self) -> None:
         checks.boolean(self.result, "result")
-        if (self.after is not None) + (self.when != "") + self.result != 1:
-            raise StudyError("expected one of after, when and result")
+        checks.boolean(self.played, "played")
+        given = (self.after is not None, self.when != "", self.result, self.played)
+        if sum(given) != 1:
+            raise StudyError("expected one of after, when, result and played")
         if self.after is not None:
             object.__setattr__(self, "after", checks.positive(self.after, "after"))
         checks.text(self.when, "when")
@@ -70,7 +76,8 @@ class Run:
     recover : tuple of Step
         Returns the machine to its home position after a failed run, with the safe parameters.
     timeout : float
-        Longest time [s] of a run from its start to its end.
+        Longest time [s] of a run from its start to its end; a run that plays a bag takes what that
+        takes.
     abort_when : str
         Condition on signals at which a run ends at once, as failed.
     clock : str
@@ -112,8 +119,34 @@ class Run:
                 )
         if self.end.result and not any(step.send_goal for step in self.start):
             raise StudyError("start has no send_goal", ("end", "result"))
+        self._check_play()
         self._check_times()
         self._check_streams()
+
+    @property
+    def play(self) -> Play | None:
+        """What it plays, if it plays a bag."""
+        return next((step.play for step in self.start if step.play is not None), None)
+
+    def _check_play(self) -> None:
+        """Refuse a bag that is not all that a run goes by."""
+        plays = [path for path, step in self.steps if step.play is not None]
+        for path in plays:
+            if path[1] != START:
+                raise StudyError("is a run of its own; expected this in start", (*path[1:], "play"))
+        if self.end.played and not plays:
+            raise StudyError("start has no play", ("end", PLAYED))
+        if not plays:
+            return
+        if len(plays) > 1 or len(self.start) > 1:
+            raise StudyError("expected play alone: a run is what its bag is", (START,))
+        if not self.end.played:
+            raise StudyError("expected played, as start plays a bag", ("end",))
+        if self.clock != SIM:
+            raise StudyError("expected sim: the time of a bag is that of the run", ("clock",))
+        for path, step in self.steps:
+            if step.publish is not None and step.publish.streams:
+                raise StudyError("no reference streams beside a bag", (*path[1:], "publish"))
 
     def _check_streams(self) -> None:
         """Refuse an endless stream on the way to rest, and a `stop` of what does not stream."""
@@ -179,7 +212,7 @@ class Run:
     @property
     def needs_folder(self) -> bool:
         """Whether it names files."""
-        return any(
+        return self.play is not None or any(
             profile.csv is not None
             for _, step in self.steps
             if step.publish is not None
@@ -268,13 +301,13 @@ def build_run(value: object) -> Run:
 
 
 def _build_end(value: object) -> End:
-    """Return what ends a run; the word ``result`` alone is short for ``{result: true}``."""
-    if value == RESULT:
-        return End(result=True)
+    """Return what ends a run; ``result`` alone is short for ``{result: true}``, so is ``played``."""
+    if value in (RESULT, PLAYED):
+        return End(result=value == RESULT, played=value == PLAYED)
     if not isinstance(value, dict):
-        near = checks.meant(value, (RESULT,)) if isinstance(value, str) else ""
+        near = checks.meant(value, (RESULT, PLAYED)) if isinstance(value, str) else ""
         raise StudyError(
-            f"expected {RESULT}, or a mapping such as {{after: 2.0}}; "
+            f"expected {RESULT}, {PLAYED}, or a mapping such as {{after: 2.0}}; "
             f"{near or f'found {checks.show(value)}'}"
         )
     return build(End, value)

@@ -25,6 +25,7 @@ from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
 from bo_tuner.study.parts import ContextVariable
+from bo_tuner.study.playing import Answer, Play
 from bo_tuner.study.profiles import Profile
 from bo_tuner.study.resting import Rest, WarmUp
 from bo_tuner.study.run import End
@@ -55,7 +56,7 @@ CHOICES: dict[tuple[type, str], tuple[str, ...]] = {
     (ContextVariable, "type"): TYPES,
 }
 WORDS: dict[type, Schema] = {
-    End: {"const": "result"},
+    End: {"enum": ["result", "played"]},
     Guarding: {"type": "boolean"},
     SafeSearch: {"type": "boolean"},
     WarmUp: {"type": "integer"},
@@ -202,8 +203,8 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
 def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
     if hint in SCALARS:
         return dict(SCALARS[hint])
-    if hint is Profile:
-        # A text is an expression.
+    if hint in (Profile, Answer, Play):
+        # A text is an expression, a topic, or a bag.
         return {"anyOf": [_reference(hint, definitions), {"type": "string"}]}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return _reference(hint, definitions)

@@ -14,17 +14,22 @@ from bo_tuner.study.parts import ContextVariable
 from bo_tuner.study.run import AFTER, BEFORE, REST, START, Run
 from bo_tuner.study.steps import Step
 
-_CONTENTS = {"publish": "message", "call": "request", "send_goal": "goal"}
-"""Kinds of steps that send something, each with the key of its content."""
+_CONTENTS = {
+    "publish": ("message",),
+    "call": ("request",),
+    "send_goal": ("goal",),
+    "play": ("bag", "delay", "drop"),
+}
+"""Kinds of steps that send something, each with the keys of its content."""
 
 
 def filled_step(step: Step, values: Values) -> Step:
     """Return a step of a run with values for names in braces."""
-    for kind, key in _CONTENTS.items():
+    for kind, keys in _CONTENTS.items():
         spec = getattr(step, kind)
         if spec is not None:
-            content = filled(getattr(spec, key), values)
-            return dataclasses.replace(step, **{kind: dataclasses.replace(spec, **{key: content})})
+            contents = {key: filled(getattr(spec, key), values) for key in keys}
+            return dataclasses.replace(step, **{kind: dataclasses.replace(spec, **contents)})
     if step.wait_until is not None:
         condition = filled_condition(step.wait_until.condition, values)
         wait = dataclasses.replace(step.wait_until, condition=condition)
@@ -154,10 +159,11 @@ def _without_names(run: Run) -> Iterator[tuple[KeyPath, Any, str]]:
 
 def _names(step: Step) -> Iterator[tuple[KeyPath, str]]:
     """Yield the names in braces in a step, with their places below it."""
-    for kind, key in _CONTENTS.items():
+    for kind, keys in _CONTENTS.items():
         if (spec := getattr(step, kind)) is not None:
-            for name in names_in(getattr(spec, key)):
-                yield (kind, key), name
+            for key in keys:
+                for name in names_in(getattr(spec, key)):
+                    yield (kind, key), name
     if step.wait_until is not None:
         for name in names_in(step.wait_until.condition):
             yield ("wait_until", "condition"), name

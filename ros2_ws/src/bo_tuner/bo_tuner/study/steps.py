@@ -1,6 +1,6 @@
 """The steps of a run on a system that knows nothing of the tuner."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.fields import field_path
+from bo_tuner.study.playing import Play, build_play
 from bo_tuner.study.publishing import Publish, build_publish, check_message
 from bo_tuner.study.signals import GRAPH_NAME
 
@@ -178,7 +179,9 @@ _KINDS: dict[str, type[Any]] = {
     "lifecycle": Lifecycle,
     "set": SetParameter,
     "wait_until": WaitUntil,
+    "play": Play,
 }
+_BUILDERS: dict[str, Callable[[object], Any]] = {"publish": build_publish, "play": build_play}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +207,8 @@ class Step:
         come up together.
     wait_until : WaitUntil, optional
         Waits for a condition on signals.
+    play : Play, optional
+        Plays a bag to the nodes.
     wait : float, optional
         Waits for a time [s].
     """
@@ -216,6 +221,7 @@ class Step:
     set: SetParameter | None = None
     restart: str | tuple[str, ...] = ""
     wait_until: WaitUntil | None = None
+    play: Play | None = None
     wait: float | None = None
 
     @property
@@ -270,6 +276,6 @@ def _build_step(value: object) -> Step:
     for key, cls in _KINDS.items():
         if key in fields:
             with under(key):
-                is_publish = cls is Publish
-                fields[key] = build_publish(fields[key]) if is_publish else build(cls, fields[key])
+                builder = _BUILDERS.get(key)
+                fields[key] = builder(fields[key]) if builder else build(cls, fields[key])
     return Step(**fields)

@@ -17,6 +17,7 @@ from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.services import meet
+from bo_tuner.backends.ros.play.player import Player
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.publication import UnheardError
 from bo_tuner.backends.ros.run_watch import OVERLAP, RunWatch
@@ -123,6 +124,7 @@ class Procedure:
         self._topics: dict[str, OwnTopic] = {}
         self._prepared_streams: dict[KeyPath, Stream] = {}
         self._streams = Streams(tuner)
+        self._player: Player | None = None
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
@@ -145,6 +147,7 @@ class Procedure:
                 list(self._topics.values()),
                 self._streams,
                 MetricsSoFar(study),
+                self._player,
             )
             self._watch.enter(self._values(), {})
         except BaseException:
@@ -366,6 +369,8 @@ class Procedure:
             topic.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         for goal in self._goals.values():
             goal.close()
+        if self._player is not None:
+            self._player.close()
         self._recorder.close()
 
     def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
@@ -397,6 +402,8 @@ class Procedure:
         finally:
             self._is_recording = False
             self._streams.stop_all()
+            if self._player is not None:
+                self._player.stop()
             self._recorder.end()
             self._clock.end()
             self._since_run = Stopwatch(self._clock)
@@ -481,6 +488,8 @@ class Procedure:
                     self._send(self._goals[path])
                 elif path in self._prepared_streams:
                     self._stream(path, self._prepared_streams[path])
+                elif step.play is not None and self._player is not None:
+                    self._player.begin()
                 else:
                     if step.publish is not None:
                         name = self._tuner.node.resolve_topic_name(step.publish.topic)
@@ -595,11 +604,14 @@ class Procedure:
                 elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
                         self._goals[path].fill(filled.send_goal)
+                elif filled.play is not None and self._player is not None:
+                    with under("play"):
+                        self._player.fill(filled.play)
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
         ticks: Ticks = WallTicks(self._clock)
-        if self._run.clock == SIM:
+        if self._run.clock == SIM and self._run.play is None:
             clock = SimClock(self._recorder.node)
             with under("run", "clock"):
                 clock.connect(wait)
@@ -616,12 +628,16 @@ class Procedure:
             parameters=self._parameters,
         )
         self._topics = preparation.topics
+        if self._run.play is not None:
+            self._clock = preparation.play_clock()
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, filled_step(step, self._values(path)))
             if isinstance(prepared, Goal):
                 self._goals[path] = prepared
             elif isinstance(prepared, Stream):
                 self._prepared_streams[path] = prepared
+            elif isinstance(prepared, Player):
+                self._player = prepared
             elif prepared is not None:
                 self._steps[path] = prepared
         # That a field cannot hold a value shows at the ends of contexts and parameters.
