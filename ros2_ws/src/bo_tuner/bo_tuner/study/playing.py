@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 from bo_tuner.errors import StudyError
@@ -11,6 +12,8 @@ from bo_tuner.study.braces import names_in
 from bo_tuner.study.building import arguments, build, under
 from bo_tuner.study.signals import GRAPH_NAME
 
+PATTERN = "*?["
+"""Characters that make a name one of several."""
 MOST_DELAY = 60.0
 """Longest time [s] by which messages of a topic may come late."""
 
@@ -141,6 +144,99 @@ def _topic(name: object, *path: str | int) -> str:
     return checks.matching(name, GRAPH_NAME, "a topic name such as /imu", *path)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Bags:
+    """The bags of a context: one of them is played in each run.
+
+    It is short for `distribution: discrete` with the bags as its values, which steps have by the
+    name of the context in braces.
+
+    Attributes
+    ----------
+    bags : tuple of str
+        Folders or files of bags, from the folder of the study file; with `*` all that are so
+        called.
+    weights : tuple of float
+        How often each comes in operation, relative to the others; equally often unless given.
+    """
+
+    bags: tuple[str, ...]
+    weights: tuple[float, ...] = ()
+
+    def values(self, folder: Path | None) -> dict[str, object]:
+        """Return the fields of the discrete distribution; `folder` is that of the study file.
+
+        Raises
+        ------
+        StudyError
+            If there are fewer than two bags, or not a weight for each.
+        """
+        patterns = checks.sequence(self.bags, "a list of bags", "bags")
+        found: dict[str, None] = {}
+        for index, pattern in enumerate(patterns):
+            text = checks.text(pattern, "bags", index)
+            names = [text]
+            if set(text) & set(PATTERN):
+                if folder is None:
+                    raise StudyError("expected names: there is no study file", ("bags", index))
+                base = Path(text).anchor
+                at = Path(base) if base else folder
+                paths = sorted(path for path in at.glob(text[len(base) :]) if is_bag(path))
+                names = [str(path if base else path.relative_to(folder)) for path in paths]
+                if not names:
+                    raise StudyError(f"no bag in {folder} is called {text}", ("bags", index))
+            for name in names:
+                if name in found:
+                    raise StudyError(f"'{name}' is named twice", ("bags", index))
+                found[name] = None
+        if len(found) < 2:
+            raise StudyError(
+                f"expected at least two bags, found {len(found)}; a single one is no context: "
+                "write it into play",
+                ("bags",),
+            )
+        made: dict[str, object] = {"distribution": "discrete", "values": list(found)}
+        weights = checks.sequence(self.weights, "a list of numbers", "weights")
+        if weights:
+            given = [checks.positive(item, "weights", index) for index, item in enumerate(weights)]
+            if len(given) != len(found):
+                raise StudyError(
+                    f"expected one for each of {len(found)} bags, found {len(given)}", ("weights",)
+                )
+            made["probabilities"] = [weight / sum(given) for weight in given]
+        return made
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path may be a bag."""
+    return path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists()
+
+
+def with_bags(mapping: object, folder: Path | None) -> object:
+    """Return what a study file says, with its bags written out as values of contexts.
+
+    Raises
+    ------
+    StudyError
+        If they violate a rule.
+    """
+    contexts = mapping.get("contexts") if isinstance(mapping, dict) else None
+    if not isinstance(mapping, dict) or not isinstance(contexts, dict):
+        return mapping
+    written = {}
+    for name, item in contexts.items():
+        written[name] = item
+        if isinstance(item, dict) and "bags" in item:
+            keys = [each.name for each in fields(Bags)]
+            with under("contexts", name):
+                if "distribution" in item:
+                    raise StudyError("stands beside bags; leave it out", ("distribution",))
+                bags = build(Bags, {key: item[key] for key in keys if key in item})
+                others = {key: value for key, value in item.items() if key not in keys}
+                written[name] = others | bags.values(folder)
+    return mapping | {"contexts": written}
+
+
 def build_play(value: object) -> Play:
     """Return what a step of a study file plays; a text is the bag, played as it is.
 
@@ -151,12 +247,12 @@ def build_play(value: object) -> Play:
     """
     if isinstance(value, str):
         return Play(bag=value)
-    fields: dict[str, Any] = arguments(Play, value)
-    answers = fields.get("answers")
+    given: dict[str, Any] = arguments(Play, value)
+    answers = given.get("answers")
     if isinstance(answers, Mapping):
         made = {}
-        for name, given in answers.items():
+        for name, item in answers.items():
             with under("answers", str(name)):
-                made[name] = Answer(topic=given) if isinstance(given, str) else build(Answer, given)
-        fields["answers"] = made
-    return Play(**fields)
+                made[name] = Answer(topic=item) if isinstance(item, str) else build(Answer, item)
+        given["answers"] = made
+    return Play(**given)

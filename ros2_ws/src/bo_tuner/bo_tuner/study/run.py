@@ -301,7 +301,7 @@ def build_run(value: object) -> Run:
 
 
 def _build_end(value: object) -> End:
-    """Return what ends a run; ``result`` alone is short for ``{result: true}``, so is ``played``."""
+    """Return what ends a run; ``result`` and ``played`` alone are short for ``{result: true}``."""
     if value in (RESULT, PLAYED):
         return End(result=value == RESULT, played=value == PLAYED)
     if not isinstance(value, dict):

@@ -25,7 +25,7 @@ from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
 from bo_tuner.study.parts import ContextVariable
-from bo_tuner.study.playing import Answer, Play
+from bo_tuner.study.playing import Answer, Bags, Play
 from bo_tuner.study.profiles import Profile
 from bo_tuner.study.resting import Rest, WarmUp
 from bo_tuner.study.run import End
@@ -133,6 +133,7 @@ def _sections() -> Iterator[tuple[str, type[Any]]]:
         if key == "contexts":
             for kind, cls in DISTRIBUTIONS.items():
                 yield f"`contexts: <name>`, `distribution: {kind}`", cls
+            yield "`contexts: <name>`, bags", Bags
     named = {cls for classes in NAMED.values() for cls in classes}
     yield from _below(Study, "", named)
 
@@ -241,6 +242,9 @@ def _with_distributions(schema: Schema, definitions: dict[str, Schema]) -> Schem
         properties = schema["properties"] | own["properties"] | {"distribution": {"const": kind}}
         required = [*schema["required"], *own.get("required", [])]
         kinds.append({**schema, "properties": properties, "required": required})
+    bags = _object(Bags, definitions)
+    properties = {k: v for k, v in schema["properties"].items() if k != "distribution"}
+    kinds.append({**schema, "properties": properties | bags["properties"], "required": ["bags"]})
     return {"anyOf": kinds}
 
 

@@ -3,7 +3,6 @@
 import heapq
 import zlib
 from collections.abc import Collection, Iterator, Mapping
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +19,8 @@ UNPLAYED = ("/clock", "/rosout", "/parameter_events")
 """Topics that are the run's own, or each node's."""
 STAMP = slice(4, 12)
 """Bytes of a message that are the stamp of its header, after those that tell the encoding."""
+DATED = 1_000_000_000 * 1_000_000_000
+"""Times [ns] after this one, in 2001, are of a clock that tells the date."""
 SET_BACK = 1.0
 """Time [s] by which a stamp that is behind one before it is not just late."""
 APART = 60.0
@@ -69,6 +70,11 @@ class Bag:
             raise self._unreadable(error) from None
         if not count:
             raise self._error("has no messages")
+
+    def overlaps(self, other: "Bag") -> bool:
+        """Whether another one has been recorded at the same time, by clocks that tell the date."""
+        begins, ends = max(self.start, other.start), min(self.end, other.end)
+        return begins > DATED and begins < ends
 
     def check(self, stamped: Collection[str]) -> None:
         """Read it once, and refuse what cannot be played.
@@ -139,10 +145,9 @@ class Bag:
                     self._read(reader, connections, first, last, round(by * 1e9))
                     for by, connections in late.items()
                 ]
-                kept = {name: partial(_kept, np.random.default_rng(zlib.crc32(name.encode())), share)
-                        for name, share in drop.items()}
+                kept = {name: _Kept(name, share) for name, share in drop.items()}
                 for message in heapq.merge(*parts, key=lambda item: item.time):
-                    if message.topic not in kept or kept[message.topic]():
+                    if message.topic not in kept or kept[message.topic].next():
                         yield message
         except (ReaderError, OSError, ValueError) as error:
             raise self._unreadable(error) from None
@@ -172,5 +177,13 @@ def stamp_of(data: bytes) -> int:
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
-def _kept(rng: np.random.Generator, share: float) -> bool:
-    return bool(rng.random() >= share)
+class _Kept:
+    """Which messages of a topic are played, each time the same ones."""
+
+    def __init__(self, topic: str, dropped: float) -> None:
+        self._rng = np.random.default_rng(zlib.crc32(topic.encode()))
+        self._dropped = dropped
+
+    def next(self) -> bool:
+        """Whether the next message is played."""
+        return bool(self._rng.random() >= self._dropped)
