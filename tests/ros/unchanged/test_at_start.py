@@ -323,6 +323,42 @@ def test_a_launch_file_passes_the_values_of_all_its_nodes_on(backend, tmp_path, 
     assert made._client.parameters.known("second")["mass"] == 7.0
 
 
+def in_braces(*words, **sections):
+    """A study of a servo whose gain stands in its command; no node has it as a parameter."""
+    gain = {"type": "double", "bounds": [0.1, 4.0], "default": SAFE}
+    node = {"at_start": False, "env": {"MASS": "{mass}"}}
+    mass = {"type": "double", "fixed": 2.0}
+    return study(
+        *words, "gain={gain}", node=node, parameters={"gain": gain, "mass": mass}, **sections
+    )
+
+
+def test_values_in_braces_in_what_starts_a_node(backend):
+    """It starts anew when they change, and has the safe ones after a failed run."""
+    made = backend(in_braces("limited"))
+    first = pid_of(made)
+    assert complete(made, SAFE).metrics["used"] == SAFE
+    assert pid_of(made) == first
+    assert complete(made, 1.25).notes.starts == 1
+    second = pid_of(made)
+    assert second != first
+    assert complete(made, 1.25).metrics["used"] == 1.25
+    assert pid_of(made) == second
+    environment = Path(f"/proc/{second}/environ").read_bytes().split(b"\0")
+    assert b"MASS=2.0" in environment
+    refused = run(made, 3.0)
+    assert refused.state is EvaluationState.FAILED
+    assert "a gain of 3.0 is too high" in refused.reason
+    assert heard() == SAFE
+
+
+def test_an_attached_node_has_no_values_in_braces(running, backend):
+    running()
+    where = r"nodes\.servo\.command: servo is attached, and is not started with gain; leave out"
+    with pytest.raises(StudyError, match=where):
+        backend(in_braces(), attach=True)
+
+
 def test_an_attached_node_cannot_be_started_with_values(running, backend):
     running()
     with pytest.raises(StudyError) as caught:

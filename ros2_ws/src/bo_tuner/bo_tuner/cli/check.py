@@ -377,7 +377,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         each = _starts_each_time(study)
         starts_of_study = tuning if each else min(tuning, study.budget.trials)
         say(
-            f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
+            f"to {_brought_up(study)} with other values took {starting:.3g} s: "
             f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
@@ -415,8 +415,24 @@ def _ramping(study: Study) -> tuple[float, float]:
     return count * ramp, 0.0 if count else ramp
 
 
+def _brought_up(study: Study) -> str:
+    """Return what is done with nodes that take values while they start, or are configured."""
+    start: list[str] = []
+    configure: list[str] = []
+    for key, spec in study.nodes.items():
+        if any(spec.names_in_braces):
+            start.append(key)
+        elif key in study.start_names:
+            (configure if spec.reconfigure else start).append(key)
+    verbs = (("start", start), ("configure", configure))
+    return " and ".join(f"{verb} {', '.join(keys)}" for verb, keys in verbs if keys)
+
+
 def _starts_each_time(study: Study) -> bool:
     """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
+    in_braces = {name for spec in study.nodes.values() for _, name in spec.names_in_braces}
+    if in_braces & study.contexts.keys():
+        return True
     targets = [(item.node, item.parameter) for item in study.contexts.values()]
     if study.seed_parameter is not None:
         targets.append((study.seed_parameter.node, study.seed_parameter.parameter))

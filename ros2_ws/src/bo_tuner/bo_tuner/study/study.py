@@ -203,7 +203,7 @@ class Study:
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
                 check_kinds(self.run, self.metrics, self.signals)
         with findings.under():
-            check_braces(self.run, self.contexts, self.parameters)
+            check_braces(self.run, self.nodes, self.contexts, self.parameters)
         # Other references are checked by way of the nodes.
         if has_nodes:
             with findings.under():

@@ -470,6 +470,7 @@ class RosBackend(SequentialBackend):
             # One that has ended before did not do so with these values.
             self._started.check()
             in_force = True
+            client.start_values.fill({**planned.parameters, **planned.context})
             said = client.evaluate(wanted, kept, run, self._park_after_run)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)

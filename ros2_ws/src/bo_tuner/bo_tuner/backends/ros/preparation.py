@@ -24,6 +24,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
+from bo_tuner.study.safe_values import safe_in_braces
 from bo_tuner.study.step_values import filled_step
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
@@ -144,8 +145,7 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
         finally:
             node.destroy_node()
     preparation = Preparation(study, tuner, WallClock(), attached=attached)
-    contexts = study.context_space()
-    nominal = {**study.safe_parameters, **contexts.to_dict(contexts.nominal())}
+    nominal = safe_in_braces(study)
     try:
         for path, step in study.run.steps:
             try:

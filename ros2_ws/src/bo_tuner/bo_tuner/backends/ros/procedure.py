@@ -592,6 +592,8 @@ class Procedure:
             with under(*path):
                 if path in self._steps:
                     self._steps[path] = self._steps[path].filled(filled)
+                elif path in self._prepared_streams:
+                    self._prepared_streams[path] = self._prepared_streams[path].filled(filled)
                 elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
                         self._goals[path].fill(filled.send_goal)
