@@ -44,6 +44,7 @@ from bo_tuner.metrics.equal_runs import (
     unlike_starts,
     unmoved,
 )
+from bo_tuner.metrics.message_rates import rate_of
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -328,7 +329,9 @@ def _show_motion(
     notes += unmoved(study, recordings[-1], heard)
     notes += from_the_run_before(recordings, heard)
     notes += unlike_starts(recordings, heard)
-    notes += uneven_rates(recordings, [e.outcome.load for e in done], heard)
+    rates = [{name: rate_of(r.signals[name], r.end) for name in heard} for r in recordings]
+    numbered = [f"run {number}" for number in range(1, RUNS + 1)]
+    notes += uneven_rates(numbered, rates, [e.outcome.load for e in done]).values()
     for note in notes:
         say(f"note: {note}")
     return True
