@@ -58,6 +58,11 @@ NOT_SETTLED = (
     "ahead of it"
 )
 """What to do about a machine that does not come to where a run is to start."""
+TOO_SLOW = (
+    "the parameters of the trial may be too slow for it: let the safe ones do it "
+    "(park: {between_runs: true}), reset the machine ahead of it, or give it a longer timeout"
+)
+"""The same where it goes there with the parameters of the run before, and of the next."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -558,7 +563,7 @@ class Procedure:
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
             dead = any(recording.silence(name, spec) for name, spec in used.items())
-            advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
+            advice = f"; {self._advice}" if path[1] == BEFORE and not dead else ""
             how = f"does not hold for {wait.hold:g} s" if wait.hold else "does not hold"
             if wait.rising:
                 how = "does not come to hold" + ("" if edge.was_off else ", as it never ceased to")
@@ -566,6 +571,10 @@ class Procedure:
                 f"{dotted(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
                 f"{latest(used, recording)}{advice}"
             )
+
+    @property
+    def _advice(self) -> str:
+        return NOT_SETTLED if self._study.park.between_runs else TOO_SLOW
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
