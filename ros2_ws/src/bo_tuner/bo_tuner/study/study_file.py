@@ -242,7 +242,8 @@ def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
 def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
     """Return by section the names of the parts in a study file, as far as it has such a section."""
     optional = {field.name for field in dataclasses.fields(Study) if not is_required(field)}
-    by_section = {}
+    # What a run that was refused may use is not known.
+    by_section: dict[str, list[str]] = {"run": []} if "run" in values else {}
     for key in _NAMED:
         section = values.get(key, {} if key in optional else None)
         if isinstance(section, dict):
