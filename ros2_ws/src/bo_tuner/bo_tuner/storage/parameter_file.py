@@ -4,9 +4,9 @@ from collections.abc import Iterable, Mapping
 
 import yaml
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.ros_reader import SECTION, read_sections
-from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.step_values import senders
 from bo_tuner.study.study import Study

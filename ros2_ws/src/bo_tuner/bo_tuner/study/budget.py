@@ -4,7 +4,8 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from bo_tuner.study import checks, maxima
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 
 MOST = {
     "trials": maxima.TRIALS,

@@ -6,8 +6,8 @@ from functools import cached_property
 
 from scipy.special import ndtri
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.limit_kinds.base import LimitKind
 from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.limit_kinds.registry import KINDS

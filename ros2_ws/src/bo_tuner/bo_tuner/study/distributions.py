@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betaincinv
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, maxima
 from bo_tuner.trials import Value
 
 # Placeholder for a nominal value that was not given; `__post_init__` replaces it.

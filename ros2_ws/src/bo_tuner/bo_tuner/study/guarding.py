@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import build
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import build
 
 TIMEOUT = 0.5
 """Time [s] without a heartbeat after which a guard acts, unless heartbeats come late."""

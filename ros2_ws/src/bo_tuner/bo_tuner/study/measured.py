@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import COMPUTED, RelativeMetric, StudyMetric
 from bo_tuner.study.parts import Objective

@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
-from bo_tuner.study import checks
 
 OPTIONS = ("target", "percent", "band")
 

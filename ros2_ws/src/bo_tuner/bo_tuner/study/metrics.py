@@ -11,9 +11,9 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
 from bo_tuner.study.metric_scale import check_scale
 from bo_tuner.study.parts import LINEAR

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import under
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import under
 from bo_tuner.study.steps import Step, build_steps
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

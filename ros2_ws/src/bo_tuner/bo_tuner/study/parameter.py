@@ -4,8 +4,9 @@ import math
 import re
 from dataclasses import dataclass
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
 from bo_tuner.study.titles import Titled, check_label
 from bo_tuner.trials import Value

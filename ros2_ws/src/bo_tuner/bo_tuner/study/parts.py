@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.parameter import TYPES
 

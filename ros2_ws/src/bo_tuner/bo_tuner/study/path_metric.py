@@ -3,9 +3,9 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
-from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
 from bo_tuner.study.metric_scale import check_scale
 from bo_tuner.study.parts import LINEAR

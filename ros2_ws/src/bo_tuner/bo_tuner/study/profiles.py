@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import arguments, build, under
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics import profiles
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import arguments, build, under
 from bo_tuner.study.reference_table import HOLD, Table, read_table
 from bo_tuner.study.signals import TIME, named_expression
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, arguments, under
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import Findings, arguments, under
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.profiles import Profile, StepProfile, build_profile
 from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE

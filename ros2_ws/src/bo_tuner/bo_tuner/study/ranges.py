@@ -6,8 +6,8 @@ A certificate relies on it, and no sample can show it: it bounds rare runs, whic
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.trials import Evaluation
 

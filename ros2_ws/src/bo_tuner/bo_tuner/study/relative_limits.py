@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, build
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import Findings, build
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.metrics import RelativeMetric, metric_kind

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import build
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import build
 
 
 @dataclass(frozen=True, kw_only=True)

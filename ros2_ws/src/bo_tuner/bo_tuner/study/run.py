@@ -4,10 +4,11 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, arguments, build
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_names
-from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import SetParameter, Step, build_steps

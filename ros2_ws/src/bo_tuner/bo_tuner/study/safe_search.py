@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import build
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import build
 
 LARGEST_RISK = 0.2
 """With a larger one a search would not be a safe one by any name."""

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import (
     FUNCTIONS,
@@ -12,7 +13,6 @@ from bo_tuner.numerics.expressions import (
     ExpressionError,
     UnknownNameError,
 )
-from bo_tuner.study import checks
 from bo_tuner.study.fields import parsed_field
 
 HEADER, RECEPTION = "header", "reception"

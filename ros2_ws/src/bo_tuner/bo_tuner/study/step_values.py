@@ -5,10 +5,10 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import takewhile
 from typing import Any
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings
 from bo_tuner.errors import KeyPath, StudyError, dotted
-from bo_tuner.study import checks
 from bo_tuner.study.braces import Values, filled, filled_condition, names_in
-from bo_tuner.study.building import Findings
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable
 from bo_tuner.study.run import AFTER, BEFORE, REST, START, Run

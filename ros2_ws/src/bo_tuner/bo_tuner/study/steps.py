@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, arguments, build, under
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Publish, build_publish, check_message
 from bo_tuner.study.signals import GRAPH_NAME

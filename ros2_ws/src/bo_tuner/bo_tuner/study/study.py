@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, under
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
-from bo_tuner.study.building import Findings, under
 from bo_tuner.study.configuring import check_parked, configured_by_steps
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace

@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Findings, arguments, build, is_required, under
 from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.interruption import content_of_file
 from bo_tuner.package_files import config_directory
-from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
-from bo_tuner.study.building import Findings, arguments, build, is_required, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.experiments.optima import Optimum, optimum_of

@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import arguments, build
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
-from bo_tuner.study import checks, strict_yaml
-from bo_tuner.study.building import arguments, build
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import (
     is_path,

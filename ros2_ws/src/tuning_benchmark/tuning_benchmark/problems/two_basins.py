@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from bo_tuner.codec import checks
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
 from tuning_benchmark.problems.warp import unwarped, warped

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
+from bo_tuner import maxima
 from bo_tuner.errors import StudyError
-from bo_tuner.study import maxima
 
 ParameterValue = bool | int | float | str | tuple[bool | int | float | str, ...]
 """What a ROS parameter can hold."""
