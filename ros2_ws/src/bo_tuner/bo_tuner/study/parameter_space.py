@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.codec import checks
-from bo_tuner.codec.reading import under
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.conditions import KEY, Condition

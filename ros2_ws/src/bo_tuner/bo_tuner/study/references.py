@@ -8,7 +8,7 @@ from typing import Any
 
 from bo_tuner import maxima
 from bo_tuner.codec import checks
-from bo_tuner.codec.reading import Findings, under
+from bo_tuner.codec.findings import Findings, under
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study.braces import without_names

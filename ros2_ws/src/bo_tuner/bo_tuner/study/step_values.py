@@ -6,7 +6,7 @@ from itertools import takewhile
 from typing import Any
 
 from bo_tuner.codec import checks
-from bo_tuner.codec.reading import Findings
+from bo_tuner.codec.findings import Findings
 from bo_tuner.errors import KeyPath, StudyError, dotted
 from bo_tuner.study.braces import Values, filled, filled_condition, names_in
 from bo_tuner.study.parameter import Parameter

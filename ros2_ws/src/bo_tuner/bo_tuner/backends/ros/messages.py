@@ -17,7 +17,7 @@ from rosidl_parser.definition import (
 )
 
 from bo_tuner.codec import checks
-from bo_tuner.codec.reading import under
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.study.offers import MOST_ITEMS
 from bo_tuner.text import one_line

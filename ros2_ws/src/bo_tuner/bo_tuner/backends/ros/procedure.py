@@ -27,7 +27,7 @@ from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.codec import checks
-from bo_tuner.codec.reading import under
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
 from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
 from bo_tuner.metrics.recording import (

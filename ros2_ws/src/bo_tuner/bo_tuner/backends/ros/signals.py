@@ -33,7 +33,7 @@ from bo_tuner.backends.ros.taking import middleware
 from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
-from bo_tuner.codec.reading import under
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.recording import (

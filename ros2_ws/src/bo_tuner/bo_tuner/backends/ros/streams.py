@@ -19,7 +19,7 @@ from bo_tuner.backends.ros.number_writer import NumberWriter, number_writer
 from bo_tuner.backends.ros.publication import Publication, UnheardError
 from bo_tuner.backends.ros.ticks import Ticks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
-from bo_tuner.codec.reading import under
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, Recording
 from bo_tuner.numerics.arrays import Array
