@@ -13,11 +13,11 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
+from bo_tuner import maxima
 from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
 from bo_tuner.errors import StudyError
 from bo_tuner.processor_load import Load, LoadMeter
 from bo_tuner.run_notes import Messages
-from bo_tuner.study import maxima
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 from bo_tuner.trials import Value
 
 Values = Mapping[str, Value]

@@ -2,15 +2,18 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import POSITIVE, SECONDS, Alone, AtMost, OneOf
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_names
-from bo_tuner.study.building import Findings, arguments, build
-from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
+from bo_tuner.study.resting import RAMP, Rest, WarmUp
 from bo_tuner.study.signals import expression
-from bo_tuner.study.steps import SetParameter, Step, build_steps
+from bo_tuner.study.steps import SetParameter, Step, Steps
 
 BEFORE, START = "before", "start"
 """Phases of the steps that a run begins with."""
@@ -22,11 +25,10 @@ REST = "rest"
 """Key of the rest between two runs."""
 PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
-RESULT = "result"
 
 
 @dataclass(frozen=True, kw_only=True)
-class End:
+class End(Section):
     """What ends a run.
 
     Attributes
@@ -39,21 +41,24 @@ class End:
         The results of all goals that `start` sends.
     """
 
-    after: float | None = None
+    after: Annotated[float, POSITIVE] | None = None
     when: str = ""
     result: bool = False
 
+    alone = Alone(
+        Literal["result"],
+        lambda _: {"result": True},
+        "result, or a mapping such as {after: 2.0}",
+    )
+
     def __post_init__(self) -> None:
-        checks.boolean(self.result, "result")
+        super().__post_init__()
         if (self.after is not None) + (self.when != "") + self.result != 1:
             raise StudyError("expected one of after, when and result")
-        if self.after is not None:
-            object.__setattr__(self, "after", checks.positive(self.after, "after"))
-        checks.text(self.when, "when")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class Run(Section):
     """What makes up a run.
 
     Attributes
@@ -85,25 +90,19 @@ class Run:
     """
 
     end: End
-    before: tuple[Step, ...] = ()
-    start: tuple[Step, ...] = ()
-    after: tuple[Step, ...] = ()
-    recover: tuple[Step, ...] = ()
-    timeout: float = 30.0
+    before: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    start: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    after: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    recover: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    timeout: Annotated[float, SECONDS] = 30.0
     abort_when: str = ""
-    clock: str = WALL
+    clock: Annotated[str, OneOf((WALL, SIM))] = WALL
     warm_up: WarmUp | None = None
     rest: Rest | None = None
-    ramp: float | None = None
+    ramp: Annotated[float, RAMP] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-        if self.ramp is not None:
-            object.__setattr__(self, "ramp", ramp_time(self.ramp, "ramp"))
-        for phase in PHASES:
-            checks.at_most(getattr(self, phase), maxima.STEPS, phase)
-        checks.text(self.abort_when, "abort_when")
-        checks.choice(self.clock, (WALL, SIM), "clock")
+        super().__post_init__()
         for index, step in enumerate(self.start):
             if step.restart:
                 raise StudyError(
@@ -242,39 +241,3 @@ class Run:
             with findings.under():
                 expression(without_names(condition), signals, *path)
         findings.check()
-
-
-def build_run(value: object) -> Run:
-    """Return the run that a section of a study file describes.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    fields = arguments(Run, value)
-    findings = Findings()
-    with findings.under("end"):
-        fields["end"] = _build_end(fields["end"])
-    for phase in PHASES:
-        with findings.under(phase):
-            fields[phase] = build_steps(fields.get(phase, ()))
-    for key, builder in (("warm_up", build_warm_up), (REST, build_rest)):
-        if key in fields:
-            with findings.under(key):
-                fields[key] = builder(fields[key])
-    findings.check()
-    return Run(**fields)
-
-
-def _build_end(value: object) -> End:
-    """Return what ends a run; the word ``result`` alone is short for ``{result: true}``."""
-    if value == RESULT:
-        return End(result=True)
-    if not isinstance(value, dict):
-        near = checks.meant(value, (RESULT,)) if isinstance(value, str) else ""
-        raise StudyError(
-            f"expected {RESULT}, or a mapping such as {{after: 2.0}}; "
-            f"{near or f'found {checks.show(value)}'}"
-        )
-    return build(End, value)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from bo_tuner.study.checks import holds
+from bo_tuner.codec.checks import holds
 from bo_tuner.study.run import AFTER
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value

@@ -5,10 +5,10 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import takewhile
 from typing import Any
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings
 from bo_tuner.errors import KeyPath, StudyError, dotted
-from bo_tuner.study import checks
 from bo_tuner.study.braces import Values, filled, filled_condition, names_in
-from bo_tuner.study.building import Findings
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable

@@ -20,8 +20,8 @@ from bo_tuner.backends.ros.steps import (
 from bo_tuner.backends.ros.streams import Stream
 from bo_tuner.backends.ros.ticks import Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study.building import under
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
 from bo_tuner.study.safe_values import safe_in_braces

@@ -26,6 +26,8 @@ from bo_tuner.backends.ros.streams import Stream, Streams
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
 from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
 from bo_tuner.metrics.recording import (
@@ -35,9 +37,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.run_notes import Published
-from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
-from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, BEFORE, RECOVER, REST, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.step_values import filled_step, varies

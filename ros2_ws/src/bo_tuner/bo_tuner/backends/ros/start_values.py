@@ -14,9 +14,9 @@ from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.reconfiguration import Reconfiguration, reconfiguration_of
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.at_start import starter_of
-from bo_tuner.study.building import under
 from bo_tuner.study.configuring import is_named
 from bo_tuner.study.nodes import PARAMETER_FILE
 from bo_tuner.study.safe_values import safe_in_braces

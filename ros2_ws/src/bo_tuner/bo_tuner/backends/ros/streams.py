@@ -19,11 +19,11 @@ from bo_tuner.backends.ros.number_writer import NumberWriter, number_writer
 from bo_tuner.backends.ros.publication import Publication, UnheardError
 from bo_tuner.backends.ros.ticks import Ticks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, Recording
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.run_notes import Published
-from bo_tuner.study.building import under
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.steps import Step

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from bo_tuner.codec.checks import same_value
 from bo_tuner.evidence.busy import high_load, load_in_words
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
@@ -31,7 +32,6 @@ from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.checks import same_value
 from bo_tuner.study.in_force import in_force
 from bo_tuner.study.measured import seen_in
 from bo_tuner.study.parts import ROS

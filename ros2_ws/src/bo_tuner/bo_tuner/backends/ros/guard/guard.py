@@ -41,9 +41,9 @@ from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.reconfiguration import Reconfiguration, reconfiguration_of
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.guard_record import Act, add_act
-from bo_tuner.study.building import under
 from bo_tuner.study.run import SIM
 from bo_tuner.text import listed
 
