@@ -86,7 +86,6 @@ def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
     for page in (f"runs/{shown_run.name}/trials/0", "runs"):
         chromium.open(shown_run.address + page, theme=theme, width=width)
-        chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
 

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds, uneven
 from bo_tuner.metrics.collect import judged
+from bo_tuner.processor_load import Load
+from bo_tuner.run_notes import Notes, Rate
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 NODE = {"node": "axis"}
@@ -30,6 +32,20 @@ def test_a_run_outside_its_range(make_study):
     assert [*contradicted(study, runs(study, [0.5, 2.0]))] == []
     (said,) = contradicted(study, runs(study, [0.5, 2.5]))
     assert said.startswith("A run contradicts the study: peak was 2.5, outside its range [0, 2]")
+
+
+def test_equal_runs_with_messages_at_different_rates(make_study):
+    """Of a simulator that does not wait; each signal is named once, other sets are no matter."""
+
+    def made(trial, gain, messages):
+        rate = Rate(messages, 5.0 / messages, 6.0 / messages, 0.1, 5.0)
+        notes = Notes(rates={"angle": rate, "event": None})
+        outcome = Outcome(EvaluationState.COMPLETE, {}, load=Load(0.0, None), notes=notes)
+        return Evaluation(trial, 0, Stage.DRAWN, {"gain": gain}, {}, 1, outcome)
+
+    assert uneven([made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)]) == ()
+    (said,) = uneven([made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)])
+    assert said.startswith("Equal runs are not alike: angle comes ")
 
 
 def test_values_without_a_logarithm(make_study):

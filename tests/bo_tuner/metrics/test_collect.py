@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bo_tuner import maxima
 from bo_tuner.metrics.collect import LARGEST_METRIC, Collector
-from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 OK = {"status": "ok", "reason": ""}

@@ -58,6 +58,7 @@ def test_its_numbers_are_shown(certified, content):
     assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
     assert "narrow optimum" in section.notes
+    assert "In force: kp, set on pid while it runs, and read back." in section.notes
 
 
 def test_what_failed_before_is_told(certified, content):

@@ -7,9 +7,9 @@ import pytest
 from drive_text import mapping, places
 from functions import FunctionBackend, make_study
 
+from bo_tuner import maxima
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.study import maxima
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from small_run import make_run
 
+from bo_tuner import maxima
 from bo_tuner.cli import tune, validate
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 NODE = {"node": "axis"}

@@ -2,14 +2,15 @@
 
 import pytest
 
+from bo_tuner.codec.reading import read
 from bo_tuner.errors import StudyError
-from bo_tuner.study.playing import Play, build_play, with_bags
-from bo_tuner.study.run import build_run
+from bo_tuner.study.playing import Play, with_bags
+from bo_tuner.study.run import Run
 
 
 def run(**changed):
     given = {"clock": "sim", "start": [{"play": "drive"}], "end": "played"} | changed
-    return build_run(given)
+    return read(Run, given)
 
 
 def refusal(function, *arguments, **keywords):
@@ -40,12 +41,12 @@ def test_a_bag_is_all_that_a_run_is():
         ({"bag": "a", "rate": 0}, "rate: expected a number above 0"),
         ({"bag": "a", "begin": 3.0, "end": 2.0}, "end: expected more than begin, 3 s"),
         ({"bag": "a", "drop": {"/a": 1.5}}, "drop./a: expected 0 to 1, found 1.5"),
-        ({"bag": "a", "delay": {"/a": -1}}, "delay./a: expected 0 to 60, found -1"),
+        ({"bag": "a", "delay": {"/a": -1}}, "delay./a: expected 0 to 60 s, found -1"),
         ({"bag": "a", "answers": {"/a": {"topic": "/b", "every": 0}}}, "answers./a.every: exp"),
     ],
 )
 def test_what_cannot_be_played(given, expected):
-    assert refusal(build_play, given).startswith(expected)
+    assert refusal(read, Play, given).startswith(expected)
 
 
 @pytest.fixture

@@ -6,6 +6,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from bo_tuner.codec.reading import keys_of
+from bo_tuner.codec.schema import texts_of
 from bo_tuner.errors import StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import schema, strict_yaml
@@ -72,6 +74,6 @@ def test_mistakes_that_an_editor_shows(path, value):
 
 def test_every_key_has_a_text():
     for title, cls in schema._sections():
-        texts = schema._texts(cls)
+        texts = texts_of(cls)
         assert all(texts.values()), title
-        assert {field.name for field in schema._keys(cls)} <= texts.keys(), title
+        assert {field.name for field in keys_of(cls)} <= texts.keys(), title

@@ -80,7 +80,7 @@ def test_profiles(profile, time, expected):
     ("change", "complaint"),
     [
         ({"rate": 0}, "publish.rate: expected a number above 0"),
-        ({"rate": 2000}, "publish.rate: expected at most 1000 Hz"),
+        ({"rate": 2000}, "publish.rate: expected a number above 0 and at most 1000 Hz"),
         ({"rate": None}, "publish.rate: missing; expected how often, for profile"),
         ({"rate": 0.9}, "0.5 Hz cannot be seen in 0.9 messages a second"),
         ({"duration": -1}, "publish.duration: expected a number above 0"),

@@ -160,14 +160,14 @@ class TestRefusedValues:
             (
                 "constraints/current/probability",
                 96,
-                "expected a number between 0 and 1, both excluded, found 96.0",
+                "expected a number between 0 and 1, both excluded, found 96",
             ),
             (
                 "constraints/worst/probability",
                 0.4,
                 "expected at least 0.5 of a worst_case constraint, found 0.4",
             ),
-            ("trigger/timeout", 0, "expected a number above 0, found 0.0"),
+            ("trigger/timeout", 0, "expected a number above 0 and at most 86400 s, found 0"),
             ("budget/search_evaluations", -1, "expected an integer of at least 0, found -1"),
             ("metrics", {}, "expected at least one"),
             (
@@ -401,16 +401,21 @@ class TestSafeSearch:
     @pytest.mark.parametrize(
         ("section", "message"),
         [
-            ({"risk": 0.5}, "safe_search.risk: expected at most 0.2, found 0.5"),
-            (
-                {"risk": 0.0},
-                "safe_search.risk: expected a number between 0 and 1, both excluded, found 0.0",
+            *(
+                (
+                    {"risk": risk},
+                    f"safe_search.risk: expected a number above 0 and at most 0.2, found {risk}",
+                )
+                for risk in (0.0, 0.5)
             ),
             (
                 {"travel": 1.0},
                 "safe_search.travel: expected a number between 0 and 1, both excluded, found 1.0",
             ),
-            ("yes", "safe_search: expected a mapping, found text 'yes'"),
+            (
+                "yes",
+                "safe_search: expected true, false, or a mapping of the search; found text 'yes'",
+            ),
         ],
     )
     def test_section(self, section, message):

@@ -11,12 +11,12 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.duration import Duration
 from waiting import DEADLINE
 
+from bo_tuner import maxima
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.parameters.messages import to_value
 from bo_tuner.errors import BackendError
 from bo_tuner.run_notes import Unusable
-from bo_tuner.study import maxima
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import EvaluationState
 

@@ -10,10 +10,10 @@ from servo import failure, run
 from signal_runs import record_run
 from waiting import wait_until
 
+from bo_tuner import maxima
 from bo_tuner.backends.ros import signals as recorders
 from bo_tuner.replay.recompute import recompute
 from bo_tuner.storage.record import read_run
-from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros

@@ -9,6 +9,8 @@ from bo_tuner.backends.function import Function
 from bo_tuner.backends.passed_function import backend_of, workers_of
 from bo_tuner.backends.protocol import opened_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import FRACTION
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
@@ -18,7 +20,6 @@ from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.trials import TUNED, Trial
 from bo_tuner.tuning.driver import Driver
@@ -45,7 +46,7 @@ def certify_trial(
         level = confidence
         if level is None:
             level = study.certificate.confidence
-        level = checks.fraction(level, "confidence")
+        level = FRACTION(level, "confidence")
         if draws is not None:
             checks.integer(draws, "draws")
         attempt = attempt_for(record.path, study, trial.parameters, FUNCTION)

@@ -8,10 +8,10 @@ from pathlib import Path
 from bo_tuner.api.certificates import certify_trial
 from bo_tuner.api.study import Study
 from bo_tuner.backends.function import Function
+from bo_tuner.codec import checks
 from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.given import check_folder, given_values
-from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.trials import Value
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bo_tuner.backends.function import Returned, failed
+from bo_tuner.codec import checks
 from bo_tuner.errors import MetricsError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.storage.record import record_of_study
-from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted

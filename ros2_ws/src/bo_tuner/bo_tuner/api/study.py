@@ -12,8 +12,8 @@ from bo_tuner.api.run import TemporaryFolder
 from bo_tuner.api.tuner import Tuner, opened
 from bo_tuner.backends.function import Function
 from bo_tuner.backends.passed_function import backend_of, workers_of
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study import study as checked
 from bo_tuner.study.function_study import FUNCTION, returned_metrics, with_function
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_yaml

@@ -16,6 +16,7 @@ from bo_tuner.api.run import OpenRun
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.backends.paired import DefaultBeside
 from bo_tuner.backends.protocol import Backend, opened_backend
+from bo_tuner.codec import checks
 from bo_tuner.errors import (
     RunRecordError,
     StudyError,
@@ -26,7 +27,6 @@ from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.plans import Phases, Plan
 from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.study import checks
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.ending_early import check_ends_early
 from bo_tuner.study.function_study import FUNCTION

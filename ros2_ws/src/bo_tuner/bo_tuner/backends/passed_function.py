@@ -7,13 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
+from bo_tuner import maxima
 from bo_tuner.asked_process import LOADING, AskedProcess, NoAnswerError
 from bo_tuner.backends.function import Function, FunctionBackend, failed
 from bo_tuner.backends.protocol import Backend, SequentialBackend
 from bo_tuner.backends.workers.pool import BREAKING_OFF, WorkerPool
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import SECONDS
 from bo_tuner.errors import BackendError, FunctionError, MetricsError, MissingPackageError
 from bo_tuner.processor_load import with_children
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION, returned_metrics
 from bo_tuner.study.named_code import described
 from bo_tuner.study.study import Study
@@ -63,7 +65,7 @@ def backend_of(study: Study, function: Function, workers: int, timeout: float | 
         If the study has metrics that no function returns, or the timeout is no time.
     """
     if timeout is not None:
-        checks.timeout(timeout, "timeout")
+        SECONDS(timeout, "timeout")
     _check_arguments(function)
     if workers == 1 and timeout is None:
         return FunctionBackend(study, function)

@@ -21,8 +21,8 @@ from bo_tuner.api.earlier import EarlierRun
 from bo_tuner.api.result import Result
 from bo_tuner.api.study import Study
 from bo_tuner.api.tuner import Run
+from bo_tuner.codec import checks
 from bo_tuner.errors import RunError, StudyError, UnknownRunError
-from bo_tuner.study import checks
 from bo_tuner.study.function_study import returned_metrics
 from bo_tuner.text import counted
 from bo_tuner.trials import Value

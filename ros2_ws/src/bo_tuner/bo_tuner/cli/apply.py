@@ -24,6 +24,7 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import confirmed, output_was_closed, say_error
 from bo_tuner.cli.write_back import PREVIOUS, write_back
+from bo_tuner.codec import checks
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -52,7 +53,6 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, node_values, sent_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import checks
 from bo_tuner.study.safe_values import named_safe
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
@@ -172,8 +172,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
-            for line in sent_values(record.study, trial.parameters):
-                say(line)
+        given = record.study.search_space().defaults if trial is None else trial.parameters
+        for line in sent_values(record.study, given):
+            say(line)
+        if not new:
+            say("no node has a parameter of this study: nothing to set")
+            return EXIT_OK
         there = in_namespace_of(record, ros_arguments)
         if arguments.write is not None:
             namespace = named_namespace(there)

@@ -8,10 +8,10 @@ from typing import TypeVar
 from rich.table import Table
 
 from bo_tuner.cli.streams import ask, say_error
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
-from bo_tuner.study import checks
 from bo_tuner.terminal import print_table
 from bo_tuner.text import one_line
 

@@ -16,6 +16,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.isolation import in_namespace, named_namespace
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE, early_end
 from bo_tuner.cli.streams import discard_output, say_error
+from bo_tuner.codec import checks
 from bo_tuner.errors import (
     BackendError,
     JournalError,
@@ -30,7 +31,6 @@ from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
-from bo_tuner.study import checks
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from bo_tuner import maxima
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
@@ -42,7 +43,6 @@ from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from bo_tuner import maxima
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli.common import (
     Parser,
@@ -18,6 +19,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.codec import checks
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.models.context_posterior import LEAST_SIMULATED
@@ -34,7 +36,7 @@ from bo_tuner.replay.machine_runs import MachineRuns, machine_runs
 from bo_tuner.report.page import FORMATS, write_figure
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_folder import JOURNAL
-from bo_tuner.study import checks, maxima, strict_yaml
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.narrowing import beyond, narrowed
 from bo_tuner.study.study import Study

@@ -10,10 +10,10 @@ from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.streams import say_error
+from bo_tuner.codec.checks import holds
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
-from bo_tuner.study.checks import holds
 from bo_tuner.study.descriptors import Described, node_problems
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.parts import ROS

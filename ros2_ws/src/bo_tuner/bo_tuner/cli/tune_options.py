@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from bo_tuner import maxima
 from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.notify import add_notify_argument
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
@@ -12,7 +13,6 @@ from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.method_names import DEFAULT_METHOD, SAFE, titles
 from bo_tuner.monitoring.display import Output
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
-from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study_file import shipped_studies
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bo_tuner import maxima
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.cli.certifier import Certifier, UndecidedError
 from bo_tuner.cli.common import (
@@ -55,7 +56,6 @@ from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, REPORT, RunFolder
-from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import from_here, print_line

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from bo_tuner import maxima
 from bo_tuner.backends.ros.isolation import LARGEST_DOMAIN, domain_of_environment, namespace_of
 from bo_tuner.backends.ros.tuner_node import NAMESPACE
 from bo_tuner.backends.workers.limits import problem_of_workers
@@ -12,7 +13,6 @@ from bo_tuner.backends.workers.workers import Bench, Workers
 from bo_tuner.cli.common import Parser, asks_for_running_nodes, whole_number
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.provenance import BENCHES, SCHEDULER, recorded_window, recorded_workers
-from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 
 SCHEDULER_ADDRESS = re.compile(

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import BoTunerError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.parameter_file import NodeValues
-from bo_tuner.study import checks
 from bo_tuner.study.ramping import Ramp
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief

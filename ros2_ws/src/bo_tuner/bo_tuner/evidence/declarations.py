@@ -4,11 +4,12 @@ The study declares scales and ranges of metrics. Every result takes it for grant
 are alike do not depend on when they were made.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from bo_tuner.metrics.collect import NO_LOGARITHM
+from bo_tuner.metrics.equal_runs import uneven_rates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.trends import trend
 from bo_tuner.numerics.two_kinds import gap
@@ -17,7 +18,7 @@ from bo_tuner.study.parts import LOG
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
-from bo_tuner.trials import Evaluation
+from bo_tuner.trials import Evaluation, ParameterSet
 
 CHANCE = 0.01
 """Probability that runs which are alike are said to drift, over all metrics."""
@@ -90,6 +91,22 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
                 if (between := gap(values)) is not None:
                     yield _in_words(study, metric, name, np.array(values), between)
                     break
+
+
+def uneven(evaluations: Iterable[Evaluation]) -> tuple[str, ...]:
+    """Return a sentence for each signal that comes less often in one run of a set than another."""
+    by_set: dict[ParameterSet, list[Evaluation]] = {}
+    for evaluation in evaluations:
+        if evaluation.outcome.complete and evaluation.outcome.notes.rates:
+            by_set.setdefault(evaluation.parameter_set, []).append(evaluation)
+    found: dict[str, str] = {}
+    for runs in by_set.values():
+        outcomes = [e.outcome for e in runs]
+        of_set = uneven_rates(
+            [e.place for e in runs], [o.notes.rates for o in outcomes], [o.load for o in outcomes]
+        )
+        found = of_set | found
+    return tuple(f"Equal runs are not alike: {text}." for text in found.values())
 
 
 def _in_words(study: Study, metric: str, name: str, values: Array, between: float) -> str:

@@ -20,7 +20,7 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
-from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds, uneven
 from bo_tuner.evidence.effects import effects_in_words
 from bo_tuner.evidence.estimates import Source
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
@@ -189,7 +189,8 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
 def _with_load(record: RunRecord, verdict: Verdict) -> Verdict:
     """Return a verdict with what the load of the computer was in the runs on record."""
     computing = computing_times(record.study, record.evaluations)
-    remarks = (*verdict.remarks, *computing_in_words(record.study, computing))
+    of_times = computing_in_words(record.study, computing)
+    remarks = (*verdict.remarks, *of_times, *uneven(record.evaluations))
     high = high_load(record.study, record.evaluations)
     return replace(verdict, high_load=high, remarks=remarks)
 

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 
+from bo_tuner import maxima
+from bo_tuner.codec.checks import holds
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
 from bo_tuner.run_notes import Notes, Unusable
-from bo_tuner.study import maxima, named_code
-from bo_tuner.study.checks import holds
+from bo_tuner.study import named_code
 from bo_tuner.study.metrics import CombinedMetric, RelativeMetric, ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief

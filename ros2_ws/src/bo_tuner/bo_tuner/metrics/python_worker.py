@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.asked_process import serve
+from bo_tuner.codec import checks
 from bo_tuner.metrics.stored_messages import decoded
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, named_code
+from bo_tuner.study import named_code
 
 Passed = tuple[Array, Array | tuple[str, Sequence[bytes]]]
 """Times (n,) [s] and values (n,) of a signal; of whole messages their type and bytes (n)."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 

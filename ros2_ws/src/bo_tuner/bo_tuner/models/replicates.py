@@ -15,8 +15,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bo_tuner import maxima
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import maxima
 
 # Squares of responses must neither overflow nor vanish: beyond these magnitudes a number is a
 # mistake (often a crash that was turned into a huge cost), not a measurement.

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bo_tuner.backends.protocol import Backend
+from bo_tuner.codec import checks
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study import checks
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import (

@@ -17,9 +17,7 @@ from bo_tuner.evidence.verdict import State
 from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
-from bo_tuner.figures.plotly_renderer import figure_data
-from bo_tuner.figures.svg_renderer import panel_svg
-from bo_tuner.report import library
+from bo_tuner.figures.svg_renderer import hover_texts, panels_svg, symbols
 from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Chapter, Section, WhatIf
 from bo_tuner.report.live import latest_trials, limit_panels, objective_panel
@@ -43,11 +41,10 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import printable
 from bo_tuner.trials import Trial
 
-PICTURE_WIDTH, LEAST_PICTURE_WIDTH = 1080, 340
-"""Width of the pictures of a row of panels, and of one at least [px]."""
-
-SCRIPTS = ("library.js", "report.js", "tables.js", "trials.js", "what_if.js")
-"""Of all pages."""
+OF_LISTS = ("tables.js",)
+"""Scripts of a page without figures."""
+OF_REPORTS = ("figures.js", "copy.js", *OF_LISTS, "trials.js", "what_if.js")
+"""Scripts of a page with figures."""
 
 FORMATS = ("png", "svg")
 """Kinds of image files of a figure."""
@@ -143,14 +140,11 @@ def trial_html(
     trial: Trial,
     parts: Sequence[Section],
     template: str = "trial.html",
-    *,
-    served: bool = False,
     **more: Any,
 ) -> str:
     """Return the HTML of the page of a trial; a `template` that extends it may need more."""
     return fill(
         template,
-        served=served,
         study=analysis.study,
         number=trial.number,
         sections=parts,
@@ -244,8 +238,6 @@ def render(
     parts: Sequence[Chapter],
     run: str | None = os.curdir,
     template: str = "report.html",
-    *,
-    served: bool = False,
     **more: Any,
 ) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any.
@@ -255,7 +247,6 @@ def render(
     content = answer(analysis)
     return fill(
         template,
-        served=served,
         sections=[],
         chapters=parts,
         study=analysis.study,
@@ -266,9 +257,7 @@ def render(
     )
 
 
-def fill(
-    template: str, scripts: Sequence[str] = (), *, served: bool = False, **content: object
-) -> str:
+def fill(template: str, scripts: Sequence[str] = OF_REPORTS, **content: object) -> str:
     """Fill a template that extends the base of all pages.
 
     Parameters
@@ -276,16 +265,12 @@ def fill(
     template
         Its name.
     scripts
-        Names of further scripts.
-    served
-        Whether the page is on the server, which has the library for figures at an address; a file
-        has it within itself.
+        Names of its scripts.
     **content
         What the template needs.
     """
-    texts = [_template(name) for name in (*SCRIPTS, *scripts)]
+    texts = [_template(name) for name in scripts]
     allowed = [f"'sha256-{_digest(text)}'" for text in texts]
-    allowed.append("'self'" if served else f"'sha256-{_digest(library.text())}'")
     return (
         _environment()
         .get_template(template)
@@ -295,8 +280,7 @@ def fill(
             light=LIGHT,
             dark=DARK,
             scripts=texts,
-            library="" if served else library.embedded(),
-            library_address=library.address() if served else "",
+            symbols=symbols(),
             policy=" ".join(allowed),
         )
     )
@@ -314,16 +298,10 @@ def _environment() -> Environment:
     )
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
-    environment.filters["figure_data"] = figure_data
-    environment.filters["pictures"] = _pictures
+    environment.filters["hover_texts"] = hover_texts
+    environment.filters["pictures"] = panels_svg
     environment.filters["what_if_data"] = _forecasts
     return environment
-
-
-def _pictures(figure: Figure, width: int | None = None) -> list[str]:
-    """Return each panel of a figure as a picture, of a width [px] or that of its place in a row."""
-    width = width or max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
-    return [panel_svg(panel, width, figure.panel_height) for panel in figure.panels]
 
 
 def _forecasts(what_if: WhatIf) -> dict[str, object]:

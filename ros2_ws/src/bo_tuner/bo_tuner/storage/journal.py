@@ -15,13 +15,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Self
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import JournalError
 from bo_tuner.plans import Event
 from bo_tuner.storage.atomic import synchronize, temporary_path
 from bo_tuner.storage.rows import notes_text
 from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.storage.typed_json import to_json
-from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
 SCHEMA_VERSION = 9

@@ -11,6 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from bo_tuner import maxima
 from bo_tuner.errors import JournalError
 from bo_tuner.plans import Event
 from bo_tuner.storage import rows
@@ -23,7 +24,6 @@ from bo_tuner.storage.journal import (
     harden,
 )
 from bo_tuner.storage.provenance import recorded_window
-from bo_tuner.study import maxima
 from bo_tuner.text import one_line
 from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place
 

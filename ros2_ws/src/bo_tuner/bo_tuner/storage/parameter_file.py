@@ -4,9 +4,11 @@ from collections.abc import Iterable, Mapping
 
 import yaml
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import read
+from bo_tuner.codec.rules import RosValues
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.ros_reader import SECTION, read_sections
-from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.step_values import senders
 from bo_tuner.study.study import Study
@@ -43,7 +45,8 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
 def sent_values(study: Study, parameters: Mapping[str, Value]) -> list[str]:
     """Say in a line each where the values of a set stand that no node has."""
     return [
-        f"{name} = {value}: sent by {' and '.join(senders(study.run, name))}; put it there"
+        f"{name} = {value}: stands in {' and '.join(senders(study.run, study.nodes, name))}; put "
+        "it there"
         for name, value in parameters.items()
         if not study.parameters[name].node
     ]
@@ -84,7 +87,7 @@ def from_yaml(text: str) -> dict[str, dict[str, object]]:
                 )
             # A study cannot set an array without an item, but a node may have had one.
             given = section.values
-            checks.parameter_values({k: v for k, v in given.items() if v != []}, node)
+            read(RosValues, {node: {k: v for k, v in given.items() if v != []}})
             values[node] = dict(given)
     except StudyError as error:
         place = "" if error.line is None else f"line {error.line}: "

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.storage.ros_reader import is_parameter_file, read_sections
 from bo_tuner.storage.ros_sections import Section, full_names, sources
-from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import read_text
 from bo_tuner.trials import Value

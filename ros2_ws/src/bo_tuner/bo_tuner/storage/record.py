@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.method_names import DEFAULT_METHOD, titles
 from bo_tuner.plans import Event, finished_after
@@ -25,7 +26,7 @@ from bo_tuner.storage.provenance import (
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, SIMULATION, STUDY, SUMMARY
-from bo_tuner.study import checks, study_file
+from bo_tuner.study import study_file
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study

@@ -13,10 +13,10 @@ from typing import Any
 
 import yaml
 
+from bo_tuner.codec.checks import quoted
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.ros_sections import Scalar, Section, Setting, WrittenValue
 from bo_tuner.storage.ros_values import read_value
-from bo_tuner.study.checks import quoted
 from bo_tuner.text import one_line
 
 SECTION = "ros__parameters"

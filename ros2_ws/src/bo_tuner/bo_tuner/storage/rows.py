@@ -7,13 +7,14 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 from bo_tuner.errors import ParameterError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes
 from bo_tuner.storage.typed_json import from_json, to_json
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Context,

@@ -4,8 +4,8 @@ import os
 import stat
 from pathlib import Path
 
+from bo_tuner import maxima
 from bo_tuner.errors import RunRecordError
-from bo_tuner.study import maxima
 from bo_tuner.trials import TUNING, Evaluation, Stage
 
 LOGS = "log"

@@ -11,8 +11,8 @@ import types
 from enum import StrEnum
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from bo_tuner.codec import checks
 from bo_tuner.storage.json_numbers import without_nan
-from bo_tuner.study import checks
 
 T = TypeVar("T")
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.nodes import PARAMETER_FILE, NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable, SeedParameter

@@ -1,24 +1,16 @@
 """What a run may take: its trials and evaluations, and the draws of its certificate."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
-from bo_tuner.study import checks, maxima
-
-MOST = {
-    "trials": maxima.TRIALS,
-    "initial_trials": maxima.TRIALS,
-    "drawn_contexts": maxima.EVALUATIONS,
-    "search_evaluations": maxima.EVALUATIONS,
-    "validation_draws": maxima.DRAWS,
-    "evaluations": maxima.TRIALS * maxima.EVALUATIONS,
-    "workers": maxima.WORKERS,
-}
+from bo_tuner import maxima
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import FRACTION, Whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class CertificateRequirement:
+class CertificateRequirement(Section):
     """What a certificate must have for `apply`, at least.
 
     Attributes
@@ -34,18 +26,13 @@ class CertificateRequirement:
         limit on a mean then needs a metric with a `range`.
     """
 
-    draws: int = 1000
-    confidence: float = 0.95
+    draws: Annotated[int, Whole(2, maxima.DRAWS)] = 1000
+    confidence: Annotated[float, FRACTION] = 0.95
     distribution_free: bool = False
-
-    def __post_init__(self) -> None:
-        checks.integer(self.draws, "draws", at_least=2, at_most=maxima.DRAWS)
-        object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
-        checks.boolean(self.distribution_free, "distribution_free")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Budget:
+class Budget(Section):
     """Number of trials and evaluations.
 
     Attributes
@@ -72,13 +59,13 @@ class Budget:
         grows.
     """
 
-    trials: int
-    initial_trials: int
-    drawn_contexts: int | None = None
-    search_evaluations: int | None = None
-    validation_draws: int = 25
-    evaluations: int | None = None
-    workers: int | None = None
+    trials: Annotated[int, Whole(1, maxima.TRIALS)]
+    initial_trials: Annotated[int, Whole(1, maxima.TRIALS)]
+    drawn_contexts: Annotated[int, Whole(1, maxima.EVALUATIONS)] | None = None
+    search_evaluations: Annotated[int, Whole(0, maxima.EVALUATIONS)] | None = None
+    validation_draws: Annotated[int, Whole(1, maxima.DRAWS)] = 25
+    evaluations: Annotated[int, Whole(1, maxima.TRIALS * maxima.EVALUATIONS)] | None = None
+    workers: Annotated[int, Whole(1, maxima.WORKERS)] | None = None
     cut_short: bool = False
 
     def remaining(self, trials: int, evaluations: int) -> int:
@@ -112,13 +99,5 @@ class Budget:
         return self.remaining(trials, evaluations) == 0
 
     def __post_init__(self) -> None:
-        checks.boolean(self.cut_short, "cut_short")
-        for item in dataclasses.fields(self):
-            if item.name not in MOST:
-                continue
-            if item.default is None and getattr(self, item.name) is None:
-                continue
-            lowest = 0 if item.name == "search_evaluations" else 1
-            most = MOST[item.name]
-            checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)
+        super().__post_init__()
         object.__setattr__(self, "initial_trials", min(self.initial_trials, self.trials))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 

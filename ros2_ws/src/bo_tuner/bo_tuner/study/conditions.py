@@ -12,10 +12,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.signals import named_expression
 from bo_tuner.trials import Value

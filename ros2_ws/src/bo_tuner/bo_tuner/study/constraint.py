@@ -3,11 +3,12 @@
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 from scipy.special import ndtri
 
+from bo_tuner.codec.rules import OneOf
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.limit_kinds.base import LimitKind
 from bo_tuner.study.limit_kinds.limited import Limited
 from bo_tuner.study.limit_kinds.registry import KINDS
@@ -43,23 +44,15 @@ class Constraint(Limited):
         it, in every context the mean over noise keeps the limit (Eq. 3e).
     """
 
+    kind: Annotated[str, OneOf(KINDS)]
+
     def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        checks.choice(self.kind, [*KINDS], "kind")
-        checks.text(self.metric, "metric")
+        super().__post_init__()
         if self.upper is None and self.lower is None:
             raise StudyError("missing; expected upper, lower or both", ("upper",))
-        if self.upper is not None:
-            object.__setattr__(self, "upper", checks.magnitude(self.upper, "upper"))
-        if self.lower is not None:
-            object.__setattr__(self, "lower", checks.magnitude(self.lower, "lower"))
-            if self.upper is not None and not self.lower < self.upper:
-                raise StudyError(
-                    f"expected less than upper, {self.upper:g}, found {self.lower:g}", ("lower",)
-                )
-        if self.probability is not None:
-            object.__setattr__(
-                self, "probability", checks.fraction(self.probability, "probability")
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise StudyError(
+                f"expected less than upper, {self.upper:g}, found {self.lower:g}", ("lower",)
             )
         self.rule.check()
 

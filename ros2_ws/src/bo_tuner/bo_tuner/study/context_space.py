@@ -12,10 +12,10 @@ from math import prod, sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
-from bo_tuner.study import checks
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.text import shown
 from bo_tuner.trials import Context, Value

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.parameter import Parameter, array_and_item
 from bo_tuner.study.steps import SetParameter
 from bo_tuner.study.study import Study

@@ -7,22 +7,25 @@ class; its fields are the keys of the study file.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betaincinv
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import FRACTION, POSITIVE, Expected
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, maxima
 from bo_tuner.trials import Value
 
 # Placeholder for a nominal value that was not given; `__post_init__` replaces it.
 _DEFAULT: Any = None
 
 
-class Distribution(ABC):
+class Distribution(Section, ABC):
     """A distribution with bounded support.
 
     Attributes
@@ -100,9 +103,13 @@ class Distribution(ABC):
         return np.clip(np.asarray(values, dtype=np.float64), self.lower, self.upper)
 
 
-def _positive(value: object, *path: str) -> float:
-    """Return `value` as a float if it is a number above zero that can be computed with."""
-    return checks.positive(checks.magnitude(value, *path), *path)
+Number = Annotated[float, checks.magnitude]
+Positive = Annotated[float, checks.magnitude, POSITIVE]
+
+
+def _with_room(ends: tuple[float, float]) -> tuple[float, float]:
+    checks.check_width(*ends, instead="a context needs room to vary")
+    return ends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,8 +122,8 @@ class _Continuous(Distribution):
         Smallest and largest value.
     """
 
-    bounds: tuple[float, float]
-    nominal: float = _DEFAULT
+    bounds: Annotated[tuple[Number, Number], Expected("bounds [lower, upper]"), _with_room]
+    nominal: Number = _DEFAULT
 
     @property
     def lower(self) -> float:
@@ -133,15 +140,12 @@ class _Continuous(Distribution):
         """Length of the support."""
         return self.upper - self.lower
 
-    def _check_bounds(self) -> None:
-        bounds = checks.bounds(self.bounds, "bounds", instead="a context needs room to vary")
-        object.__setattr__(self, "bounds", bounds)
-
     def _finish(self, default_nominal: float) -> None:
         if self.nominal is None:
             nominal = float(np.clip(default_nominal, self.lower, self.upper))
         else:
-            nominal = self._inside(self.nominal, "nominal")
+            nominal = self.nominal
+            self._check_inside(nominal, "nominal")
         object.__setattr__(self, "nominal", nominal)
         with np.errstate(all="ignore"):
             quantiles = self._quantile(np.array([0.0, 0.1, 0.5, 0.9, 1.0]))
@@ -149,13 +153,11 @@ class _Continuous(Distribution):
         if not np.all((quantiles >= self.lower - slack) & (quantiles <= self.upper + slack)):
             raise StudyError(f"this {self.kind} is too extreme to compute its quantiles")
 
-    def _inside(self, value: object, key: str) -> float:
-        checked = checks.magnitude(value, key)
-        if not self.lower <= checked <= self.upper:
+    def _check_inside(self, value: float, key: str) -> None:
+        if not self.lower <= value <= self.upper:
             raise StudyError(
-                f"{checked} lies outside the bounds [{self.lower}, {self.upper}]", (key,)
+                f"{value} lies outside the bounds [{self.lower}, {self.upper}]", (key,)
             )
-        return checked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,16 +175,11 @@ class TruncatedNormal(_Continuous):
     """
 
     kind: ClassVar[str] = "truncated_normal"
-    mean: float
-    standard_deviation: float
+    mean: Number
+    standard_deviation: Positive
 
     def __post_init__(self) -> None:
-        self._check_bounds()
-        object.__setattr__(self, "mean", checks.magnitude(self.mean, "mean"))
-        deviation = checks.positive(
-            checks.magnitude(self.standard_deviation, "standard_deviation"), "standard_deviation"
-        )
-        object.__setattr__(self, "standard_deviation", deviation)
+        super().__post_init__()
         self._finish(self.mean)
 
     def _quantile(self, probability: Array) -> Array:
@@ -207,7 +204,7 @@ class Uniform(_Continuous):
     kind: ClassVar[str] = "uniform"
 
     def __post_init__(self) -> None:
-        self._check_bounds()
+        super().__post_init__()
         self._finish(self.lower + 0.5 * self.width)
 
     def integers(self, probability: ArrayLike) -> Array:
@@ -234,13 +231,11 @@ class Beta(_Continuous):
     """
 
     kind: ClassVar[str] = "beta"
-    a: float
-    b: float
+    a: Positive
+    b: Positive
 
     def __post_init__(self) -> None:
-        self._check_bounds()
-        object.__setattr__(self, "a", _positive(self.a, "a"))
-        object.__setattr__(self, "b", _positive(self.b, "b"))
+        super().__post_init__()
         # Written so that no overflow of a + b or b / a of extreme shapes raises an error.
         with np.errstate(all="ignore"):
             mean = 1.0 / (1.0 + np.float64(self.b) / np.float64(self.a))
@@ -261,11 +256,11 @@ class Triangular(_Continuous):
     """
 
     kind: ClassVar[str] = "triangular"
-    mode: float
+    mode: Number
 
     def __post_init__(self) -> None:
-        self._check_bounds()
-        object.__setattr__(self, "mode", self._inside(self.mode, "mode"))
+        super().__post_init__()
+        self._check_inside(self.mode, "mode")
         self._finish(self.mode)
 
     def _quantile(self, probability: Array) -> Array:
@@ -273,6 +268,29 @@ class Triangular(_Continuous):
         rising = np.sqrt(peak * probability)
         falling = 1.0 - np.sqrt((1.0 - peak) * (1.0 - probability))
         return cast(Array, np.where(probability < peak, rising, falling) * self.width + self.lower)
+
+
+def _different(items: tuple[Value, ...]) -> tuple[Value, ...]:
+    """Return the values of a discrete variable: floats that increase, or different labels."""
+    if len(items) < 2:
+        raise StudyError(f"expected at least two values, found {len(items)}")
+    for kind in (bool, str):
+        labels = [item for item in items if isinstance(item, kind)]
+        if not labels:
+            continue
+        if len(labels) < len(items):
+            raise StudyError("expected values of one type")
+        if len(set(labels)) < len(labels):
+            raise StudyError("expected different values")
+        checks.at_most(labels, maxima.CHOICES)
+        return tuple(labels)
+    values = tuple(checks.magnitude(item, index) for index, item in enumerate(items))
+    if any(left >= right for left, right in pairwise(values)):
+        raise StudyError("expected strictly increasing values")
+    return values
+
+
+Values = Annotated[tuple[Value, ...], Expected("a list of values"), _different]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,27 +308,21 @@ class Discrete(Distribution):
     """
 
     kind: ClassVar[str] = "discrete"
-    values: tuple[Value, ...]
-    probabilities: tuple[float, ...] = ()
+    values: Values
+    probabilities: Annotated[tuple[Number, ...], Expected("a list of numbers")] = ()
     nominal: Value = _DEFAULT
 
     def __post_init__(self) -> None:
-        values = _values(self.values)
-        probabilities = tuple(
-            checks.magnitude(item, "probabilities", index)
-            for index, item in enumerate(
-                checks.sequence(self.probabilities, "a list of numbers", "probabilities")
-            )
-        )
-        if not probabilities:
-            probabilities = (1.0 / len(values),) * len(values)
+        super().__post_init__()
+        values = self.values
+        probabilities = self.probabilities or (1.0 / len(values),) * len(values)
         if len(probabilities) != len(values):
             raise StudyError(
                 f"expected one for each of the {len(values)} values, found {len(probabilities)}",
                 ("probabilities",),
             )
         for index, probability in enumerate(probabilities):
-            checks.fraction(probability, "probabilities", index)
+            FRACTION(probability, "probabilities", index)
         if abs(sum(probabilities) - 1.0) > 1e-9:
             raise StudyError(f"expected a sum of 1, found {sum(probabilities)}", ("probabilities",))
         nominal = values[int(np.argmax(probabilities))]
@@ -320,7 +332,6 @@ class Discrete(Distribution):
                 nominal = checks.magnitude(nominal, "nominal")
             if not any(checks.same_value(nominal, value) for value in values):
                 raise StudyError(f"{nominal} is none of the values", ("nominal",))
-        object.__setattr__(self, "values", values)
         object.__setattr__(self, "probabilities", probabilities)
         object.__setattr__(self, "nominal", nominal)
 
@@ -356,28 +367,6 @@ class Discrete(Distribution):
         support = self.support
         middles = support[:-1] + 0.5 * np.diff(support)
         return support[np.searchsorted(middles, np.asarray(values, dtype=np.float64))]
-
-
-def _values(given: object) -> tuple[Value, ...]:
-    """Return the values of a discrete variable: floats that increase, or different labels."""
-    items = checks.sequence(given, "a list of values", "values")
-    if len(items) < 2:
-        raise StudyError(f"expected at least two values, found {len(items)}", ("values",))
-    for kind in (bool, str):
-        labels = [item for item in items if isinstance(item, kind)]
-        if not labels:
-            continue
-        if len(labels) < len(items):
-            raise StudyError("expected values of one type", ("values",))
-        if len(set(labels)) < len(labels):
-            raise StudyError("expected different values", ("values",))
-        checks.at_most(labels, maxima.CHOICES, "values")
-        return tuple(labels)
-    values = tuple(checks.magnitude(item, "values", index) for index, item in enumerate(items))
-    if any(left >= right for left, right in pairwise(values)):
-        raise StudyError("expected strictly increasing values", ("values",))
-    checks.check_width(values[0], values[-1], "values", instead="a context needs to vary")
-    return values
 
 
 DISTRIBUTIONS: dict[str, type[Distribution]] = {

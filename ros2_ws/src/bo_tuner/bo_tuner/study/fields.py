@@ -15,9 +15,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.reductions import ANGLES, FILTERS, REDUCTIONS
-from bo_tuner.study import checks
 
 LEN = "len"
 """Function that counts the items of an array."""

@@ -10,8 +10,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.first_run import known, run_lines
 from bo_tuner.study.offers import CHECK, ParameterOffer, context_offers, is_seed, parameter_offers
 from bo_tuner.study.parameter import array_and_item, study_name

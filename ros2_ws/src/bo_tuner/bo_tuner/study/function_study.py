@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.metrics import COMPUTED, ReportedMetric, metric_kind
 from bo_tuner.study.study import Study
 

@@ -1,10 +1,11 @@
 """Whether and how a guard watches over the nodes of a study."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import build
+from bo_tuner import maxima
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import Alone, Within
 
 TIMEOUT = 0.5
 """Time [s] without a heartbeat after which a guard acts, unless heartbeats come late."""
@@ -13,7 +14,7 @@ LEAST_TIMEOUT = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guarding:
+class Guarding(Section):
     """A guard leaves the nodes safe if the tuner dies, hangs or misses the abort condition.
 
     ``guard: true`` alone says as much as ``guard: {always: true}``.
@@ -28,30 +29,8 @@ class Guarding:
     """
 
     always: bool = False
-    timeout: float | None = None
+    timeout: Annotated[float, Within(least=LEAST_TIMEOUT, most=maxima.TIMEOUT, unit="s")] | None = (
+        None
+    )
 
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.boolean(self.always, "always")
-        if self.timeout is None:
-            return
-        timeout = checks.timeout(self.timeout, "timeout")
-        if timeout < LEAST_TIMEOUT:
-            raise StudyError(
-                f"expected at least {LEAST_TIMEOUT:g} s, found {timeout:g}", ("timeout",)
-            )
-        object.__setattr__(self, "timeout", timeout)
-
-
-def build_guarding(value: object) -> Guarding:
-    """Return what a section of a study file says of the guard.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    if isinstance(value, bool):
-        return Guarding(always=value)
-    guarding: Guarding = build(Guarding, value)
-    return guarding
+    alone = Alone(bool, lambda always: {"always": always}, "true, false, or a mapping of the guard")

@@ -2,12 +2,14 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import Expected
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import COMPUTED, RelativeMetric, StudyMetric
 from bo_tuner.study.parts import Objective
@@ -15,17 +17,14 @@ from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation
 
 
-def measured_names(value: object) -> tuple[str, ...]:
-    """Return the names of measured contexts in a study, each once."""
-    expected = "a list of metrics"
-    names = [
-        checks.text(item, "measured", index)
-        for index, item in enumerate(checks.sequence(value, expected, "measured"))
-    ]
+def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     for index, name in enumerate(names):
         if name in names[:index]:
-            raise StudyError(f"'{name}' is there twice", ("measured", index))
-    return tuple(names)
+            raise StudyError(f"'{name}' is there twice", (index,))
+    return names
+
+
+Measured = Annotated[tuple[str, ...], Expected("a list of metrics"), _each_once]
 
 
 def check_measured(

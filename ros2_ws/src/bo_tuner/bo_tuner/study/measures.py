@@ -2,9 +2,10 @@
 
 from typing import Any
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import POSITIVE
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
-from bo_tuner.study import checks
 
 OPTIONS = ("target", "percent", "band")
 
@@ -32,4 +33,4 @@ def check_measure(metric: Any) -> None:
     if percent is not None and not 0.0 <= percent <= 100.0:
         raise StudyError(f"expected 0 to 100, found {percent:g}", ("percent",))
     if getattr(metric, "band", None) is not None:
-        checks.positive(metric.band, "band")
+        POSITIVE(metric.band, "band")

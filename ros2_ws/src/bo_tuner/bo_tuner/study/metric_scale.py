@@ -4,11 +4,8 @@ from collections.abc import Iterable, Mapping
 from typing import Protocol
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.parts import LINEAR, LOG
-
-SCALES = (LINEAR, LOG)
+from bo_tuner.study.parts import LOG
 
 
 class HasScale(Protocol):
@@ -16,12 +13,7 @@ class HasScale(Protocol):
 
     @property
     def scale(self) -> str:
-        """One of `SCALES`."""
-
-
-def check_scale(metric: HasScale) -> None:
-    """Refuse a scale that is none of `SCALES`."""
-    checks.choice(metric.scale, SCALES, "scale")
+        """`linear` or `log`."""
 
 
 def check_limits(metric: HasScale, constraint: Constraint) -> None:

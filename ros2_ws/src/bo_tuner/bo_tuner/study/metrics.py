@@ -7,20 +7,19 @@ value.
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import POSITIVE, SECONDS, Chosen, Matching
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
-from bo_tuner.study.metric_scale import check_scale
+from bo_tuner.study.metric_keys import MetricKeys, ScaledMetricKeys
 from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.path_metric import PathMetric
-from bo_tuner.study.ranges import check_range
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
-from bo_tuner.study.titles import Titled, check_label
 
 
 class Metric(Protocol):
@@ -56,55 +55,31 @@ class Metric(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportedMetric(Titled):
+class ReportedMetric(ScaledMetricKeys):
     """A number that a node reports after an evaluation.
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     node : str
         Node of the study.
     key : str
         Key of the number in what the node reports; the metric's name unless given.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
-    unit : str
-        Unit, for display only.
     reproducible : bool
         Whether a repeated evaluation gives the same number. One that depends on measured time
         differs over ROS, and `replay` does not judge it.
-    scale : str
-        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
-        varies in proportion.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     grows : bool
         Whether it only grows during a run, as a maximum so far or a sum of what is never negative,
         and the object can end a run early by it; for `cut_short`.
     """
 
-    name: str
     node: str
     key: str = ""
-    label: str = ""
-    unit: str = ""
-    scale: str = LINEAR
     reproducible: bool = True
-    range: tuple[float, float] | None = None
     grows: bool = False
 
     def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        checks.text(self.node, "node")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        check_scale(self)
-        checks.boolean(self.reproducible, "reproducible")
-        checks.boolean(self.grows, "grows")
-        if not checks.text(self.key, "key"):
+        super().__post_init__()
+        if not self.key:
             object.__setattr__(self, "key", self.name)
 
     @property
@@ -114,22 +89,16 @@ class ReportedMetric(Titled):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SignalMetric(Titled):
+class SignalMetric(ScaledMetricKeys):
     """A number that is computed from the signals of a run.
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     of : str
         A signal, or an expression of several.
     measure : str
         What is computed from it, such as `iae`, `max` or `overshoot`; docs/interfaces.md lists
         all.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
-    unit : str
-        Unit, for display only.
     target : float or str, optional
         Where a step should end: a number, or an expression, whose value at the end counts.
     percent : float, optional
@@ -137,24 +106,13 @@ class SignalMetric(Titled):
     band : float, optional
         Distance from `target` within which `settling_time` takes the step as settled, as a share of
         the step; 0.02 unless given.
-    scale : str
-        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
-        varies in proportion.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     """
 
-    name: str
     of: str
     measure: str
-    label: str = ""
-    unit: str = ""
-    scale: str = LINEAR
     target: float | str | None = None
     percent: float | None = None
     band: float | None = None
-    range: tuple[float, float] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -162,12 +120,7 @@ class SignalMetric(Titled):
     measures_time = False
 
     def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        checks.text(self.of, "of")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        check_scale(self)
+        super().__post_init__()
         check_measure(self)
 
     def check_signals(self, signals: Iterable[str]) -> None:
@@ -197,99 +150,47 @@ class SignalMetric(Titled):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PythonMetric(Titled):
+class PythonMetric(ScaledMetricKeys):
     """A number that a function of the user computes from the signals of a run.
 
     It runs in a process of its own, which an interruption ends at once.
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     python : str
         `module:function`, in a module beside the study file, or one that Python finds anyway.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
-    unit : str
-        Unit, for display only.
     timeout : float, optional
         Longest time [s] that the function may take; an evaluation in which it takes longer fails.
-    scale : str
-        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
-        varies in proportion.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     """
 
-    name: str
-    python: str
-    label: str = ""
-    unit: str = ""
-    scale: str = LINEAR
-    timeout: float | None = None
-    range: tuple[float, float] | None = None
+    python: Annotated[str, Matching(checks.OBJECT_PATH, "module:function such as my_metrics:jerk")]
+    timeout: Annotated[float, SECONDS] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
 
     measures_time = False
 
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        checks.matching(
-            self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
-        )
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        check_scale(self)
-        if self.timeout is not None:
-            object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-
 
 @dataclass(frozen=True, kw_only=True)
-class CombinedMetric(Titled):
+class CombinedMetric(ScaledMetricKeys):
     """A number that is computed from other metrics of the same evaluation.
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     expression : str
         Of the names of other metrics, as `error + 0.01 * effort`. Each counts as the number that
         it is in its own unit; a weight is one unit for another.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only. Unless given, that of the metrics, if all have the same and the
         expression keeps it, as a sum does.
-    scale : str
-        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
-        varies in proportion.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     """
 
-    name: str
     expression: str
-    label: str = ""
-    unit: str = ""
-    scale: str = LINEAR
-    range: tuple[float, float] | None = None
 
     _of: ClassVar[Expression]
     parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
     """The metrics that it is computed from; there as soon as it is `joined` to a study."""
-
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        checks.text(self.expression, "expression")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        check_scale(self)
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
         """Return it with references to the metrics of a study that it is computed from.
@@ -324,7 +225,7 @@ class CombinedMetric(Titled):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelativeMetric(Titled):
+class RelativeMetric(MetricKeys):
     """A metric minus a multiple of its value for the default in the same draw.
 
     The default is run ahead of each evaluation, in the same context and with the same seed. A limit
@@ -332,42 +233,22 @@ class RelativeMetric(Titled):
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     relative : str
         The other metric.
     factor : float
         Multiple of the default's value that is subtracted; above 0.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
     unit : str
         Unit, for display only; that of the other metric unless given.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     """
 
-    name: str
     relative: str
-    factor: float = 1.0
-    label: str = ""
-    unit: str = ""
-    range: tuple[float, float] | None = None
+    factor: Annotated[float, checks.magnitude, POSITIVE] = 1.0
 
     scale = LINEAR
     """A difference can be negative, and so has no logarithm."""
 
     parts: "ClassVar[tuple[StudyMetric, ...]]" = ()
     """The other metric; there as soon as it is `joined` to a study."""
-
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        checks.text(self.relative, "relative")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        object.__setattr__(self, "factor", checks.magnitude(self.factor, "factor"))
-        checks.positive(self.factor, "factor")
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "RelativeMetric":
         """Return it with a reference to the other metric, among those of a study.
@@ -465,3 +346,7 @@ def metric_kind(fields: object) -> type[StudyMetric]:
     if "relative" in keys:
         return RelativeMetric
     return PythonMetric if "python" in keys else ReportedMetric
+
+
+MetricOfStudy = Annotated[StudyMetric, Chosen(metric_kind)]
+"""A metric of the kind that its keys mean."""

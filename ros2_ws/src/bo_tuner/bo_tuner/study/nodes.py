@@ -2,31 +2,49 @@
 
 import re
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from typing import Annotated
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import under
-from bo_tuner.study.steps import Step, build_steps
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import KEY, SECONDS, AtMost, Expected, Matching, OneOf, RosValues
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.braces import Values, filled_text, names_in
+from bo_tuner.study.steps import Step
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-PARAMETER_FILE = "{parameter_file}"
+FILE_NAME, WORKER_NAME = "parameter_file", "worker"
+PARAMETER_FILE = f"{{{FILE_NAME}}}"
 """Stands in `command` and `launch` for the file with the values that a node starts with."""
-WORKER = "{worker}"
+WORKER = f"{{{WORKER_NAME}}}"
 """Stands in `command`, `launch` and `env` for the number of the worker that starts it, from 1."""
 CONTROLLER_MANAGER = "controller_manager"
 """Configures the controllers of ros2_control, which have no lifecycle services of their own."""
 FAILURE, IGNORE = "failure", "ignore"
 DEATHS = (FAILURE, IGNORE)
 """What the end of a node in a run can mean."""
+NAMES = "true, or the names of parameters of the study"
+WAYS = f"true, {CONTROLLER_MANAGER}, or a list of steps that are calls or lifecycle"
+"""Of reconfiguring a node."""
+PATTERNS = "a list of names or patterns such as STAT_*"
+PACKAGE = Matching(re.compile(r"[a-z][a-z0-9_-]*"), "the name of a ROS package")
+EXECUTABLE = Matching(re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*"), "the name of an executable")
+OBJECT = Matching(checks.OBJECT_PATH, "module:name such as axis.simulation:Axis")
 USE_SIM_TIME = "use_sim_time"
 """Parameter of every node: whether its clock is that of a simulation."""
 
 
+def _pattern(value: object) -> str:
+    if not checks.text(value):
+        raise StudyError(f"expected {PATTERNS}")
+    return str(value)
+
+
 @dataclass(frozen=True, kw_only=True)
-class NodeSpec:
+class NodeSpec(Section):
     """A node that takes parameters or reports metrics.
 
     Attributes
@@ -43,11 +61,12 @@ class NodeSpec:
     executable : str, optional
         Executable to start. A node that does not run already needs this, `command` or `launch`.
     command : str, optional
-        Program to start, with its arguments, quoted like those of a shell; no shell runs it.
+        Program to start, with its arguments, quoted like those of a shell; no shell runs it. Names
+        of parameters and contexts in braces stand for their values; it starts anew with others.
     launch : str, optional
-        Arguments of ``ros2 launch`` to start.
+        Arguments of ``ros2 launch`` to start, as `command` with names in braces: `kp:={kp}`.
     env : mapping from str to str
-        Environment variables of what is started.
+        Environment variables of what is started, with names in braces as well.
     at_start : bool or tuple of str
         Whether the node takes what the study sets on it only while it starts, or names of what it
         takes so: it starts anew with other values.
@@ -77,77 +96,63 @@ class NodeSpec:
         neither held nor compared.
     """
 
-    name: str
-    node: str
-    result: str = ""
-    package: str | None = None
-    executable: str | None = None
+    name: Annotated[str, KEY, Matching(checks.SIMPLE_NAME, "a name of letters, digits, _ and -")]
+    node: Annotated[str, checks.node_name]
+    result: Annotated[str, Matching(checks.TOPIC_NAME, "a topic name such as ~/cut_result")] = ""
+    package: Annotated[str, PACKAGE] | None = None
+    executable: Annotated[str, EXECUTABLE] | None = None
     command: str | None = None
     launch: str | None = None
-    env: Mapping[str, str] = field(default_factory=dict)
-    at_start: bool | tuple[str, ...] = False
+    env: Annotated[Mapping[str, str], Expected("texts by name")] = field(default_factory=dict)
+    at_start: Annotated[bool | tuple[str, ...], Expected(NAMES)] = False
     parameter_file: str = ""
-    reconfigure: bool | str | tuple[Step, ...] = False
-    object: str | None = None
-    parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-    inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-    death: str = FAILURE
-    start_timeout: float = 20.0
-    unwatched: tuple[str, ...] = ()
+    reconfigure: Annotated[bool | str | tuple[Step, ...], Expected(WAYS)] = False
+    object: Annotated[str, OBJECT] | None = None
+    parameters: RosValues = field(default_factory=dict)
+    inprocess_parameters: RosValues = field(default_factory=dict)
+    death: Annotated[str, OneOf(DEATHS)] = FAILURE
+    start_timeout: Annotated[float, SECONDS] = 20.0
+    unwatched: Annotated[
+        tuple[Annotated[str, _pattern], ...], Expected(PATTERNS), AtMost(maxima.CONSTANTS)
+    ] = ()
 
     def __post_init__(self) -> None:
-        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
-        checks.node_name(self.node, "node")
-        if self.result != "":
-            checks.matching(
-                self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
-            )
-        for key, pattern, expected in (
-            ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
-            ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
-            ("object", checks.OBJECT_PATH, "module:name such as axis.simulation:Axis"),
-        ):
-            if getattr(self, key) is not None:
-                checks.matching(getattr(self, key), pattern, expected, key)
+        super().__post_init__()
         for key, other in (("package", "executable"), ("executable", "package")):
             if getattr(self, key) is None and getattr(self, other) is not None:
                 raise StudyError(f"missing; {other} alone does not start a node", (key,))
         self._check_start()
         self._check_at_start()
-        for key in ("parameters", "inprocess_parameters"):
-            object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
-
-        checks.choice(self.death, DEATHS, "death")
-        timeout = checks.timeout(self.start_timeout, "start_timeout")
-        object.__setattr__(self, "start_timeout", timeout)
-        self._check_unwatched()
 
     def unwatched_by(self, name: str) -> str:
         """Return the pattern by which a parameter is unwatched; empty if it is not."""
         return next((item for item in self.unwatched if fnmatchcase(name, item)), "")
-
-    def _check_unwatched(self) -> None:
-        expected = "a list of names or patterns such as STAT_*"
-        items = checks.sequence(self.unwatched, expected, "unwatched")
-        checks.at_most(items, maxima.CONSTANTS, "unwatched")
-        for index, item in enumerate(items):
-            if not checks.text(item, "unwatched", index):
-                raise StudyError(f"expected {expected}", ("unwatched", index))
-        object.__setattr__(self, "unwatched", items)
 
     @property
     def is_started(self) -> bool:
         """Whether the study says how to start it."""
         return bool(self.executable or self.command or self.launch)
 
-    def of_worker(self, number: int) -> "NodeSpec":
-        """Return the node as a worker starts it."""
+    def words(self, values: Values) -> list[str]:
+        """Return its `command`, or what it launches, with values for names in braces."""
+        words = shlex.split(self.command or self.launch or "")
+        return [filled_text(word, values) for word in words]
 
-        def filled(text: str | None) -> str | None:
-            return None if text is None else text.replace(WORKER, str(number))
+    def environment(self, values: Values) -> dict[str, str]:
+        """Return its environment variables, with values for names in braces."""
+        return {name: filled_text(text, values) for name, text in self.env.items()}
 
-        env = {name: text.replace(WORKER, str(number)) for name, text in self.env.items()}
-        return replace(self, command=filled(self.command), launch=filled(self.launch), env=env)
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str]]:
+        """Names of contexts and parameters in braces in what starts it, with their key paths."""
+        for key in ("command", "launch"):
+            for name in names_in(getattr(self, key)):
+                if name not in (FILE_NAME, WORKER_NAME):
+                    yield (key,), name
+        for variable, text in self.env.items():
+            for name in names_in(text):
+                if name != WORKER_NAME:
+                    yield ("env", variable), name
 
     @property
     def passes_file(self) -> bool:
@@ -160,7 +165,7 @@ class NodeSpec:
             if getattr(self, key) is None:
                 continue
             try:
-                words = shlex.split(checks.text(getattr(self, key), key))
+                words = shlex.split(getattr(self, key))
             except ValueError as error:
                 raise StudyError(f"expected words as in a shell: {error}", (key,)) from None
             if not words:
@@ -168,28 +173,20 @@ class NodeSpec:
         ways = [key for key in ("executable", "command", "launch") if getattr(self, key)]
         if len(ways) > 1:
             raise StudyError(f"{ways[0]} starts the node already; leave one out", (ways[1],))
-        if not isinstance(self.env, Mapping):
-            raise StudyError(f"expected texts by name, found {checks.show(self.env)}", ("env",))
         for name, value in self.env.items():
             checks.matching(name, VARIABLE_NAME, "the name of a variable such as HOME", "env")
-            if "\0" in checks.text(value, "env", name):
+            if "\0" in value:
                 raise StudyError("expected text without null characters", ("env", name))
         if self.env and not ways:
             raise StudyError("belongs to a node that is started; add command", ("env",))
 
     def _check_at_start(self) -> None:
         """Refuse what no node can take at its start, and keys that need `at_start` without it."""
-        if not isinstance(self.at_start, bool):
-            expected = "true, or the names of parameters of the study"
-            names = checks.sequence(self.at_start, expected, "at_start")
-            if not names:
-                raise StudyError(f"expected {expected}, found an empty list", ("at_start",))
-            named = tuple(checks.text(name, "at_start", i) for i, name in enumerate(names))
-            object.__setattr__(self, "at_start", named)
+        if self.at_start == ():
+            raise StudyError(f"expected {NAMES}, found an empty list", ("at_start",))
         self._check_reconfigure()
         if self.reconfigure and not self.at_start:
             object.__setattr__(self, "at_start", True)
-        checks.text(self.parameter_file, "parameter_file")
         if not self.at_start:
             if self.parameter_file:
                 raise StudyError(
@@ -206,12 +203,8 @@ class NodeSpec:
         given = self.reconfigure
         if isinstance(given, bool) or given == CONTROLLER_MANAGER:
             return
-        expected = f"true, {CONTROLLER_MANAGER}, or a list of steps that are calls or lifecycle"
-        if not isinstance(given, (list, tuple)) or not given:
-            raise StudyError(f"expected {expected}, found {checks.show(given)}", ("reconfigure",))
-        with under("reconfigure"):
-            steps = build_steps(given)
-            for index, step in enumerate(steps):
-                if step.call is None and step.lifecycle is None:
-                    raise StudyError("expected a call or a lifecycle", (index,))
-        object.__setattr__(self, "reconfigure", steps)
+        if isinstance(given, str) or not given:
+            raise StudyError(f"expected {WAYS}, found {checks.show(given)}", ("reconfigure",))
+        for index, step in enumerate(given):
+            if step.call is None and step.lifecycle is None:
+                raise StudyError("expected a call or a lifecycle", ("reconfigure", index))

@@ -3,15 +3,19 @@
 import math
 import re
 from dataclasses import dataclass
+from typing import Annotated
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import FRACTION, KEY, LATER, AtMost, Expected, OneOf
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
-from bo_tuner.study.titles import Titled, check_label
+from bo_tuner.study.titles import Label, Titled
 from bo_tuner.trials import Value
 
 Number = int | float
 
+CHOICES = "a list of two or more different texts (or tied_to or fixed instead)"
 TYPES = ("double", "integer", "boolean", "string")
 _TUNED_ONLY = ("bounds", "step", "choices", "minimum_correlation", "travel")
 # Larger integers have no exact double, and the unit cube is computed in doubles.
@@ -20,7 +24,7 @@ LARGEST_BOUND = 2**53
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Titled):
-    """A parameter of the study: of a node, or a value in the steps of `run`.
+    """A parameter of the study: of a node, or a value in steps of `run` or what starts a node.
 
     A tuned one has `bounds` (a number), `choices` (a string) or only a default (a boolean); any
     other has `tied_to` or `fixed`.
@@ -31,7 +35,8 @@ class Parameter(Titled):
         Name in the study.
     node : str
         Node of the study that has the parameter. One without a node stands in the steps of `run`,
-        by its name in braces: `request: {kp: "{kp}"}`.
+        or in the `command`, `launch` or `env` of a node, by its name in braces: `request: {kp:
+        "{kp}"}`, `kp:={kp}`.
     type : str
         `double`, `integer`, `boolean` or `string`, as ROS calls the type.
     bounds : tuple of two numbers, optional
@@ -66,38 +71,31 @@ class Parameter(Titled):
         counted from 0.
     """
 
-    name: str
+    name: Annotated[str, KEY, checks.parameter_or_item]
     node: str = ""
-    type: str
-    bounds: tuple[Number, Number] | None = None
+    type: Annotated[str, OneOf(TYPES)]
+    bounds: Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")] | None = None
     step: Number | None = None
-    choices: tuple[str, ...] | None = None
+    choices: Annotated[tuple[str, ...], Expected(CHOICES), AtMost(maxima.CHOICES)] | None = None
     tied_to: str | None = None
-    fixed: Value | None = None
-    default: Value | None = None
-    scale: str = LINEAR
-    label: str = ""
+    fixed: Annotated[Value | None, LATER] = None
+    default: Annotated[Value | None, LATER] = None
+    scale: Annotated[str, OneOf(SCALES)] = LINEAR
+    label: Label = ""
     unit: str = ""
-    minimum_correlation: float | None = None
-    travel: float | None = None
-    parameter: str = ""
+    minimum_correlation: Annotated[float, FRACTION] | None = None
+    travel: Annotated[float, FRACTION] | None = None
+    parameter: Annotated[str, checks.name_in_node] = ""
 
     def __post_init__(self) -> None:
         """Check the fields; references to other parts of a study are checked there."""
-        checks.parameter_or_item(self.name)
-        checks.text(self.node, "node")
-        checks.choice(self.type, TYPES, "type")
-        checks.choice(self.scale, SCALES, "scale")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
+        super().__post_init__()
         if not self.node and self.parameter:
             raise StudyError("without a node there is no parameter; add node", ("parameter",))
         if not self.node and array_and_item(self.name)[0]:
             raise StudyError("missing; expected the node that has the array", ("node",))
         if self.node and self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        if self.node:
-            checks.name_in_node(self.parameter, "parameter")
         if self.fixed is not None:
             self._check_fixed()
         elif self.tied_to is not None:
@@ -167,7 +165,6 @@ class Parameter(Titled):
 
     def _check_tied(self) -> None:
         self._refuse("a tied parameter", *_TUNED_ONLY)
-        checks.text(self.tied_to, "tied_to")
         if self.default is not None:
             object.__setattr__(self, "default", self.checked(self.default, "default"))
 
@@ -178,28 +175,18 @@ class Parameter(Titled):
             self._check_range()
         else:
             self._check_levels()
-        if self.minimum_correlation is not None:
-            if not self.is_integer:
-                raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
-            correlation = checks.fraction(self.minimum_correlation, "minimum_correlation")
-            object.__setattr__(self, "minimum_correlation", correlation)
-        if self.travel is not None:
-            object.__setattr__(self, "travel", checks.fraction(self.travel, "travel"))
+        if self.minimum_correlation is not None and not self.is_integer:
+            raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
 
     def _check_levels(self) -> None:
         self._refuse(f"a {self.type}", "bounds", "step", "minimum_correlation", "travel")
         if self.type == "boolean":
             self._refuse("a boolean", "choices")
         else:
-            expected = "a list of two or more different texts (or tied_to or fixed instead)"
             if self.choices is None:
-                raise StudyError(f"missing; expected {expected}", ("choices",))
-            items = checks.sequence(self.choices, expected, "choices")
-            checks.at_most(items, maxima.CHOICES, "choices")
-            choices = tuple(checks.text(item, "choices", i) for i, item in enumerate(items))
-            if len(choices) < 2 or len(set(choices)) < len(choices):
-                raise StudyError(f"expected {expected}", ("choices",))
-            object.__setattr__(self, "choices", choices)
+                raise StudyError(f"missing; expected {CHOICES}", ("choices",))
+            if len(self.choices) < 2 or len(set(self.choices)) < len(self.choices):
+                raise StudyError(f"expected {CHOICES}", ("choices",))
         if self.default is None:
             raise StudyError("missing; expected the hand-tuned value", ("default",))
         object.__setattr__(self, "default", self.checked(self.default, "default"))
@@ -209,8 +196,7 @@ class Parameter(Titled):
             raise StudyError(
                 "missing; expected [lower, upper] (or tied_to or fixed instead)", ("bounds",)
             )
-        items = checks.pair(self.bounds, "bounds [lower, upper]", "bounds")
-        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(items))
+        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(self.bounds))
         if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
             raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
         checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")

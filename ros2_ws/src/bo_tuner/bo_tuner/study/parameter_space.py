@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
 from bo_tuner.study.conditions import KEY, Condition
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter

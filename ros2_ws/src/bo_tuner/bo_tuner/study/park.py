@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import Expected
 from bo_tuner.trials import Value
 
 
 @dataclass(frozen=True, kw_only=True)
-class Park:
+class Park(Section):
     """What the nodes are set to while no run is performed.
 
     Attributes
@@ -21,14 +22,7 @@ class Park:
         that failed, and at the end.
     """
 
-    parameters: Mapping[str, Value] = field(default_factory=dict)
+    parameters: Annotated[Mapping[str, Value], Expected("values by parameter")] = field(
+        default_factory=dict
+    )
     between_runs: bool = False
-
-    def __post_init__(self) -> None:
-        """Check the fields; the study checks the values."""
-        checks.boolean(self.between_runs, "between_runs")
-        if not isinstance(self.parameters, Mapping):
-            raise StudyError(
-                f"expected values by parameter, found {checks.show(self.parameters)}",
-                ("parameters",),
-            )

@@ -4,14 +4,17 @@ A violated rule raises a `StudyError` with the key path from the object to the v
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import KEY, SECONDS, Beside, Matching, OneOf
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
-from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.distributions import DISTRIBUTIONS, Discrete, Distribution
 from bo_tuner.study.parameter import TYPES
 
 ROS, IN_PROCESS = "ros", "inprocess"
@@ -29,8 +32,8 @@ MINIMIZE, MAXIMIZE = "minimize", "maximize"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContextVariable:
-    """What varies from evaluation to evaluation: a parameter of a node, or a value in the steps.
+class ContextVariable(Section):
+    """What varies from evaluation to evaluation: a parameter of a node, or a value in braces.
 
     Attributes
     ----------
@@ -38,7 +41,7 @@ class ContextVariable:
         Name in the study.
     node : str
         Node of the study that has the parameter. A variable without one stands in the steps of
-        `run`, by its name in braces: `goal: {x: "{goal_x}"}`.
+        `run`, or in what starts a node, by its name in braces: `goal: {x: "{goal_x}"}`.
     distribution : Distribution
         Distribution of its values in operation.
     type : str
@@ -51,17 +54,15 @@ class ContextVariable:
         Name of the parameter in the node; the name of this entry unless given.
     """
 
-    name: str
+    name: Annotated[str, KEY, checks.parameter_name]
     node: str = ""
-    distribution: Distribution
-    type: str = ""
+    distribution: Annotated[Distribution, Beside(lambda: DISTRIBUTIONS)]
+    type: Annotated[str, OneOf(TYPES)] = ""
     unit: str = ""
-    parameter: str = ""
+    parameter: Annotated[str, checks.name_in_node] = ""
 
     def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        checks.text(self.node, "node")
-        checks.text(self.unit, "unit")
+        super().__post_init__()
         self._check_type()
         if not self.node:
             if self.parameter:
@@ -69,7 +70,6 @@ class ContextVariable:
             return
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.name_in_node(self.parameter, "parameter")
 
     def _check_type(self) -> None:
         """Find the type, or refuse one that the distribution's values do not have."""
@@ -79,7 +79,6 @@ class ContextVariable:
             type_of_values = "boolean" if isinstance(labels[0], bool) else "string"
         if self.type == "":
             object.__setattr__(self, "type", type_of_values)
-        checks.choice(self.type, TYPES, "type")
         if self.type == INTEGER and type_of_values == DOUBLE:
             item = self.distribution
             numbers = item.support if isinstance(item, Discrete) else [item.lower, item.upper]
@@ -99,7 +98,7 @@ class ContextVariable:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeedParameter:
+class SeedParameter(Section):
     """The parameter that seeds the noise of an evaluation.
 
     Attributes
@@ -111,15 +110,11 @@ class SeedParameter:
     """
 
     node: str
-    parameter: str
-
-    def __post_init__(self) -> None:
-        checks.text(self.node, "node")
-        checks.name_in_node(self.parameter, "parameter")
+    parameter: Annotated[str, checks.name_in_node]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trigger:
+class Trigger(Section):
     """The service that starts a run.
 
     Attributes
@@ -133,19 +128,12 @@ class Trigger:
     """
 
     node: str
-    service: str
-    timeout: float = 30.0
-
-    def __post_init__(self) -> None:
-        checks.text(self.node, "node")
-        checks.matching(
-            self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
-        )
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+    service: Annotated[str, Matching(checks.TOPIC_NAME, "a service name such as ~/run_cut")]
+    timeout: Annotated[float, SECONDS] = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Objective:
+class Objective(Section):
     """The metric whose expectation over the contexts is optimized.
 
     Attributes
@@ -159,13 +147,8 @@ class Objective:
     """
 
     metric: str
-    scale: str = LINEAR
-    direction: str = MINIMIZE
-
-    def __post_init__(self) -> None:
-        checks.text(self.metric, "metric")
-        checks.choice(self.scale, (LINEAR, LOG), "scale")
-        checks.choice(self.direction, (MINIMIZE, MAXIMIZE), "direction")
+    scale: Annotated[str, OneOf((LINEAR, LOG))] = LINEAR
+    direction: Annotated[str, OneOf((MINIMIZE, MAXIMIZE))] = MINIMIZE
 
     @property
     def sign(self) -> float:

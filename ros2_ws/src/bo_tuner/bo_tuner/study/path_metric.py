@@ -2,23 +2,23 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import Expected
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
-from bo_tuner.study import checks
 from bo_tuner.study.measures import check_measure
-from bo_tuner.study.metric_scale import check_scale
-from bo_tuner.study.parts import LINEAR
-from bo_tuner.study.ranges import check_range
+from bo_tuner.study.metric_keys import ScaledMetricKeys
 from bo_tuner.study.signals import Signal
-from bo_tuner.study.titles import Titled, check_label
 
+COORDINATES = "two or three signals, as [x, y]"
 PLAN_TYPE = "nav_msgs/msg/Path"
 """Type of the messages that a plan may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathMetric(Titled):
+class PathMetric(ScaledMetricKeys):
     """A number that is computed from the distance of a path from the plan that holds at the time.
 
     The distance is that from the nearest point of the line through the plan's poses. At each
@@ -26,8 +26,6 @@ class PathMetric(Titled):
 
     Attributes
     ----------
-    name : str
-        Name in the study.
     path : list of str
         The signals that are the coordinates of the path, x and y or x, y and z [m], in the frame
         of the plan.
@@ -35,29 +33,15 @@ class PathMetric(Titled):
         A signal of whole messages, of the type `nav_msgs/msg/Path`.
     measure : str
         What is computed from the distance, such as `maximum`, `rms` or `percentile`.
-    label : str
-        What screens call it in place of its name, such as ``solve time (p99)``.
-    unit : str
-        Unit, for display only.
     percent : float, optional
         Percentage of the time in which `percentile` is not exceeded, 0 to 100.
-    scale : str
-        How it is modelled if it is limited: `linear` as it is, or `log` for a positive metric that
-        varies in proportion.
-    range : tuple of float, optional
-        The smallest and the largest value, in `unit`, that any run can have. A certificate shows a
-        limit on a mean by it, whatever the noise is.
     """
 
-    name: str
-    path: tuple[str, ...]
+    path: Annotated[tuple[str, ...], Expected(COORDINATES)]
     plan: str
     measure: str
-    label: str = ""
     unit: str = "m"
-    scale: str = LINEAR
     percent: float | None = None
-    range: tuple[float, float] | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -65,18 +49,10 @@ class PathMetric(Titled):
     measures_time = False
 
     def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        check_range(self)
-        expected = "two or three signals, as [x, y]"
-        names = checks.sequence(self.path, expected, "path")
-        if len(names) not in (2, 3):
-            raise StudyError(f"expected {expected}, found {checks.show(names)}", ("path",))
-        path = tuple(checks.text(name, "path", index) for index, name in enumerate(names))
-        object.__setattr__(self, "path", path)
-        checks.text(self.plan, "plan")
-        check_label(self.label)
-        checks.text(self.unit, "unit")
-        check_scale(self)
+        super().__post_init__()
+        if len(self.path) not in (2, 3):
+            found = checks.show(self.path)
+            raise StudyError(f"expected {COORDINATES}, found {found}", ("path",))
         of_distance = [name for name in MEASURES if not options_of(name).get("target")]
         known = [*of_distance, *(s for s, name in SYNONYMS.items() if name in of_distance)]
         checks.choice(self.measure, known, "measure")

@@ -1,15 +1,16 @@
 """A bag that is played to the nodes in a run."""
 
-import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.braces import names_in
-from bo_tuner.study.building import arguments, build, under
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import Section, read
+from bo_tuner.codec.rules import POSITIVE, SECONDS, Alone, Expected, Matching, Whole, Within
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.braces import Values, filled, names_in
 from bo_tuner.study.signals import GRAPH_NAME
 
 PATTERN = "*?["
@@ -17,9 +18,36 @@ PATTERN = "*?["
 MOST_DELAY = 60.0
 """Longest time [s] by which messages of a topic may come late."""
 
+_TOPIC = Matching(GRAPH_NAME, "a topic name such as /imu")
+
+
+def _topics(by_topic: Mapping[str, object]) -> Mapping[str, object]:
+    for name in by_topic:
+        _TOPIC(name, name)
+    return by_topic
+
+
+@dataclass(frozen=True)
+class _Amount:
+    """A number in a range, or the name of a context in braces."""
+
+    within: Within
+
+    def __call__(self, value: object) -> object:
+        """Return it."""
+        if isinstance(value, str) and list(names_in(value)) and value[:1] + value[-1:] == "{}":
+            return value
+        return self.within(value)
+
+
+def _bag(path: str) -> str:
+    if not path:
+        raise StudyError("expected the folder or file of a bag")
+    return path
+
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class Answer(Section):
     """A topic on which a node answers the messages of another one.
 
     Attributes
@@ -30,16 +58,14 @@ class Answer:
         How many messages it takes for an answer.
     """
 
-    topic: str
-    every: int = 1
+    topic: Annotated[str, _TOPIC]
+    every: Annotated[int, Whole(1)] = 1
 
-    def __post_init__(self) -> None:
-        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /odometry", "topic")
-        checks.integer(self.every, "every", at_least=1)
+    alone = Alone(str, lambda topic: {"topic": topic}, "a topic such as /odometry")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Play:
+class Play(Section):
     """Plays a bag to the nodes, by whose time the run goes.
 
     In lockstep a message is played once the nodes that hear it are done with the one before, so
@@ -53,7 +79,8 @@ class Play:
         Folder of the bag, or its MCAP or SQLite file, from the folder of the study file; may have
         names of contexts in braces.
     topics : tuple of str
-        Topics that are played; all but those that a node of others publishes, unless given.
+        Topics that are played; all that a node or a signal hears and no node publishes, unless
+        given.
     remap : mapping from str to str
         Other names for topics of the bag.
     lockstep : bool
@@ -77,75 +104,50 @@ class Play:
         Longest time [s] that a node takes for a message.
     """
 
-    bag: str
-    topics: tuple[str, ...] = ()
-    remap: Mapping[str, str] = field(default_factory=dict)
+    bag: Annotated[str, checks.text, _bag]
+    topics: Annotated[tuple[Annotated[str, _TOPIC], ...], Expected("a list of topics")] = ()
+    remap: Annotated[Mapping[str, Annotated[str, _TOPIC]], _topics] = field(default_factory=dict)
     lockstep: bool = True
-    answers: Mapping[str, Answer] = field(default_factory=dict)
-    rate: float | None = None
-    begin: float = 0.0
+    answers: Annotated[Mapping[str, Answer], _topics] = field(default_factory=dict)
+    rate: Annotated[float, POSITIVE] | None = None
+    begin: Annotated[float, Within(least=0.0, unit="s")] = 0.0
     end: float | None = None
-    delay: Mapping[str, float | str] = field(default_factory=dict)
-    drop: Mapping[str, float | str] = field(default_factory=dict)
-    timeout: float = 5.0
+    delay: Annotated[
+        Mapping[str, Annotated[float | str, _Amount(Within(least=0.0, most=MOST_DELAY, unit="s"))]],
+        _topics,
+    ] = field(default_factory=dict)
+    drop: Annotated[
+        Mapping[str, Annotated[float | str, _Amount(Within(least=0.0, most=1.0))]], _topics
+    ] = field(default_factory=dict)
+    timeout: Annotated[float, SECONDS] = 5.0
+
+    alone = Alone(str, lambda bag: {"bag": bag}, "a bag, or a mapping such as {bag: drive}")
 
     def __post_init__(self) -> None:
-        checks.text(self.bag, "bag")
-        if not self.bag:
-            raise StudyError("expected the folder or file of a bag", ("bag",))
-        names = checks.sequence(self.topics, "a list of topics", "topics")
-        topics = tuple(_topic(name, "topics", k) for k, name in enumerate(names))
-        object.__setattr__(self, "topics", topics)
-        for key in ("remap", "answers", "delay", "drop"):
-            value = getattr(self, key)
-            if not isinstance(value, Mapping):
-                raise StudyError(f"expected topics, found {checks.show(value)}", (key,))
-            for name in value:
-                _topic(name, key, str(name))
-        for name, other in self.remap.items():
-            _topic(other, "remap", name)
-        checks.boolean(self.lockstep, "lockstep")
+        super().__post_init__()
         if self.answers and not self.lockstep:
             raise StudyError("are waited for in lockstep; leave out one of the two", ("answers",))
-        if self.rate is not None:
-            object.__setattr__(self, "rate", checks.positive(self.rate, "rate"))
-        begin = checks.number(self.begin, "begin")
-        object.__setattr__(self, "begin", begin)
-        if begin < 0.0:
-            raise StudyError(f"expected at least 0 s, found {begin:g}", ("begin",))
-        if self.end is not None:
-            object.__setattr__(self, "end", checks.number(self.end, "end"))
-            if self.end <= begin:
-                raise StudyError(f"expected more than begin, {begin:g} s", ("end",))
-        object.__setattr__(self, "delay", self._amounts("delay", MOST_DELAY))
-        object.__setattr__(self, "drop", self._amounts("drop", 1.0))
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+        if self.end is not None and self.end <= self.begin:
+            raise StudyError(f"expected more than begin, {self.begin:g} s", ("end",))
 
-    def _amounts(self, key: str, most: float) -> dict[str, float | str]:
-        """Return the amounts by topic, numbers or a name in braces each."""
-        amounts: dict[str, float | str] = {}
-        for name, given in getattr(self, key).items():
-            if isinstance(given, str) and re.fullmatch(r"\{\w+(\.\w+)*\}", given):
-                amounts[name] = given
-                continue
-            amount = checks.number(given, key, name)
-            if not 0.0 <= amount <= most:
-                raise StudyError(f"expected 0 to {most:g}, found {amount:g}", (key, name))
-            amounts[name] = amount
-        return amounts
+    def filled(self, values: Values) -> "Play":
+        """Return it with values for names in braces."""
+        given = {key: filled(getattr(self, key), values) for key in ("bag", "delay", "drop")}
+        return replace(self, **given)
 
     @property
-    def varies(self) -> Iterator[str]:
-        """Names in braces that the bag depends on."""
-        return names_in(self.bag)
-
-
-def _topic(name: object, *path: str | int) -> str:
-    return checks.matching(name, GRAPH_NAME, "a topic name such as /imu", *path)
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str, bool]]:
+        """The names in braces with their places, and whether a number stands there."""
+        for name in names_in(self.bag):
+            yield ("bag",), name, False
+        for key in ("delay", "drop"):
+            for topic, amount in getattr(self, key).items():
+                for name in names_in(amount):
+                    yield (key, topic), name, True
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bags:
+class Bags(Section):
     """The bags of a context: one of them is played in each run.
 
     It is short for `distribution: discrete` with the bags as its values, which steps have by the
@@ -160,8 +162,8 @@ class Bags:
         How often each comes in operation, relative to the others; equally often unless given.
     """
 
-    bags: tuple[str, ...]
-    weights: tuple[float, ...] = ()
+    bags: Annotated[tuple[str, ...], Expected("a list of bags")]
+    weights: Annotated[tuple[Annotated[float, POSITIVE], ...], Expected("a list of numbers")] = ()
 
     def values(self, folder: Path | None) -> dict[str, object]:
         """Return the fields of the discrete distribution; `folder` is that of the study file.
@@ -171,21 +173,9 @@ class Bags:
         StudyError
             If there are fewer than two bags, or not a weight for each.
         """
-        patterns = checks.sequence(self.bags, "a list of bags", "bags")
         found: dict[str, None] = {}
-        for index, pattern in enumerate(patterns):
-            text = checks.text(pattern, "bags", index)
-            names = [text]
-            if set(text) & set(PATTERN):
-                if folder is None:
-                    raise StudyError("expected names: there is no study file", ("bags", index))
-                base = Path(text).anchor
-                at = Path(base) if base else folder
-                paths = sorted(path for path in at.glob(text[len(base) :]) if is_bag(path))
-                names = [str(path if base else path.relative_to(folder)) for path in paths]
-                if not names:
-                    raise StudyError(f"no bag in {folder} is called {text}", ("bags", index))
-            for name in names:
+        for index, text in enumerate(self.bags):
+            for name in _named(text, folder, index):
                 if name in found:
                     raise StudyError(f"'{name}' is named twice", ("bags", index))
                 found[name] = None
@@ -196,15 +186,28 @@ class Bags:
                 ("bags",),
             )
         made: dict[str, object] = {"distribution": "discrete", "values": list(found)}
-        weights = checks.sequence(self.weights, "a list of numbers", "weights")
-        if weights:
-            given = [checks.positive(item, "weights", index) for index, item in enumerate(weights)]
-            if len(given) != len(found):
+        if self.weights:
+            if len(self.weights) != len(found):
                 raise StudyError(
-                    f"expected one for each of {len(found)} bags, found {len(given)}", ("weights",)
+                    f"expected one for each of {len(found)} bags, found {len(self.weights)}",
+                    ("weights",),
                 )
-            made["probabilities"] = [weight / sum(given) for weight in given]
+            made["probabilities"] = [weight / sum(self.weights) for weight in self.weights]
         return made
+
+
+def _named(text: str, folder: Path | None, index: int) -> list[str]:
+    """Return the bags that are so called, in the order of their names."""
+    if not set(text) & set(PATTERN):
+        return [text]
+    if folder is None:
+        raise StudyError("expected names: there is no study file", ("bags", index))
+    base = Path(text).anchor
+    at = Path(base) if base else folder
+    paths = sorted(path for path in at.glob(text[len(base) :]) if is_bag(path))
+    if not paths:
+        raise StudyError(f"no bag in {folder} is called {text}", ("bags", index))
+    return [str(path if base else path.relative_to(folder)) for path in paths]
 
 
 def is_bag(path: Path) -> bool:
@@ -223,36 +226,15 @@ def with_bags(mapping: object, folder: Path | None) -> object:
     contexts = mapping.get("contexts") if isinstance(mapping, dict) else None
     if not isinstance(mapping, dict) or not isinstance(contexts, dict):
         return mapping
+    keys = [item.name for item in fields(Bags)]
     written = {}
     for name, item in contexts.items():
         written[name] = item
         if isinstance(item, dict) and "bags" in item:
-            keys = [each.name for each in fields(Bags)]
             with under("contexts", name):
                 if "distribution" in item:
                     raise StudyError("stands beside bags; leave it out", ("distribution",))
-                bags = build(Bags, {key: item[key] for key in keys if key in item})
+                bags = read(Bags, {key: item[key] for key in keys if key in item})
                 others = {key: value for key, value in item.items() if key not in keys}
                 written[name] = others | bags.values(folder)
     return mapping | {"contexts": written}
-
-
-def build_play(value: object) -> Play:
-    """Return what a step of a study file plays; a text is the bag, played as it is.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    if isinstance(value, str):
-        return Play(bag=value)
-    given: dict[str, Any] = arguments(Play, value)
-    answers = given.get("answers")
-    if isinstance(answers, Mapping):
-        made = {}
-        for name, item in answers.items():
-            with under("answers", str(name)):
-                made[name] = Answer(topic=item) if isinstance(item, str) else build(Answer, item)
-        given["answers"] = made
-    return Play(**given)

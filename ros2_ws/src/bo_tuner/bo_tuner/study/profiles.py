@@ -4,41 +4,33 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import DELAY, POSITIVE, SECONDS, Alone, AtMost, Expected, OneOf
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics import profiles
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.braces import Values, filled_condition, without_names
 from bo_tuner.study.reference_table import HOLD, Table, read_table
 from bo_tuner.study.signals import TIME, named_expression
 
 PI = "pi"
 LINEAR, LOGARITHMIC = "linear", "logarithmic"
+_KINDS = ("step", "ramp", "sine", "chirp", "multisine", "csv")
 
 
-def _numbers(profile: object, *names: str) -> None:
-    for name in names:
-        object.__setattr__(profile, name, checks.magnitude(getattr(profile, name), name))
-
-
-def _delay(profile: Any) -> None:
-    after = checks.number(profile.after, "after")
-    if not 0.0 <= after <= maxima.TIMEOUT:
-        raise StudyError(f"expected 0 to {maxima.TIMEOUT:g} s, found {after:g}", ("after",))
-    object.__setattr__(profile, "after", after)
-
-
-def _duration(profile: Any) -> None:
-    object.__setattr__(profile, "duration", checks.timeout(profile.duration, "duration"))
+Number = Annotated[float, checks.magnitude]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepProfile:
+class StepProfile(Section):
     """One value, and another one from a time on.
 
     Attributes
@@ -51,14 +43,9 @@ class StepProfile:
         Time [s] of the step since the stream began.
     """
 
-    final: float
-    initial: float = 0.0
-    after: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        _numbers(self, "final", "initial")
-        _delay(self)
+    final: Number
+    initial: Number = 0.0
+    after: Annotated[float, DELAY] = 0.0
 
     def at(self, time: Array) -> Array:
         """Return its values (n,) at times (n,) [s]."""
@@ -66,7 +53,7 @@ class StepProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RampProfile:
+class RampProfile(Section):
     """A straight line from one value to another one, at which it stays.
 
     Attributes
@@ -81,16 +68,10 @@ class RampProfile:
         Time [s] at which it begins, since the stream began.
     """
 
-    final: float
-    duration: float
-    initial: float = 0.0
-    after: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        _numbers(self, "final", "initial")
-        _duration(self)
-        _delay(self)
+    final: Number
+    duration: Annotated[float, SECONDS]
+    initial: Number = 0.0
+    after: Annotated[float, DELAY] = 0.0
 
     def at(self, time: Array) -> Array:
         """Return its values (n,) at times (n,) [s]."""
@@ -98,7 +79,7 @@ class RampProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SineProfile:
+class SineProfile(Section):
     """A sine.
 
     Attributes
@@ -113,15 +94,10 @@ class SineProfile:
         Its phase [rad] at the beginning.
     """
 
-    amplitude: float
-    frequency: float
-    offset: float = 0.0
-    phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        _numbers(self, "amplitude", "offset", "phase")
-        object.__setattr__(self, "frequency", checks.positive(self.frequency, "frequency"))
+    amplitude: Number
+    frequency: Annotated[float, POSITIVE]
+    offset: Number = 0.0
+    phase: Number = 0.0
 
     @property
     def highest_frequency(self) -> float:
@@ -134,7 +110,7 @@ class SineProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChirpProfile:
+class ChirpProfile(Section):
     """A sine with a frequency that goes from one to another; then it keeps the value it ends with.
 
     Attributes
@@ -151,20 +127,14 @@ class ChirpProfile:
         `linear` in time, or `logarithmic`: as long for each octave.
     """
 
-    amplitude: float
-    frequencies: tuple[float, float]
-    duration: float
-    offset: float = 0.0
-    sweep: str = LINEAR
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        _numbers(self, "amplitude", "offset")
-        _duration(self)
-        checks.choice(self.sweep, (LINEAR, LOGARITHMIC), "sweep")
-        pair = checks.pair(self.frequencies, "[first, last] frequency", "frequencies")
-        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(pair))
-        object.__setattr__(self, "frequencies", frequencies)
+    amplitude: Number
+    frequencies: Annotated[
+        tuple[Annotated[float, POSITIVE], Annotated[float, POSITIVE]],
+        Expected("[first, last] frequency"),
+    ]
+    duration: Annotated[float, SECONDS]
+    offset: Number = 0.0
+    sweep: Annotated[str, OneOf((LINEAR, LOGARITHMIC))] = LINEAR
 
     @property
     def highest_frequency(self) -> float:
@@ -184,7 +154,7 @@ class ChirpProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MultisineProfile:
+class MultisineProfile(Section):
     """A sum of sines.
 
     Attributes
@@ -201,38 +171,30 @@ class MultisineProfile:
         What they oscillate about.
     """
 
-    frequencies: tuple[float, ...]
-    amplitude: float | None = None
-    amplitudes: tuple[float, ...] = ()
-    phases: tuple[float, ...] = ()
-    offset: float = 0.0
+    frequencies: Annotated[
+        tuple[Annotated[float, POSITIVE], ...],
+        Expected("a list of frequencies"),
+        AtMost(maxima.SINES),
+    ]
+    amplitude: Number | None = None
+    amplitudes: Annotated[tuple[Number, ...], Expected("a list of amplitudes")] = ()
+    phases: Annotated[tuple[Number, ...], Expected("a list of phases")] = ()
+    offset: Number = 0.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
-        _numbers(self, "offset")
-        items = checks.sequence(self.frequencies, "a list of frequencies", "frequencies")
-        checks.at_most(items, maxima.SINES, "frequencies")
-        if not items:
+        super().__post_init__()
+        if not self.frequencies:
             raise StudyError("expected at least one", ("frequencies",))
-        frequencies = tuple(checks.positive(item, "frequencies", i) for i, item in enumerate(items))
-        object.__setattr__(self, "frequencies", frequencies)
         if (self.amplitude is None) == (not self.amplitudes):
             raise StudyError("expected one of amplitude and amplitudes")
-        if self.amplitude is not None:
-            _numbers(self, "amplitude")
         for key in ("amplitudes", "phases"):
-            self._one_each(key)
-
-    def _one_each(self, key: str) -> None:
-        values = checks.sequence(getattr(self, key), f"a list of {key}", key)
-        if values and len(values) != len(self.frequencies):
-            raise StudyError(
-                f"expected one for each of {len(self.frequencies)} frequencies, found "
-                f"{len(values)}",
-                (key,),
-            )
-        magnitudes = tuple(checks.magnitude(item, key, index) for index, item in enumerate(values))
-        object.__setattr__(self, key, magnitudes)
+            values = getattr(self, key)
+            if values and len(values) != len(self.frequencies):
+                raise StudyError(
+                    f"expected one for each of {len(self.frequencies)} frequencies, found "
+                    f"{len(values)}",
+                    (key,),
+                )
 
     @property
     def highest_frequency(self) -> float:
@@ -250,7 +212,7 @@ class MultisineProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CsvProfile:
+class CsvProfile(Section):
     """A column of a file with comma-separated values, over another one that is the time.
 
     Attributes
@@ -270,16 +232,13 @@ class CsvProfile:
     file: str
     column: str
     time: str = TIME
-    between: str = LINEAR
+    between: Annotated[str, OneOf((LINEAR, HOLD))] = LINEAR
     digest: str = ""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
-        for key in ("file", "column", "time", "digest"):
-            checks.text(getattr(self, key), key)
+        super().__post_init__()
         if not self.file or "\0" in self.file:
             raise StudyError("expected the path of a file", ("file",))
-        checks.choice(self.between, (LINEAR, HOLD), "between")
 
     def read(self, folder: str) -> Table:
         """Return what the file has, with the study's folder for a relative path.
@@ -302,7 +261,7 @@ class CsvProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
+class Profile(Section):
     """A number over time; exactly one field is given. Text alone is an expression.
 
     Attributes
@@ -320,7 +279,8 @@ class Profile:
     csv : CsvProfile, optional
         Is a column of a file.
     expression : str
-        An expression of `t`, the time [s] since the stream began, and `pi`.
+        An expression of `t`, the time [s] since the stream began, `pi`, and names of contexts and
+        parameters in braces.
     """
 
     step: StepProfile | None = None
@@ -331,13 +291,26 @@ class Profile:
     csv: CsvProfile | None = None
     expression: str = ""
 
+    alone = Alone(
+        str,
+        lambda text: {"expression": text},
+        "an expression of t, or a mapping such as {sine: {amplitude: 1.0, frequency: 0.5}}",
+    )
+
     def __post_init__(self) -> None:
-        """Check that it is one."""
+        super().__post_init__()
         given = [key for key in _KINDS if getattr(self, key) is not None]
         if len(given) + (self.expression != "") != 1:
             raise StudyError(f"expected one of {', '.join((*_KINDS, 'expression'))}")
         if self.expression != "":
-            named_expression(self.expression, (TIME, PI), "name", "expression")
+            text = without_names(self.expression)
+            named_expression(text, (TIME, PI), "name", "expression")
+
+    def filled(self, values: Values) -> "Profile":
+        """Return it with values for names in braces."""
+        if not self.expression:
+            return self
+        return replace(self, expression=filled_condition(self.expression, values))
 
     @property
     def highest_frequency(self) -> float:
@@ -375,36 +348,3 @@ class Profile:
         if kind is None:
             raise StudyError(f"expected one of {', '.join((*_KINDS, 'expression'))}")
         return kind.at
-
-
-_KINDS: dict[str, type[Any]] = {
-    "step": StepProfile,
-    "ramp": RampProfile,
-    "sine": SineProfile,
-    "chirp": ChirpProfile,
-    "multisine": MultisineProfile,
-    "csv": CsvProfile,
-}
-
-
-def build_profile(value: object) -> Profile:
-    """Return the profile that a study file describes; text alone is an expression.
-
-    Raises
-    ------
-    StudyError
-        If it is none.
-    """
-    if isinstance(value, str):
-        return Profile(expression=value)
-    if not isinstance(value, dict):
-        raise StudyError(
-            "expected an expression of t, or a mapping such as {sine: {amplitude: 1.0, frequency: "
-            f"0.5}}}}; found {checks.show(value)}"
-        )
-    fields = arguments(Profile, value)
-    for key, cls in _KINDS.items():
-        if key in fields:
-            with under(key):
-                fields[key] = build(cls, fields[key])
-    return Profile(**fields)

@@ -3,16 +3,20 @@
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import Findings, arguments, under
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import SECONDS, AtMost, Expected, Matching, Within
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.braces import Values, filled, names_in
 from bo_tuner.study.fields import field_path
-from bo_tuner.study.profiles import Profile, StepProfile, build_profile
-from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
+from bo_tuner.study.profiles import Profile, StepProfile
+from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE, OF_MESSAGES
 
 WATCHDOG = 0.1
 """Time [s] without a message after which many drivers stop a machine."""
@@ -20,8 +24,26 @@ CHECKED = 60.0
 """Time [s] over which values of a profile are checked before the first run; later ones are not."""
 
 
+def check_message(value: Any, *path: str | int) -> Any:
+    """Return the fields of a message; refuse what no message can hold."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if not isinstance(item, (bool, int, float, str)):
+                check_message(item, *path, checks.text(key, *path))
+    elif isinstance(value, (list, tuple)) and path:
+        for index, item in enumerate(value):
+            if not isinstance(item, (bool, int, float, str)):
+                check_message(item, *path, index)
+    else:
+        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)
+    return value
+
+
+Message = Annotated[Mapping[str, object], Expected("the fields of a message"), check_message]
+
+
 @dataclass(frozen=True, kw_only=True)
-class Topic:
+class Topic(Section):
     """A topic that a step publishes.
 
     Attributes
@@ -41,33 +63,40 @@ class Topic:
         moves by less than a twentieth of what the field does.
     """
 
-    topic: str
-    message: Mapping[str, object] = field(default_factory=dict)
-    type: str = ""
-    profile: Mapping[str, Profile] = field(default_factory=dict)
-    follow: Mapping[str, str] = field(default_factory=dict)
+    topic: Annotated[str, Matching(GRAPH_NAME, "a topic name such as /setpoint")]
+    message: Message = field(default_factory=dict)
+    type: Annotated[str, Matching(MESSAGE_TYPE, OF_MESSAGES)] = ""
+    profile: Annotated[Mapping[str, Profile], Expected('fields such as {data: "sin(t)"}')] = field(
+        default_factory=dict
+    )
+    follow: Annotated[Mapping[str, str], Expected("fields such as {data: angle}")] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
-        check_message(self.message, "message")
-        if self.type != "":
-            checks.matching(
-                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
-            )
-        for key in ("profile", "follow"):
-            if not isinstance(getattr(self, key), Mapping):
-                given = checks.show(getattr(self, key))
-                example = "{data: angle}" if key == "follow" else '{data: "sin(t)"}'
-                raise StudyError(f"expected fields such as {example}, found {given}", (key,))
+        super().__post_init__()
         for name in self.profile:
-            with under("profile", str(name)):
+            with under("profile", name):
                 try:
-                    field_path(checks.text(name))
+                    field_path(name)
                 except StudyError as error:
                     raise StudyError(error.problem) from None
         for name in self.follow:
             checks.reference(name, "field in profile", self.profile, "follow")
+
+    def filled(self, values: Values) -> Self:
+        """Return it with values for names in braces."""
+        profile = {name: item.filled(values) for name, item in self.profile.items()}
+        return dataclasses.replace(self, message=filled(self.message, values), profile=profile)
+
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str, bool]]:
+        """Names of contexts and parameters in braces, with key paths; whether in an expression."""
+        for name in names_in(self.message):
+            yield ("message",), name, False
+        for field_name, item in self.profile.items():
+            for name in names_in(item.expression):
+                yield ("profile", field_name), name, True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,20 +105,10 @@ class Publish(Topic):
 
     Attributes
     ----------
-    topic : str
-        Topic.
-    message : mapping
-        Fields of the message by name; those that are left out are zero. A header without a stamp
-        gets the present time.
-    type : str
-        Type of the message; that of the topic's subscribers unless given.
     profile : mapping from str to Profile
         Of a stream, numbers over time by their field, such as `data`, `twist.linear.x` or
         `points[0].positions[1]`; an array is as long as they need it. Without any, the same
         message again and again.
-    follow : mapping from str to str
-        Signals by the field of `profile` that they are to follow: a run fails in which the signal
-        moves by less than a twentieth of what the field does.
     rate : float, optional
         Messages in a second: it streams from this step on, while later ones are performed.
     duration : float, optional
@@ -101,19 +120,20 @@ class Publish(Topic):
         Several topics that stream in step, instead of one.
     """
 
-    topic: str = ""
-    rate: float | None = None
-    duration: float | None = None
-    largest_gap: float | None = None
-    topics: tuple[Topic, ...] = ()
+    topic: Annotated[str, Matching(GRAPH_NAME, "a topic name such as /setpoint")] = ""
+    rate: Annotated[float, Within(above=0.0, most=maxima.STREAM_RATE, unit="Hz")] | None = None
+    duration: Annotated[float, SECONDS] | None = None
+    largest_gap: Annotated[float, SECONDS] | None = None
+    topics: Annotated[
+        tuple[Topic, ...], Expected("a list of topics"), AtMost(maxima.STREAM_TOPICS)
+    ] = ()
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        super().__post_init__()
         if self.topics:
             own = [f.name for f in dataclasses.fields(Topic) if getattr(self, f.name)]
             if own:
                 raise StudyError("stands beside topics; expected it in each of these", (own[0],))
-            checks.at_most(self.topics, maxima.STREAM_TOPICS, "topics")
         elif self.topic == "":
             raise StudyError("missing", ("topic",))
         if self.rate is None:
@@ -125,17 +145,9 @@ class Publish(Topic):
             if name in names[:index]:
                 raise StudyError(f"{name} stands here twice", ("topics", index, "topic"))
         if self.rate is not None:
-            self._check_stream()
+            self._check_stream(self.rate)
 
-    def _check_stream(self) -> None:
-        rate = checks.positive(self.rate, "rate")
-        if rate > maxima.STREAM_RATE:
-            most = maxima.STREAM_RATE
-            raise StudyError(f"expected at most {most:g} Hz, found {rate:g}", ("rate",))
-        object.__setattr__(self, "rate", rate)
-        for key in ("duration", "largest_gap"):
-            if getattr(self, key) is not None:
-                object.__setattr__(self, key, checks.timeout(getattr(self, key), key))
+    def _check_stream(self, rate: float) -> None:
         if self.largest_gap is not None and self.largest_gap <= 1.0 / rate:
             raise StudyError(
                 f"{self.largest_gap:g} s are no more than a period of {1.0 / rate:g} s",
@@ -156,6 +168,18 @@ class Publish(Topic):
         if self.topics:
             return self.topics
         return (Topic(**{f.name: getattr(self, f.name) for f in dataclasses.fields(Topic)}),)
+
+    def filled(self, values: Values) -> Self:
+        """Return it with values for names in braces, in each of its topics."""
+        topics = tuple(topic.filled(values) for topic in self.topics)
+        return dataclasses.replace(super().filled(values), topics=topics)
+
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str, bool]]:
+        """Names of contexts and parameters in braces, with key paths; whether in an expression."""
+        for path, topic in zip(self.paths, self.published, strict=True):
+            own = topic.names_in_braces
+            yield from (((*path, *below), name, is_number) for below, name, is_number in own)
 
     @property
     def paths(self) -> list[tuple[str | int, ...]]:
@@ -227,6 +251,9 @@ class Publish(Topic):
         return dataclasses.replace(self, profile=topics[0].profile)
 
     def _check_finite(self, profile: Profile, folder: str, longest: float) -> None:
+        if any(names_in(profile.expression)):
+            # What it comes to is known with the values alone.
+            return
         rate = self.rate or 1.0
         count = int(min(self.duration or longest, longest, CHECKED) * rate) + 1
         times = np.arange(count) / rate
@@ -235,53 +262,3 @@ class Publish(Topic):
             raise StudyError(
                 f"is {values[wrong[0]]:g} at {times[wrong[0]]:g} s; expected a finite number"
             )
-
-
-def build_publish(value: object) -> Publish:
-    """Return what a step of a study file publishes.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    fields = _with_profiles(arguments(Publish, value))
-    if "topics" in fields:
-        items = checks.sequence(fields["topics"], "a list of topics", "topics")
-        findings = Findings()
-        topics = []
-        for index, item in enumerate(items):
-            with findings.under("topics", index):
-                topics.append(Topic(**_with_profiles(arguments(Topic, item))))
-        findings.check()
-        fields["topics"] = tuple(topics)
-    return Publish(**fields)
-
-
-def _with_profiles(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields with the profiles that they describe."""
-    given = fields.get("profile")
-    if isinstance(given, dict):
-        findings = Findings()
-        profiles = {}
-        for name, item in given.items():
-            with findings.under("profile", str(name)):
-                profiles[name] = build_profile(item)
-        findings.check()
-        fields["profile"] = profiles
-    return fields
-
-
-def check_message(value: object, *path: str | int) -> None:
-    """Refuse what no message can hold."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            checks.text(key, *path)
-            if not isinstance(item, (bool, int, float, str)):
-                check_message(item, *path, key)
-    elif isinstance(value, (list, tuple)) and len(path) > 1:
-        for index, item in enumerate(value):
-            if not isinstance(item, (bool, int, float, str)):
-                check_message(item, *path, index)
-    else:
-        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)

@@ -9,7 +9,7 @@ from math import ceil, isfinite
 
 import numpy as np
 
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.straight_lines import between, line_of
 from bo_tuner.study.study import Study

@@ -7,28 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metric_keys import Range
 from bo_tuner.trials import Evaluation
-
-Range = tuple[float, float]
-
-
-def check_range(metric: Any) -> None:
-    """Refuse the `range` of a frozen metric, if it has one, and settle it.
-
-    Raises
-    ------
-    StudyError
-        If it is no pair of finite numbers, the first one smaller.
-    """
-    if metric.range is None:
-        return
-    pair = checks.pair(metric.range, "two numbers, as [low, high]", "range")
-    low, high = (checks.magnitude(value, "range", index) for index, value in enumerate(pair))
-    if not low < high:
-        raise StudyError(f"expected low < high, found [{low:g}, {high:g}]", ("range",))
-    object.__setattr__(metric, "range", (low, high))
 
 
 def check_limit(constraint: Constraint, declared: Range | None) -> None:

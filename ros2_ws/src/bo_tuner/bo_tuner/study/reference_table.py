@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import content_of_file
 from bo_tuner.numerics import profiles
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, maxima
 
 HOLD = "hold"
 

@@ -6,11 +6,12 @@ Each function raises `StudyError` with the key path in the study file, or within
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings, under
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_names
-from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metric_scale import check_limits
 from bo_tuner.study.metrics import (
@@ -205,10 +206,14 @@ def check_names(
     if {"signals", "nodes"} <= names.keys():
         with findings.under():
             check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
-    if {"contexts", "parameters"} <= names.keys() and ("run" in parts or "run" not in names):
+    # A name may stand in a part that was refused itself.
+    nodes = parts.get("nodes", {})
+    has_all = nodes.keys() == set(names.get("nodes", ())) and ("run" in parts or "run" not in names)
+    if {"contexts", "parameters"} <= names.keys() and has_all:
         with findings.under():
             check_braces(
                 parts.get("run"),
+                nodes,
                 dict.fromkeys(names["contexts"]) | named["contexts"],
                 dict.fromkeys(names["parameters"]) | named["parameters"],
             )

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings
+from bo_tuner.codec.reading import read
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import Findings, build
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.metrics import RelativeMetric, metric_kind
@@ -81,7 +82,7 @@ def _plain(
     """Return the constraints that one is written out to, and add their metrics to `metrics`."""
     given = {side: item[side] for side in (LOWER, UPPER) if item.get(side) is not None}
     # `Constraint` checks the other keys and splits the sides.
-    whole = build(Constraint, {**item, **{side: _STANDS_FOR[side] for side in given}}, name=name)
+    whole = read(Constraint, {**item, **{side: _STANDS_FOR[side] for side in given}}, name=name)
     checks.reference(whole.metric, "metric", metrics, "metric")
     limits = {}
     for side, limit in given.items():

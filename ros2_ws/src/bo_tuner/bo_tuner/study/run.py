@@ -2,16 +2,19 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import POSITIVE, SECONDS, Alone, AtMost, OneOf
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.braces import without_names
-from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.playing import Play
-from bo_tuner.study.resting import Rest, WarmUp, build_rest, build_warm_up, ramp_time
+from bo_tuner.study.resting import RAMP, Rest, WarmUp
 from bo_tuner.study.signals import expression
-from bo_tuner.study.steps import SetParameter, Step, build_steps
+from bo_tuner.study.steps import SetParameter, Step, Steps
 
 BEFORE, START = "before", "start"
 """Phases of the steps that a run begins with."""
@@ -23,11 +26,10 @@ REST = "rest"
 """Key of the rest between two runs."""
 PHASES = (BEFORE, START, AFTER, RECOVER)
 WALL, SIM = "wall", "sim"
-RESULT, PLAYED = "result", "played"
 
 
 @dataclass(frozen=True, kw_only=True)
-class End:
+class End(Section):
     """What ends a run.
 
     Attributes
@@ -42,24 +44,25 @@ class End:
         The end of the bag that `start` plays.
     """
 
-    after: float | None = None
+    after: Annotated[float, POSITIVE] | None = None
     when: str = ""
     result: bool = False
     played: bool = False
 
+    alone = Alone(
+        Literal["result", "played"],
+        lambda word: {word: True},
+        "result, played, or a mapping such as {after: 2.0}",
+    )
+
     def __post_init__(self) -> None:
-        checks.boolean(self.result, "result")
-        checks.boolean(self.played, "played")
-        given = (self.after is not None, self.when != "", self.result, self.played)
-        if sum(given) != 1:
+        super().__post_init__()
+        if (self.after is not None) + (self.when != "") + self.result + self.played != 1:
             raise StudyError("expected one of after, when, result and played")
-        if self.after is not None:
-            object.__setattr__(self, "after", checks.positive(self.after, "after"))
-        checks.text(self.when, "when")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class Run(Section):
     """What makes up a run.
 
     Attributes
@@ -92,25 +95,19 @@ class Run:
     """
 
     end: End
-    before: tuple[Step, ...] = ()
-    start: tuple[Step, ...] = ()
-    after: tuple[Step, ...] = ()
-    recover: tuple[Step, ...] = ()
-    timeout: float = 30.0
+    before: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    start: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    after: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    recover: Annotated[Steps, AtMost(maxima.STEPS)] = ()
+    timeout: Annotated[float, SECONDS] = 30.0
     abort_when: str = ""
-    clock: str = WALL
+    clock: Annotated[str, OneOf((WALL, SIM))] = WALL
     warm_up: WarmUp | None = None
     rest: Rest | None = None
-    ramp: float | None = None
+    ramp: Annotated[float, RAMP] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-        if self.ramp is not None:
-            object.__setattr__(self, "ramp", ramp_time(self.ramp, "ramp"))
-        for phase in PHASES:
-            checks.at_most(getattr(self, phase), maxima.STEPS, phase)
-        checks.text(self.abort_when, "abort_when")
-        checks.choice(self.clock, (WALL, SIM), "clock")
+        super().__post_init__()
         for index, step in enumerate(self.start):
             if step.restart:
                 raise StudyError(
@@ -135,10 +132,10 @@ class Run:
             if path[1] != START:
                 raise StudyError("is a run of its own; expected this in start", (*path[1:], "play"))
         if self.end.played and not plays:
-            raise StudyError("start has no play", ("end", PLAYED))
+            raise StudyError("start has no play", ("end", "played"))
         if not plays:
             return
-        if len(plays) > 1 or len(self.start) > 1:
+        if len(self.start) > 1:
             raise StudyError("expected play alone: a run is what its bag is", (START,))
         if not self.end.played:
             raise StudyError("expected played, as start plays a bag", ("end",))
@@ -275,39 +272,3 @@ class Run:
             with findings.under():
                 expression(without_names(condition), signals, *path)
         findings.check()
-
-
-def build_run(value: object) -> Run:
-    """Return the run that a section of a study file describes.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    fields = arguments(Run, value)
-    findings = Findings()
-    with findings.under("end"):
-        fields["end"] = _build_end(fields["end"])
-    for phase in PHASES:
-        with findings.under(phase):
-            fields[phase] = build_steps(fields.get(phase, ()))
-    for key, builder in (("warm_up", build_warm_up), (REST, build_rest)):
-        if key in fields:
-            with findings.under(key):
-                fields[key] = builder(fields[key])
-    findings.check()
-    return Run(**fields)
-
-
-def _build_end(value: object) -> End:
-    """Return what ends a run; ``result`` and ``played`` alone are short for ``{result: true}``."""
-    if value in (RESULT, PLAYED):
-        return End(result=value == RESULT, played=value == PLAYED)
-    if not isinstance(value, dict):
-        near = checks.meant(value, (RESULT, PLAYED)) if isinstance(value, str) else ""
-        raise StudyError(
-            f"expected {RESULT}, {PLAYED}, or a mapping such as {{after: 2.0}}; "
-            f"{near or f'found {checks.show(value)}'}"
-        )
-    return build(End, value)

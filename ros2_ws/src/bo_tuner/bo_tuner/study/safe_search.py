@@ -1,17 +1,17 @@
 """How far a safe search goes, and what it dares."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import build
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import FRACTION, Alone, Within
 
 LARGEST_RISK = 0.2
 """With a larger one a search would not be a safe one by any name."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SafeSearch:
+class SafeSearch(Section):
     """The search tries only parameter sets that it expects to be safe, in bounded steps.
 
     ``safe_search: true`` alone takes the defaults.
@@ -26,27 +26,7 @@ class SafeSearch:
         limits, as a share of its range on its scale. A parameter may have a `travel` of its own.
     """
 
-    risk: float = 0.005
-    travel: float = 0.1
+    risk: Annotated[float, Within(above=0.0, most=LARGEST_RISK)] = 0.005
+    travel: Annotated[float, FRACTION] = 0.1
 
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        risk = checks.fraction(self.risk, "risk")
-        if risk > LARGEST_RISK:
-            raise StudyError(f"expected at most {LARGEST_RISK:g}, found {risk:g}", ("risk",))
-        object.__setattr__(self, "risk", risk)
-        object.__setattr__(self, "travel", checks.fraction(self.travel, "travel"))
-
-
-def build_safe_search(value: object) -> SafeSearch | None:
-    """Return what a section of a study file says of a safe search; None if there is to be none.
-
-    Raises
-    ------
-    StudyError
-        If it violates a rule.
-    """
-    if isinstance(value, bool):
-        return SafeSearch() if value else None
-    safe_search: SafeSearch = build(SafeSearch, value)
-    return safe_search
+    alone = Alone(bool, lambda on: {} if on else None, "true, false, or a mapping of the search")

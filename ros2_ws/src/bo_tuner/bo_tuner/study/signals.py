@@ -4,7 +4,11 @@ import keyword
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import KEY, POSITIVE, Expected, Matching, OneOf, Whole
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import (
     FUNCTIONS,
@@ -12,7 +16,6 @@ from bo_tuner.numerics.expressions import (
     ExpressionError,
     UnknownNameError,
 )
-from bo_tuner.study import checks
 from bo_tuner.study.fields import parsed_field
 
 HEADER, RECEPTION = "header", "reception"
@@ -21,15 +24,16 @@ TIME = "t"
 
 SIGNAL_NAME = re.compile(r"[A-Za-z_]\w{0,63}", re.ASCII)
 GRAPH_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-FRAME = re.compile(r"[^\s/][^\s]*")
+Frame = Annotated[str, Matching(re.compile(r"[^\s/][^\s]*"), "a frame such as map")]
 TF = "/tf"
 """Topic of transforms; transforms that never change are on this name with `STATIC` appended."""
 STATIC = "_static"
 MESSAGE_TYPE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
+OF_MESSAGES = "a message type such as std_msgs/msg/Float64"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Signal:
+class Signal(Section):
     """What a study records over the time of a run: a number in messages, or whole messages.
 
     Attributes
@@ -64,62 +68,41 @@ class Signal:
         A run fails if more messages than this are lost or late.
     """
 
-    name: str
-    topic: str = ""
+    name: Annotated[str, KEY, Matching(SIGNAL_NAME, "a name of letters, digits and _")]
+    topic: Annotated[str, Matching(GRAPH_NAME, "a topic name such as /joint_states")] = ""
     field: str = ""
-    frames: tuple[str, str] | None = None
-    publisher: str = ""
+    frames: (
+        Annotated[tuple[Frame, Frame], Expected("[frame, other], as [map, base_link]")] | None
+    ) = None
+    publisher: Annotated[str, Matching(GRAPH_NAME, "a node name such as /arm")] = ""
     merge: bool = False
-    type: str = ""
-    time: str = ""
-    minimum_messages: int = 1
-    largest_gap: float | None = None
-    most_lost: int | None = None
+    type: Annotated[str, Matching(MESSAGE_TYPE, OF_MESSAGES)] = ""
+    time: Annotated[str, OneOf((HEADER, RECEPTION))] = ""
+    minimum_messages: Annotated[int, Whole(0)] = 1
+    largest_gap: Annotated[float, POSITIVE] | None = None
+    most_lost: Annotated[int, Whole(0)] | None = None
 
     def __post_init__(self) -> None:
-        checks.matching(self.name, SIGNAL_NAME, "a name of letters, digits and _")
+        super().__post_init__()
         if self.name == TIME or self.name in FUNCTIONS or keyword.iskeyword(self.name):
             raise StudyError(f"'{self.name}' has a meaning in expressions; choose another name")
         self._check_frames()
         if self.topic == "":
             raise StudyError("missing", ("topic",))
-        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /joint_states", "topic")
-        if checks.text(self.field, "field"):
+        if self.field:
             parsed_field(self.field)
-        checks.boolean(self.merge, "merge")
-        if self.publisher != "":
-            checks.matching(self.publisher, GRAPH_NAME, "a node name such as /arm", "publisher")
-            if self.merge or self.frames is not None:
-                beside = "merge" if self.merge else "frames"
-                raise StudyError(
-                    f"messages of one node or of all; leave out publisher or {beside}",
-                    ("publisher",),
-                )
-        if self.type != "":
-            checks.matching(
-                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
+        if self.publisher and (self.merge or self.frames is not None):
+            beside = "merge" if self.merge else "frames"
+            raise StudyError(
+                f"messages of one node or of all; leave out publisher or {beside}",
+                ("publisher",),
             )
-        if self.time != "":
-            checks.choice(self.time, (HEADER, RECEPTION), "time")
-        checks.integer(self.minimum_messages, "minimum_messages", at_least=0)
-        if self.largest_gap is not None:
-            gap = checks.positive(self.largest_gap, "largest_gap")
-            object.__setattr__(self, "largest_gap", gap)
-        if self.most_lost is not None:
-            checks.integer(self.most_lost, "most_lost", at_least=0)
 
     def _check_frames(self) -> None:
         if self.frames is None:
             return
-        expected = "[frame, other], as [map, base_link]"
-        one, other = checks.pair(self.frames, expected, "frames")
-        pair = tuple(
-            checks.matching(frame, FRAME, "a frame such as map", "frames", index)
-            for index, frame in enumerate((one, other))
-        )
-        object.__setattr__(self, "frames", pair)
-        if pair[0] == pair[1]:
-            raise StudyError(f"expected two frames, found '{pair[0]}' twice", ("frames",))
+        if self.frames[0] == self.frames[1]:
+            raise StudyError(f"expected two frames, found '{self.frames[0]}' twice", ("frames",))
         if self.topic == "":
             object.__setattr__(self, "topic", TF)
         if self.field == "":

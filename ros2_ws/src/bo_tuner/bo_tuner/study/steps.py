@@ -1,22 +1,24 @@
 """The steps of a run on a system that knows nothing of the tuner."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import SECONDS, Expected, Matching, OneOf, RosValue, Within
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.fields import field_path
-from bo_tuner.study.playing import Play, build_play
-from bo_tuner.study.publishing import Publish, build_publish, check_message
+from bo_tuner.study.playing import Play
+from bo_tuner.study.publishing import Message, Publish
 from bo_tuner.study.signals import GRAPH_NAME
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Call:
+class Call(Section):
     """A call of a service, which says in its answer whether it was done.
 
     It was not if one of these is false: `success`, `ok`, `mode_sent`, `status.success`,
@@ -36,25 +38,20 @@ class Call:
         Longest time [s] until the answer.
     """
 
-    service: str
-    request: Mapping[str, object] = field(default_factory=dict)
+    service: Annotated[str, Matching(GRAPH_NAME, "a service name such as /motor/reset")]
+    request: Message = field(default_factory=dict)
     expect: Mapping[str, bool | int | float | str] = field(default_factory=dict)
-    timeout: float = 5.0
+    timeout: Annotated[float, SECONDS] = 5.0
 
     def __post_init__(self) -> None:
-        checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
-        check_message(self.request, "request")
-        check_message(self.expect, "expect")
-        for name, value in self.expect.items():
+        super().__post_init__()
+        for name in self.expect:
             with under("expect", name):
                 field_path(name)
-                if not isinstance(value, (bool, int, float, str)):
-                    raise StudyError(f"expected a single value, found {checks.show(value)}")
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SendGoal:
+class SendGoal(Section):
     """A goal for an action server.
 
     In `start` the run goes on while the goal is executed, and the goal is cancelled when the run
@@ -70,18 +67,13 @@ class SendGoal:
         Longest time [s] that a step outside of `start` waits for the result.
     """
 
-    action: str
-    goal: Mapping[str, object] = field(default_factory=dict)
-    timeout: float = 30.0
-
-    def __post_init__(self) -> None:
-        checks.matching(self.action, GRAPH_NAME, "an action name such as /follow_path", "action")
-        check_message(self.goal, "goal")
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+    action: Annotated[str, Matching(GRAPH_NAME, "an action name such as /follow_path")]
+    goal: Message = field(default_factory=dict)
+    timeout: Annotated[float, SECONDS] = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lifecycle:
+class Lifecycle(Section):
     """A transition of a lifecycle node.
 
     To deactivate a node that is not active, or to clean one up that is not configured, is no
@@ -97,18 +89,13 @@ class Lifecycle:
         Longest time [s] of the transition.
     """
 
-    node: str
-    transition: str
-    timeout: float = 5.0
-
-    def __post_init__(self) -> None:
-        checks.matching(self.node, GRAPH_NAME, "a node name such as /camera", "node")
-        checks.choice(self.transition, TRANSITIONS, "transition")
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+    node: Annotated[str, Matching(GRAPH_NAME, "a node name such as /camera")]
+    transition: Annotated[str, OneOf(TRANSITIONS)]
+    timeout: Annotated[float, SECONDS] = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SetParameter:
+class SetParameter(Section):
     """A parameter of a node that a step sets: a set-point, a mode, a gain of another controller.
 
     It has the value from then on, until another step sets it; after a run it has again what it had,
@@ -125,21 +112,12 @@ class SetParameter:
     """
 
     node: str
-    parameter: str
-    value: checks.ParameterValue
-
-    def __post_init__(self) -> None:
-        checks.text(self.node, "node")
-        checks.parameter_name(self.parameter, "parameter")
-        try:
-            values = checks.parameter_values({self.parameter: self.value})
-        except StudyError as error:
-            raise StudyError(error.problem, ("value", *error.path[1:])) from None
-        object.__setattr__(self, "value", values[self.parameter])
+    parameter: Annotated[str, checks.parameter_name]
+    value: RosValue
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaitUntil:
+class WaitUntil(Section):
     """A wait for a condition on signals, or for the moment at which one comes to hold.
 
     Attributes
@@ -155,37 +133,23 @@ class WaitUntil:
     """
 
     condition: str
-    hold: float = 0.1
-    timeout: float = 10.0
+    hold: Annotated[float, Within(least=0.0, unit="s")] = 0.1
+    timeout: Annotated[float, SECONDS] = 10.0
     rising: bool = False
 
     def __post_init__(self) -> None:
-        checks.text(self.condition, "condition")
-        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-        checks.boolean(self.rising, "rising")
-        object.__setattr__(self, "hold", checks.number(self.hold, "hold"))
-        if self.hold < 0.0:
-            raise StudyError(f"expected at least 0 s, found {self.hold:g}", ("hold",))
+        super().__post_init__()
         if self.hold > self.timeout:
             raise StudyError(
                 f"{self.hold:g} s are more than the timeout, {self.timeout:g} s", ("hold",)
             )
 
 
-_KINDS: dict[str, type[Any]] = {
-    "call": Call,
-    "publish": Publish,
-    "send_goal": SendGoal,
-    "lifecycle": Lifecycle,
-    "set": SetParameter,
-    "wait_until": WaitUntil,
-    "play": Play,
-}
-_BUILDERS: dict[str, Callable[[object], Any]] = {"publish": build_publish, "play": build_play}
+_KINDS = ("call", "publish", "send_goal", "lifecycle", "set", "wait_until", "play")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class Step(Section):
     """One step of a procedure; exactly one field is given.
 
     Attributes
@@ -215,14 +179,14 @@ class Step:
 
     call: Call | None = None
     publish: Publish | None = None
-    stop: str = ""
+    stop: Annotated[str, Matching(GRAPH_NAME, "a topic name such as /setpoint")] = ""
     send_goal: SendGoal | None = None
     lifecycle: Lifecycle | None = None
     set: SetParameter | None = None
-    restart: str | tuple[str, ...] = ""
+    restart: Annotated[str | tuple[str, ...], Expected("a node, or a list of nodes")] = ""
     wait_until: WaitUntil | None = None
     play: Play | None = None
-    wait: float | None = None
+    wait: Annotated[float, SECONDS] | None = None
 
     @property
     def restarts(self) -> tuple[str, ...]:
@@ -237,45 +201,12 @@ class Step:
         return self.wait is not None or self.wait_until is not None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.restart, str):
-            nodes = checks.sequence(self.restart, "a node, or a list of nodes", "restart")
-            names = tuple(checks.text(name, "restart", k) for k, name in enumerate(nodes))
-            if not names:
-                raise StudyError("expected a node, or a list of nodes", ("restart",))
-            object.__setattr__(self, "restart", names)
-        if self.stop != "":
-            checks.matching(self.stop, GRAPH_NAME, "a topic name such as /setpoint", "stop")
+        super().__post_init__()
+        if self.restart == ():
+            raise StudyError("expected a node, or a list of nodes", ("restart",))
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]
         if len(given) + bool(self.restart) + bool(self.stop) != 1:
             raise StudyError(f"expected one of {', '.join((*_KINDS, 'restart', 'stop'))} and wait")
-        if self.wait is not None:
-            object.__setattr__(self, "wait", checks.timeout(self.wait, "wait"))
 
 
-def build_steps(value: object) -> tuple[Step, ...]:
-    """Return the steps that a list of a study file describes.
-
-    Raises
-    ------
-    StudyError
-        If it is none, or one of its items is no step.
-    """
-    steps = []
-    findings = Findings()
-    for index, step in enumerate(checks.sequence(value, "a list of steps")):
-        with findings.under(index):
-            steps.append(_build_step(step))
-    findings.check()
-    return tuple(steps)
-
-
-def _build_step(value: object) -> Step:
-    if isinstance(value, Step):
-        return value
-    fields = arguments(Step, value)
-    for key, cls in _KINDS.items():
-        if key in fields:
-            with under(key):
-                builder = _BUILDERS.get(key)
-                fields[key] = builder(fields[key]) if builder else build(cls, fields[key])
-    return Step(**fields)
+Steps = Annotated[tuple[Step, ...], Expected("a list of steps")]

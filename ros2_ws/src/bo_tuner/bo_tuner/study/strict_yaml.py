@@ -12,8 +12,8 @@ from typing import Any
 
 import yaml
 
+from bo_tuner.codec.checks import show
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study.checks import show
 from bo_tuner.text import one_line
 
 MAX_DEPTH = 20

@@ -4,28 +4,32 @@ import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings, under
+from bo_tuner.codec.reading import check_fields
+from bo_tuner.codec.rules import Expected, Matching, OneOf, Whole, Written
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
-from bo_tuner.study.building import Findings, under
 from bo_tuner.study.configuring import check_parked, configured_by_steps
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.growing import check_cut_short, decisive, why_not
 from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
-from bo_tuner.study.measured import check_measured, measured_names
+from bo_tuner.study.measured import Measured, check_measured
 from bo_tuner.study.metric_scale import check_scales
 from bo_tuner.study.metrics import (
     COMPUTED,
     CombinedMetric,
+    MetricOfStudy,
     PythonMetric,
     RelativeMetric,
     StudyMetric,
@@ -79,6 +83,26 @@ MOST = {
     "where": maxima.CONDITIONS,
     "start": maxima.TRIALS,
 }
+
+
+BY_NAME = Expected("a mapping of names, {} for none")
+PAIR = "[smaller, larger], two names of parameters"
+SETS = f"parameter sets, or {DEFAULT_SET}"
+
+
+def _set(given: Mapping[str, Value] | str) -> Mapping[str, Value] | str:
+    if isinstance(given, str) and given != DEFAULT_SET:
+        raise StudyError(f"expected {SETS}, found {checks.show(given)}")
+    return given
+
+
+ParameterSet = Annotated[Mapping[str, Value] | str, Expected(SETS), _set]
+
+
+def _without_null(value: object) -> str:
+    if "\0" in (text := checks.text(value)):
+        raise StudyError("expected text without null characters")
+    return text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,31 +177,33 @@ class Study:
         If a rule is violated; its path is the key path in the study file.
     """
 
-    name: str
-    nodes: Mapping[str, NodeSpec]
-    parameters: Mapping[str, Parameter]
-    metrics: Mapping[str, StudyMetric]
-    objective: Objective
+    name: Annotated[str, Matching(checks.SIMPLE_NAME, "a name of letters, digits, _ and -")]
+    nodes: Annotated[Mapping[str, NodeSpec], BY_NAME]
+    parameters: Annotated[Mapping[str, Parameter], BY_NAME]
+    metrics: Annotated[Mapping[str, MetricOfStudy], BY_NAME]
+    objective: Annotated[Objective, Written(str)]
     budget: Budget
     trigger: Trigger | None = None
     run: Run | None = None
-    signals: Mapping[str, Signal] = field(default_factory=dict)
+    signals: Annotated[Mapping[str, Signal], BY_NAME] = field(default_factory=dict)
     park: Park = field(default_factory=Park)
     guard: Guarding = field(default_factory=Guarding)
     safe_search: SafeSearch | None = None
-    further_objectives: tuple[Objective, ...] = ()
-    contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
-    measured: tuple[str, ...] = ()
-    constraints: Mapping[str, Constraint] = field(default_factory=dict)
+    further_objectives: Annotated[tuple[Objective, ...], Expected("a list of objectives")] = ()
+    contexts: Annotated[Mapping[str, ContextVariable], BY_NAME] = field(default_factory=dict)
+    measured: Measured = ()
+    constraints: Annotated[Mapping[str, Constraint], BY_NAME] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
-    order: tuple[tuple[str, str], ...] = ()
-    where: tuple[str, ...] = ()
-    start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
+    order: Annotated[
+        tuple[Annotated[tuple[str, str], Expected(PAIR)], ...], Expected(f"a list of {PAIR}")
+    ] = ()
+    where: Annotated[tuple[str, ...], Expected("a list of conditions such as ki <= kp / 2")] = ()
+    start: Annotated[tuple[ParameterSet, ...], Expected(f"a list of {SETS}")] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
-    noise: str = RANDOM
-    seed: int = 1
+    noise: Annotated[str, OneOf((RANDOM, NONE))] = RANDOM
+    seed: Annotated[int, Whole(0)] = 1
     description: str = ""
-    folder: str = ""
+    folder: Annotated[str, _without_null] = ""
 
     def __post_init__(self) -> None:
         """Check the references between the parts."""
@@ -203,7 +229,7 @@ class Study:
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
                 check_kinds(self.run, self.metrics, self.signals)
         with findings.under():
-            check_braces(self.run, self.contexts, self.parameters)
+            check_braces(self.run, self.nodes, self.contexts, self.parameters)
         # Other references are checked by way of the nodes.
         if has_nodes:
             with findings.under():
@@ -244,36 +270,8 @@ class Study:
         findings.check()
 
     def _check_fields(self, findings: Findings) -> None:
-        """Check the fields that are no references; a list with an error becomes empty."""
-        with findings.under():
-            expected = "a name of letters, digits, _ and -"
-            checks.matching(self.name, checks.SIMPLE_NAME, expected, "name")
-        with findings.under():
-            checks.text(self.description, "description")
-        with findings.under():
-            checks.text(self.folder, "folder")
-            if "\0" in self.folder:
-                raise StudyError("expected text without null characters", ("folder",))
-        with findings.under():
-            checks.integer(self.seed, "seed", at_least=0)
-        with findings.under():
-            checks.choice(self.noise, (RANDOM, NONE), "noise")
-        order: tuple[tuple[str, str], ...] = ()
-        with findings.under():
-            order = _order(self.order)
-        object.__setattr__(self, "order", order)
-        measured: tuple[str, ...] = ()
-        with findings.under():
-            measured = measured_names(self.measured)
-        object.__setattr__(self, "measured", measured)
-        where: tuple[str, ...] = ()
-        with findings.under("where"):
-            where = _where(self.where)
-        object.__setattr__(self, "where", where)
-        start: tuple[Mapping[str, Value] | str, ...] = ()
-        with findings.under():
-            start = _start(self.start)
-        object.__setattr__(self, "start", start)
+        """Check the fields that are no references; one with an error becomes its default."""
+        check_fields(self, findings)
         each = (OBJECTIVE, OUTLIERS)
         taken = {f"{model}_{o.metric}" for o in self.further_objectives for model in each}
         with findings.under():
@@ -722,33 +720,3 @@ def _one_limit_each(
                 )
             limits[side.name] = side
     return limits
-
-
-def _order(order: object) -> tuple[tuple[str, str], ...]:
-    expected = "[smaller, larger], two names of parameters"
-    pairs = []
-    for index, item in enumerate(checks.sequence(order, f"a list of {expected}", "order")):
-        smaller, larger = checks.pair(item, expected, "order", index)
-        pairs.append(
-            (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
-        )
-    return tuple(pairs)
-
-
-def _where(where: object) -> tuple[str, ...]:
-    expected = "a list of conditions such as ki <= kp / 2"
-    items = checks.sequence(where, expected)
-    return tuple(checks.text(item, index) for index, item in enumerate(items))
-
-
-def _start(start: object) -> tuple[Mapping[str, Value] | str, ...]:
-    expected = f"parameter sets, or {DEFAULT_SET}"
-    items: list[Mapping[str, Value] | str] = []
-    for index, item in enumerate(checks.sequence(start, f"a list of {expected}", "start")):
-        if isinstance(item, Mapping):
-            items.append(dict(item))
-        elif item == DEFAULT_SET:
-            items.append(DEFAULT_SET)
-        else:
-            raise StudyError(f"expected {expected}, found {checks.show(item)}", ("start", index))
-    return tuple(items)

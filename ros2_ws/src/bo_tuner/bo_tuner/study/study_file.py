@@ -4,64 +4,33 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import Findings, under
+from bo_tuner.codec.reading import arguments, classes_in, entries, fields_of, keys_of, read
+from bo_tuner.codec.writing import to_file
 from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.interruption import content_of_file
 from bo_tuner.package_files import config_directory
-from bo_tuner.study import checks, strict_yaml
-from bo_tuner.study.budget import Budget, CertificateRequirement
-from bo_tuner.study.building import Findings, arguments, build, is_required, under
-from bo_tuner.study.constraint import Constraint
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
-from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.function_study import with_function
-from bo_tuner.study.guarding import Guarding, build_guarding
-from bo_tuner.study.metrics import COMPUTED, ReportedMetric, metric_expression, metric_kind
+from bo_tuner.study.metrics import COMPUTED, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.park import Park
-from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.playing import with_bags
 from bo_tuner.study.references import check_names
 from bo_tuner.study.relative_limits import written_out
-from bo_tuner.study.run import Run, build_run
-from bo_tuner.study.safe_search import SafeSearch, build_safe_search
-from bo_tuner.study.signals import Signal
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import BY_NAME, Study
 
 COST = "cost"
 """Name of the metric for an objective that is written as an expression."""
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
 
-# Sections that may be, in whole or in part, a single word.
-_BUILDERS: dict[type[Any], Callable[[object], Any]] = {
-    Run: build_run,
-    Guarding: build_guarding,
-    SafeSearch: build_safe_search,
-}
-# Sections with one object, and sections with objects by name.
-_SINGLE: dict[str, type[Any]] = {
-    "trigger": Trigger,
-    "seed_parameter": SeedParameter,
-    "objective": Objective,
-    "budget": Budget,
-    "run": Run,
-    "park": Park,
-    "guard": Guarding,
-    "safe_search": SafeSearch,
-    "certificate": CertificateRequirement,
-}
-_NAMED: dict[str, type[Any]] = {
-    "nodes": NodeSpec,
-    "parameters": Parameter,
-    "contexts": ContextVariable,
-    "signals": Signal,
-    "metrics": ReportedMetric,
-    "constraints": Constraint,
-}
-_SECTIONS = [field.name for field in dataclasses.fields(Study)]
+_SECTIONS = {item.name: item for item in fields_of(Study)}
+_NAMED = [name for name, item in _SECTIONS.items() if BY_NAME in get_args(item.hint)]
 
 
 def shipped_studies() -> list[str]:
@@ -75,9 +44,7 @@ def shipped_nodes() -> list[NodeSpec]:
     for name in shipped_studies():
         path = config_directory() / "studies" / f"{name}.yaml"
         content = arguments(Study, strict_yaml.parse(read_text(path, path.name)).value)
-        findings = Findings()
-        nodes += _build_named("nodes", NodeSpec, content["nodes"], findings).values()
-        findings.check()
+        nodes += read(Mapping[str, NodeSpec], content["nodes"]).values()
     return nodes
 
 
@@ -223,19 +190,18 @@ def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
         del values["objective"]
     values |= written_out(values, findings)
     made = dict(values)
-    for key, cls in _SINGLE.items():
-        if key in values:
-            del made[key]
-            with findings.under(key):
-                builder = _BUILDERS.get(cls)
-                made[key] = builder(values[key]) if builder else build(cls, values[key])
-    if "further_objectives" in values:
-        del made["further_objectives"]
-        with findings.under():
-            made["further_objectives"] = _build_objectives(values["further_objectives"])
-    for key, cls in _NAMED.items():
-        if key in values:
-            made[key] = _build_named(key, cls, values[key], findings)
+    for key, item in _SECTIONS.items():
+        if key not in values or not classes_in(item.hint):
+            continue
+        del made[key]
+        inner = Findings()
+        if key in _NAMED:
+            made[key] = entries(item.hint, values[key], inner)
+        else:
+            with inner.under():
+                made[key] = item.read(values[key], "")
+        with findings.under(key):
+            inner.check()
     if findings:
         # Errors in references are reported together with those in the parts.
         check_names(made, _names(values), findings)
@@ -244,10 +210,10 @@ def _parts(mapping: object, findings: Findings) -> dict[str, Any]:
 
 def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
     """Return by section the names of the parts in a study file, as far as it has such a section."""
-    optional = {field.name for field in dataclasses.fields(Study) if not is_required(field)}
-    by_section = {}
+    # What a run that was refused may use is not known.
+    by_section: dict[str, list[str]] = {"run": []} if "run" in values else {}
     for key in _NAMED:
-        section = values.get(key, {} if key in optional else None)
+        section = values.get(key, None if _SECTIONS[key].is_required else {})
         if isinstance(section, dict):
             by_section[key] = [name for name in section if isinstance(name, str)]
     return by_section
@@ -270,23 +236,9 @@ def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
     return {"objective": {"metric": COST}, "metrics": metrics | {COST: {"expression": given}}}
 
 
-def _build_objectives(value: object) -> tuple[Objective, ...]:
-    objectives = []
-    for index, item in enumerate(
-        checks.sequence(value, "a list of objectives", "further_objectives")
-    ):
-        with under("further_objectives", index):
-            objectives.append(build(Objective, item))
-    return tuple(objectives)
-
-
 def study_to_mapping(study: Study) -> dict[str, object]:
     """Return the dictionaries and lists of a study file that describes `study`."""
-    mapping = _plain_fields(study)
-    for key in _NAMED:
-        items = getattr(study, key)
-        if items:
-            mapping[key] = {name: _plain_part(item) for name, item in items.items()}
+    mapping: dict[str, object] = to_file(study)
     if not study.start:
         # Here an empty list differs from a missing key, which means the default.
         mapping["start"] = []
@@ -301,7 +253,7 @@ def study_to_yaml(study: Study) -> str:
 def _check_what_is_given(mapping: object, nodes: Mapping[str, Sequence[str]]) -> None:
     """Raise what is wrong whatever the nodes say: a misspelt key needs no node to be found."""
     left_open = {name for names in nodes.values() for name in names}
-    keys = {field.name for field in dataclasses.fields(Parameter)}
+    keys = {item.name for item in keys_of(Parameter)}
 
     def may_be_filled_in(path: KeyPath) -> bool:
         return path[:1] == ("parameters",) and path[1] in left_open and not set(path[2:3]) - keys
@@ -326,7 +278,7 @@ def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Desc
     try:
         described = describe(names)
     except BackendError as error:
-        started = [key for key in nodes if build(NodeSpec, specs[key], name=key).is_started]
+        started = [key for key in nodes if read(NodeSpec, specs[key], name=key).is_started]
         if not started:
             raise
         key, open_ = started[0], nodes[started[0]]
@@ -367,73 +319,3 @@ def read_text(path: Path, source: str) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise StudyError("expected UTF-8 text", source=source, line=line) from None
-
-
-def _build_named(section: str, cls: type[Any], value: object, findings: Findings) -> dict[str, Any]:
-    """Return the parts of a section by name; what is wrong with others goes to `findings`."""
-    items: dict[str, Any] = {}
-    with findings.under(section):
-        if not isinstance(value, dict):
-            shown = checks.show(value)
-            raise StudyError(f"expected a mapping of names, {{}} for none, found {shown}")
-        for name, fields in value.items():
-            if not isinstance(name, str):
-                raise StudyError(f"expected a name, found {checks.show(name)}")
-            with findings.under(section, name):
-                if cls is ContextVariable:
-                    items[name] = _build_context(name, fields)
-                elif cls is ReportedMetric:
-                    items[name] = build(metric_kind(fields), fields, name=name)
-                else:
-                    items[name] = build(cls, fields, name=name)
-    return items
-
-
-def _build_context(name: str, value: object) -> ContextVariable:
-    """Separate the keys of the variable from those of its distribution, on the same level."""
-    value = checks.mapping(value)
-    if "distribution" not in value:
-        raise StudyError(
-            f"missing; expected one of {', '.join(DISTRIBUTIONS)}, or bags", ("distribution",)
-        )
-    kind = checks.choice(value["distribution"], tuple(DISTRIBUTIONS), "distribution")
-    own = [field.name for field in dataclasses.fields(ContextVariable) if field.name != "name"]
-    cls = DISTRIBUTIONS[kind]
-    shape = {key: item for key, item in value.items() if key not in own}
-    distribution = cls(**arguments(cls, shape, also=own))
-    variable = {key: item for key, item in value.items() if key in own and key != "distribution"}
-    return build(ContextVariable, variable, name=name, distribution=distribution)
-
-
-def _plain_part(part: Any) -> dict[str, object]:
-    fields = _plain_fields(part)
-    # The part has its name as its key.
-    del fields["name"]
-    if isinstance(part, ContextVariable):
-        distribution: Distribution = part.distribution
-        fields["distribution"] = distribution.kind
-        fields |= _plain_fields(distribution)
-    return fields
-
-
-def _plain_fields(settings: Any) -> dict[str, Any]:
-    """Return the fields that are not empty, with lists for tuples."""
-    plain = {}
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        # An empty text may be one of the choices of a parameter.
-        if value is None or value in ((), {}) or (value == "" and field.default == ""):
-            continue
-        plain[field.name] = _plain(value)
-    return plain
-
-
-def _plain(value: object) -> object:
-    """Return parts within parts as mappings, and tuples as lists."""
-    if dataclasses.is_dataclass(value):
-        return _plain_fields(value)
-    if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return value

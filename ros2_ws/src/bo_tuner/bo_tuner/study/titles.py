@@ -1,9 +1,11 @@
 """What a reader calls a metric or a parameter: its label in the study, or else its name."""
 
 from collections.abc import Mapping
+from typing import Annotated
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
 
@@ -11,7 +13,7 @@ LONGEST_LABEL = 60
 """Characters of a label; a table and the axis of a figure have room for no more."""
 
 
-class Titled:
+class Titled(Section):
     """Base of what has a name and may have a label, as fields of the derived class."""
 
     name: str
@@ -38,21 +40,17 @@ def mean_title(title: str) -> str:
     return title if title.partition(" ")[0].lower() == "mean" else f"mean {title}"
 
 
-def check_label(label: str) -> None:
-    """Check the label of an object.
-
-    Raises
-    ------
-    StudyError
-        If it is no text for one line of a screen.
-    """
-    checks.text(label, "label")
+def _label(value: object) -> str:
+    label = checks.text(value)
     if len(label) > LONGEST_LABEL or label != label.strip() or not label.isprintable():
         raise StudyError(
             f"expected at most {LONGEST_LABEL} printable characters without spaces at the ends, "
-            f"found {checks.show(label)}",
-            ("label",),
+            f"found {checks.show(label)}"
         )
+    return label
+
+
+Label = Annotated[str, _label]
 
 
 def check_titles(items: Mapping[str, Titled]) -> None:

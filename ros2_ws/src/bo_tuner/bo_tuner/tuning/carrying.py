@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import ConditionError, ParameterError, RunRecordError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.metrics.collect import judged
@@ -32,7 +33,6 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import Proposal
 from bo_tuner.storage.journal_reader import JournalContent
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study import checks
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution

@@ -4,10 +4,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
+from bo_tuner.codec import checks
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Phase, Plan, Run
 from bo_tuner.storage.json_numbers import to_number
-from bo_tuner.study import checks
 from bo_tuner.study.limits import Sample, Standing, judge_samples
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import answer_html, fill, live_parts
+from bo_tuner.report.page import OF_LISTS, answer_html, fill, live_parts
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.text import counted
 from bo_tuner.trials import count_trials
@@ -75,8 +75,7 @@ class LiveSections:
         study = read_run(self._folder).study
         return fill(
             "live.html",
-            scripts=["live.js"],
-            served=True,
+            [*OF_LISTS, "trials.js", "live.js"],
             study=study,
             sections=[],
             control=control,

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import KEY
 from bo_tuner.errors import StudyError
 from bo_tuner.methods.registry import METHODS
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.experiments.optima import Optimum, optimum_of
@@ -48,7 +49,7 @@ class Row:
         The paper's numbers for this row; the keys are `PUBLISHED`.
     """
 
-    name: str
+    name: Annotated[str, KEY]
     algorithm: str = ""
     optimizer: str = ""
     protocol: str = WORST_CASE

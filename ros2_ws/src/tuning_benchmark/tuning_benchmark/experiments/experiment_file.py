@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import arguments, read
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
-from bo_tuner.study import checks, strict_yaml
-from bo_tuner.study.building import arguments, build
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import (
     is_path,
@@ -112,14 +113,15 @@ def _case(name: str, value: object, folder: Path) -> Case:
     fields["rows"] = _named("rows", fields, _row)
     if "surrogates" in fields:
         with _under("surrogates"):
-            fields["surrogates"] = build(SurrogateFigure, fields["surrogates"])
+            fields["surrogates"] = read(SurrogateFigure, fields["surrogates"])
     if "points" in fields:
-        fields["points"] = _named("points", fields, lambda _, item: build(Point, item))
+        fields["points"] = _named("points", fields, lambda _, item: read(Point, item))
     return Case(name=name, **fields)
 
 
 def _row(name: str, value: object) -> Row:
-    return build(Row, value, name=name)
+    row: Row = read(Row, value, name=name)
+    return row
 
 
 def _calibration(value: object, folder: Path) -> Calibration:
@@ -144,7 +146,8 @@ def _study(value: object, folder: Path) -> Study:
             settings = dict(value)
             problem = settings.pop("problem", "closed_form")
             checks.choice(problem, tuple(PROBLEMS), "problem")
-            return build(PROBLEMS[problem], settings).study()
+            made: Study = read(PROBLEMS[problem], settings).study()
+            return made
     name = checks.text(value, "study")
     study = load_study(name if name in shipped_studies() else folder / name)
     # The records of a campaign are the same on all machines.

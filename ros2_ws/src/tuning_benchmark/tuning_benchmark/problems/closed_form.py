@@ -69,9 +69,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
 from tuning_benchmark.problems.noise_laws import LAWS, LOGNORMAL, NORMAL, NoiseLaw

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.rules import POSITIVE
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
 from tuning_benchmark.problems.warp import unwarped, warped
@@ -68,7 +69,7 @@ class TwoBasins:
     def __post_init__(self) -> None:
         checks.integer(self.parameters, "parameters", at_least=2)
         checks.integer(self.contexts, "contexts", at_least=1)
-        checks.positive(self.radius, "radius")
+        POSITIVE(self.radius, "radius")
 
     @cached_property
     def bottoms(self) -> tuple[Array, Array]:

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bo_tuner.backends.ros.fields import ItemMissingError, all_at, kind_at
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.study.fields import field_path
 from bo_tuner.text import brief
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from bo_tuner.study import maxima
+from bo_tuner import maxima
 
 
 class UnreadableError(Exception):

@@ -16,10 +16,10 @@ from rosidl_parser.definition import (
 from rosidl_parser.definition import Array as ArrayType
 
 from bo_tuner.backends.ros.messages import OCTET, field_types, interface_class, type_name
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.reductions import ANGLES, FILTERS, REDUCTIONS, EmptyArrayError
-from bo_tuner.study import checks
 from bo_tuner.study.fields import LEN, Argument, Field, FieldCall, FieldPart, FieldPath
 from bo_tuner.text import brief
 

@@ -12,10 +12,10 @@ from bo_tuner.backends.ros.answers import said
 from bo_tuner.backends.ros.errors import LostError, SilentError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
 from bo_tuner.study.steps import SendGoal
 from bo_tuner.text import brief
 

@@ -16,9 +16,9 @@ from rosidl_parser.definition import (
     UnboundedSequence,
 )
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
 from bo_tuner.study.offers import MOST_ITEMS
 from bo_tuner.text import one_line
 

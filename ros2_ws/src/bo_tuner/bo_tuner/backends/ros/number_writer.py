@@ -8,8 +8,8 @@ from rosidl_parser.definition import AbstractNestedType, NamespacedType
 
 from bo_tuner.backends.ros.fields import field_reader
 from bo_tuner.backends.ros.messages import FLOATS, field_types, integer_limits, interface_class
+from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.fields import FieldPart, FieldPath
 from bo_tuner.text import brief
 

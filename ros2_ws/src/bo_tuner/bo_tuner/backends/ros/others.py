@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Sequence
 from rclpy.node import Node
 
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name, is_own
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 
 OF_ROS = ("/rosout", "/parameter_events", "/clock")
 """Topics that ROS itself uses."""

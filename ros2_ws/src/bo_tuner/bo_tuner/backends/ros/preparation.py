@@ -22,10 +22,11 @@ from bo_tuner.backends.ros.steps import (
 from bo_tuner.backends.ros.streams import Stream
 from bo_tuner.backends.ros.ticks import Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study.building import under
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
+from bo_tuner.study.safe_values import safe_in_braces
 from bo_tuner.study.step_values import filled_step
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
@@ -166,8 +167,7 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
     preparation = Preparation(study, tuner, WallClock(), attached=attached)
     if study.run.play is not None:
         preparation.play_clock()
-    contexts = study.context_space()
-    nominal = {**study.safe_parameters, **contexts.to_dict(contexts.nominal())}
+    nominal = safe_in_braces(study)
     try:
         for path, step in study.run.steps:
             try:

@@ -27,6 +27,8 @@ from bo_tuner.backends.ros.streams import Stream, Streams
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.ticks import SimTicks, Ticks, WallTicks
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, KeyPath, StudyError, dotted
 from bo_tuner.metrics.latest_messages import LatestMessage, LatestMessages
 from bo_tuner.metrics.recording import (
@@ -36,9 +38,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.run_notes import Published
-from bo_tuner.study import checks
 from bo_tuner.study.braces import filled_condition
-from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, BEFORE, RECOVER, REST, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.step_values import filled_step, varies
@@ -59,6 +59,11 @@ NOT_SETTLED = (
     "ahead of it"
 )
 """What to do about a machine that does not come to where a run is to start."""
+TOO_SLOW = (
+    "the parameters of the trial may be too slow for it: let the safe ones do it "
+    "(park: {between_runs: true}), reset the machine ahead of it, or give it a longer timeout"
+)
+"""The same where it goes there with the parameters of the run before, and of the next."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -567,7 +572,7 @@ class Procedure:
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
             dead = any(recording.silence(name, spec) for name, spec in used.items())
-            advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
+            advice = f"; {self._advice}" if path[1] == BEFORE and not dead else ""
             how = f"does not hold for {wait.hold:g} s" if wait.hold else "does not hold"
             if wait.rising:
                 how = "does not come to hold" + ("" if edge.was_off else ", as it never ceased to")
@@ -575,6 +580,10 @@ class Procedure:
                 f"{dotted(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
                 f"{latest(used, recording)}{advice}"
             )
+
+    @property
+    def _advice(self) -> str:
+        return NOT_SETTLED if self._study.park.between_runs else TOO_SLOW
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
@@ -601,6 +610,8 @@ class Procedure:
             with under(*path):
                 if path in self._steps:
                     self._steps[path] = self._steps[path].filled(filled)
+                elif path in self._prepared_streams:
+                    self._prepared_streams[path] = self._prepared_streams[path].filled(filled)
                 elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
                         self._goals[path].fill(filled.send_goal)

@@ -21,9 +21,9 @@ from bo_tuner.backends.ros.messages import interface_class, make_message, type_n
 from bo_tuner.backends.ros.number_writer import number_writer
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study.building import under
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Topic
 from bo_tuner.study.steps import Step
@@ -132,7 +132,12 @@ class Publication:
         if step.publish is None:
             return self
         (topic,) = step.publish.published
-        with under("publish", "message"):
+        with under("publish"):
+            return self.of(topic)
+
+    def of(self, topic: Topic) -> "Publication":
+        """Return the publication of another message on its topic."""
+        with under("message"):
             make_message(self.kind, topic.message)
         return replace(self, publish=topic)
 

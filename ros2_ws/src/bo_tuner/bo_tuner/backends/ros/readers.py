@@ -10,11 +10,11 @@ from bo_tuner.backends.ros.fields import ItemMissingError, field_reader
 from bo_tuner.backends.ros.heard_topic import Heard
 from bo_tuner.backends.ros.messages import has_header, interface_class, type_name
 from bo_tuner.backends.ros.publishers import node_of
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.stored_messages import is_known
 from bo_tuner.numerics.transforms import STILL, Transform, TransformTree, normalized
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
 from bo_tuner.study.fields import has_names, parsed_field
 from bo_tuner.study.signals import HEADER, RECEPTION, Signal
 

@@ -9,9 +9,9 @@ from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.lifecycle import ACTIVE, MANAGED, UNCONFIGURED, LifecycleNode
 from bo_tuner.backends.ros.steps import LifecycleChange, PreparedStep, ServiceCall, service_at
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study.building import under
 from bo_tuner.study.nodes import CONTROLLER_MANAGER, NodeSpec
 from bo_tuner.study.steps import Step
 

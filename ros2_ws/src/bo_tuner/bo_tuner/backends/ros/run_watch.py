@@ -13,10 +13,10 @@ from bo_tuner.backends.ros.play.player import Player
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.streams import Streams
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.codec import checks
 from bo_tuner.metrics.recording import CutShortError, FailedRunError
 from bo_tuner.metrics.so_far import MetricsSoFar
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.study import checks
 from bo_tuner.study.braces import Values, filled_condition
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import TIME, Signal, expression

@@ -10,6 +10,7 @@ import numpy as np
 from rclpy.context import Context
 from rclpy.node import Node
 
+from bo_tuner import maxima
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.fields import ItemMissingError
@@ -32,6 +33,7 @@ from bo_tuner.backends.ros.taking import middleware
 from bo_tuner.backends.ros.tracks import Track
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.latest_messages import LatestMessage
 from bo_tuner.metrics.recording import (
@@ -41,8 +43,6 @@ from bo_tuner.metrics.recording import (
     Recording,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import maxima
-from bo_tuner.study.building import under
 from bo_tuner.study.fields import has_names, parsed_field
 from bo_tuner.study.signals import STATIC, Signal
 

@@ -13,9 +13,9 @@ from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import KeyPath, StudyError, dotted
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study.building import under
 from bo_tuner.study.steps import Call, Lifecycle, SetParameter, Step
 
 CONNECT_TIMEOUT = 5.0

@@ -23,8 +23,8 @@ from bo_tuner.backends.ros.messages import (
 )
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
+from bo_tuner.codec.checks import same_value
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.checks import same_value
 from bo_tuner.study.fields import parsed_field
 from bo_tuner.study.seen import (
     JOINT_TRAJECTORY,

@@ -17,13 +17,13 @@ from typing import IO, Any, Protocol, cast, runtime_checkable
 
 from distributed import Scheduler, SchedulerPlugin, Worker, WorkerPlugin, get_worker
 
+from bo_tuner import maxima
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.workers.answer import Answer, MakeBackend
 from bo_tuner.backends.workers.identity import Needs, differences, identity
 from bo_tuner.errors import BackendError, BoTunerError, MetricsError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.host_lock import host_lock
-from bo_tuner.study import maxima
 from bo_tuner.trials import Evaluation
 
 IN_PARENT = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)

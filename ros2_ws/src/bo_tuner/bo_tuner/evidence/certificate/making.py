@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from bo_tuner.codec.checks import same_value
 from bo_tuner.evidence.busy import high_load, load_in_words
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
@@ -26,13 +27,14 @@ from bo_tuner.evidence.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
-from bo_tuner.evidence.declarations import drifts, two_kinds
+from bo_tuner.evidence.declarations import drifts, two_kinds, uneven
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.checks import same_value
+from bo_tuner.study.in_force import in_force
 from bo_tuner.study.measured import seen_in
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, Value, evaluations_of
 from bo_tuner.tuning.recorded_method import recorded_method
@@ -116,6 +118,7 @@ def make_certificate(
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         parameter_sensitivity=sensitivity,
         deaths=deaths,
+        in_force=in_force(study) if backend == ROS else (),
         warnings=(
             *(() if deaths is None else deaths_in_words(deaths, level)),
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
@@ -123,6 +126,7 @@ def make_certificate(
             *_rounded(findings, held),
             *drifts(study, {name: item.drawn for name, item in evidence.items()}),
             *two_kinds(study, {name: item.drawn for name, item in evidence.items()}),
+            *uneven(tuned.evaluations),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),

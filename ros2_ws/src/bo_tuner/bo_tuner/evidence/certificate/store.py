@@ -10,6 +10,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from bo_tuner import maxima
+from bo_tuner.codec import checks
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
@@ -22,7 +24,6 @@ from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.typed_json import from_json, to_json
-from bo_tuner.study import checks, maxima
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, one_line

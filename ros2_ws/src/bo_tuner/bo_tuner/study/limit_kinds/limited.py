@@ -1,15 +1,23 @@
 """What every limit has: a metric, an upper or a lower limit on it, and how often it is kept."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bo_tuner.codec import checks
+from bo_tuner.codec.reading import Section
+from bo_tuner.codec.rules import FRACTION, KEY, Written
+
 UPPER, LOWER = "upper", "lower"
+
+# In a file, a limit as text is relative to the default.
+Limit = Annotated[Annotated[float, checks.magnitude] | None, Written(str)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limited:
+class Limited(Section):
     """A limit of a study, without the rules of its kind.
 
     Attributes
@@ -22,12 +30,12 @@ class Limited:
         With which a run must keep the limit; None if none is given.
     """
 
-    name: str
+    name: Annotated[str, KEY, checks.parameter_name]
     kind: str
     metric: str
-    upper: float | None = None
-    lower: float | None = None
-    probability: float | None = None
+    upper: Limit = None
+    lower: Limit = None
+    probability: Annotated[float, FRACTION] | None = None
 
     @property
     def sign(self) -> float:

@@ -12,7 +12,7 @@ from rclpy.qos import qos_profile_parameter_events
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.errors import DisturbedError, RefusedError
 from bo_tuner.backends.ros.parameters.messages import named_values
-from bo_tuner.study.checks import holds, same_value
+from bo_tuner.codec.checks import holds, same_value
 from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"

@@ -16,7 +16,7 @@ from bo_tuner.backends.ros.parameters.events import (
 )
 from bo_tuner.backends.ros.parameters.services import ParameterClient
 from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
-from bo_tuner.study import checks
+from bo_tuner.codec import checks
 from bo_tuner.text import brief
 
 Unset = RefusedError | LostError

@@ -13,11 +13,11 @@ from typing import Any
 
 from bo_tuner.backends.ros.isolation import place_name
 from bo_tuner.backends.ros.tuner_node import full_name
+from bo_tuner.codec.checks import holds, same_value
 from bo_tuner.errors import OutputError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.state import state_folder
-from bo_tuner.study.checks import holds, same_value
 from bo_tuner.text import brief
 
 

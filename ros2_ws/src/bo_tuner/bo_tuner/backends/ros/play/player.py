@@ -20,9 +20,9 @@ from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError, subscrip
 from bo_tuner.backends.ros.play.play_clock import PlayClock
 from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
+from bo_tuner.codec import checks
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
-from bo_tuner.study.building import under
 from bo_tuner.study.playing import Answer, Play
 from bo_tuner.study.signals import Signal
 

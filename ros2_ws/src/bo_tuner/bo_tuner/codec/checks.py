@@ -11,8 +11,8 @@ import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
+from bo_tuner import maxima
 from bo_tuner.errors import StudyError
-from bo_tuner.study import maxima
 
 ParameterValue = bool | int | float | str | tuple[bool | int | float | str, ...]
 """What a ROS parameter can hold."""
@@ -29,8 +29,6 @@ IN_NODE = re.compile(rf"(?P<array>.+?){ITEM}")
 """A parameter as its node names it, such as `gains.ur5e/wrist-1.p`, or an item of an array."""
 NODE_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")
-EXECUTABLE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 OBJECT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
 
 
@@ -163,30 +161,6 @@ def boolean(value: object, *path: str | int) -> bool:
     return value
 
 
-def positive(value: object, *path: str | int) -> float:
-    """Return `value` as a float if it is a finite number above zero."""
-    checked = number(value, *path)
-    if checked <= 0.0:
-        raise StudyError(f"expected a number above 0, found {checked}", path)
-    return checked
-
-
-def timeout(value: object, *path: str | int) -> float:
-    """Return `value` as a float if it is a time [s] that an evaluation may take."""
-    checked = positive(value, *path)
-    if checked > maxima.TIMEOUT:
-        raise StudyError(f"expected at most {maxima.TIMEOUT:g} s, found {checked:g}", path)
-    return checked
-
-
-def fraction(value: object, *path: str | int) -> float:
-    """Return `value` as a float if it lies strictly between 0 and 1."""
-    checked = number(value, *path)
-    if not 0.0 < checked < 1.0:
-        raise StudyError(f"expected a number between 0 and 1, both excluded, found {checked}", path)
-    return checked
-
-
 def text(value: object, *path: str | int) -> str:
     """Return `value` if it is text."""
     if not isinstance(value, str):
@@ -266,22 +240,6 @@ def sequence(value: object, expected: str, *path: str | int) -> tuple[object, ..
     return tuple(value)
 
 
-def pair(value: object, expected: str, *path: str | int) -> tuple[object, object]:
-    """Return the two items of a list of two."""
-    items = sequence(value, expected, *path)
-    if len(items) != 2:
-        raise StudyError(f"expected {expected}, found {show(value)}", path)
-    return items[0], items[1]
-
-
-def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]:
-    """Return bounds to compute with, the lower one below the upper one, as floats."""
-    items = pair(value, "bounds [lower, upper]", *path)
-    lower, upper = (magnitude(item, *path, index) for index, item in enumerate(items))
-    check_width(lower, upper, *path, instead=instead)
-    return lower, upper
-
-
 def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
     """Refuse bounds that are equal or reversed.
 
@@ -293,33 +251,10 @@ def check_width(lower: float, upper: float, *path: str | int, instead: str) -> N
         raise StudyError(f"both bounds are {lower}; {instead}", path)
 
 
-def parameter_values(values: object, *path: str | int) -> dict[str, ParameterValue]:
-    """Return values by parameter name, of the types that a ROS parameter can have."""
-    if not isinstance(values, Mapping):
-        raise StudyError(f"expected parameters by name, found {show(values)}", path)
-    at_most(values, maxima.CONSTANTS, *path)
-    checked: dict[str, ParameterValue] = {}
-    for name, value in values.items():
-        name_in_node(name, *path)
-        key_path = (*path, name)
-        if not isinstance(value, (list, tuple)):
-            checked[name] = _scalar(value, *key_path)
-            continue
-        at_most(value, maxima.CONSTANTS, *key_path)
-        items = tuple(_scalar(item, *key_path, index) for index, item in enumerate(value))
-        if len({type(item) for item in items}) != 1:
-            raise StudyError("expected a list of values of one type, at least one", key_path)
-        checked[name] = items
-    return checked
-
-
-def _scalar(value: object, *path: str | int) -> bool | int | float | str:
-    if isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, int):
-        return integer(value, *path)
-    if isinstance(value, float):
-        return number(value, *path)
-    raise StudyError(
-        f"expected a number, text, true, false or a list of these, found {show(value)}", path
-    )
+def parameter_value(value: ParameterValue, *path: str | int) -> ParameterValue:
+    """Return what a ROS parameter can hold: a finite number, text, a truth value, or a list."""
+    if isinstance(value, tuple):
+        at_most(value, maxima.CONSTANTS, *path)
+        if len({type(item) for item in value}) != 1:
+            raise StudyError("expected a list of values of one type, at least one", path)
+    return value

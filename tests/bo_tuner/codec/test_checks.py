@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bo_tuner.study.checks import holds, same_value
+from bo_tuner.codec.checks import holds, same_value
 
 DOUBLES = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e30, max_value=1e30)
 
