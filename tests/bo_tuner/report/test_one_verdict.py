@@ -18,6 +18,7 @@ from rich.console import Console
 
 from bo_tuner.cli import apply
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.evidence.infeasible_words import blocker_in_words
 from bo_tuner.evidence.next_steps import next_steps
@@ -105,7 +106,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
         assert verdict.feasible == certificate.passed == (verdict.certificate == PASS)
         assert verdict.default_unrefuted == certificate.default.passed
     else:
-        found = Validation.from_mapping(run.summary["tuned"])
+        found = read(Validation, run.summary["tuned"], JSON)
         assert verdict.feasible == (passed_check and found.feasible)
         assert verdict.state is not State.CERTIFIED
 

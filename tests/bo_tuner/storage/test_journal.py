@@ -147,7 +147,7 @@ class TestRoundTrip:
             row = list(journal_module.evaluation_row(evaluation()))
             row[journal_module.COLUMNS["evaluation"].index("load")] = load
             journal._record("evaluation", tuple(row))
-        with pytest.raises(JournalError, match=r"rows that this program does not write: load: "):
+        with pytest.raises(JournalError, match=r"rows that this program does not write: load[.:]"):
             read_journal(path)
 
     @pytest.mark.parametrize("value", [float("inf"), float("nan"), "0.5 m", None])
@@ -156,7 +156,9 @@ class TestRoundTrip:
         path = tmp_path / "journal.sqlite"
         with Journal(path, {}) as journal:
             record(journal, trial(0, [evaluation(outcome=outcome)]))
-        with pytest.raises(JournalError, match="metrics: expected a number, found"):
+        with pytest.raises(
+            JournalError, match=r"metrics\.error: expected a (finite )?number, found"
+        ):
             read_journal(path)
 
     @pytest.mark.parametrize("value", [2e90, -1e200])

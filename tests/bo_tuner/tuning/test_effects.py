@@ -1,6 +1,5 @@
 """Which parameters were seen to move a metric, by the trials of a run, and where that is said."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -9,12 +8,13 @@ from functions import NODE, failed, make_study
 from report_runs import run_axis
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.evidence.effects import effects_in_words, file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
 from bo_tuner.report.sections.effects import effects
-from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import from_yaml
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, Trial, TrialState
@@ -144,8 +144,8 @@ def test_without_noise_and_without_an_effect():
 def test_a_summary_holds_them():
     study = make_study(parameters={"kp": GAIN, "ki": GAIN})
     effects = effects_in(study, trials_of(study, lambda rng, **_: noise(rng), 12))
-    text = json.dumps(without_nan([dataclasses.asdict(item) for item in effects]), allow_nan=False)
-    assert tuple(map(ParameterEffects.from_mapping, json.loads(text))) == effects
+    text = json.dumps(to_json(effects), allow_nan=False)
+    assert read(tuple[ParameterEffects, ...], json.loads(text), JSON) == effects
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.tuning.prospects import Beyond, Prospects, prospects_in
 
 
@@ -33,4 +34,4 @@ def test_a_range_counts_only_where_feasible_sets_are_expected_beyond(make_study)
 def test_it_is_read_as_it_was_written():
     found = Prospects(0.1, (Beyond("gain", "upper", 0.6),))
     entry = {"chance": 0.1, "beyond": [{"parameter": "gain", "side": "upper", "chance": 0.6}]}
-    assert Prospects.from_mapping(entry) == found
+    assert read(Prospects, entry, JSON) == found

@@ -3,8 +3,9 @@
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
+from bo_tuner.codec.rules import Within
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes
 
@@ -255,7 +256,7 @@ class WorstCase:
     value: float
     context: Context
     observed: float
-    noise: float = 0.0
+    noise: Annotated[float, Within(least=0.0)] = 0.0
 
 
 @dataclass(frozen=True)

@@ -165,6 +165,10 @@ def text(value: object, *path: str | int) -> str:
     """Return `value` if it is text."""
     if not isinstance(value, str):
         raise StudyError(f"expected text, found {show(value)}", path)
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise StudyError(f"expected text in Unicode, found {show(value)}", path) from None
     return value
 
 

@@ -86,6 +86,9 @@ class Whole:
         return {"minimum": self.least, **({"maximum": self.most} if limited else {})}
 
 
+Count = Annotated[int, Whole(0)]
+
+
 @dataclass(frozen=True, eq=False)
 class OneOf:
     """One of several words, which others may add to."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import RunError, RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.evaluations_file import read_evaluations
@@ -23,7 +24,6 @@ from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.provenance import study_sha256
-from bo_tuner.storage.typed_json import to_json
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNED, Evaluation, Outcome, Stage, Value
 

@@ -10,15 +10,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec.rules import Null
 from bo_tuner.evidence.context_covariates import covariates
 from bo_tuner.evidence.differences import CONFIDENCE
 from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.storage.typed_json import stands_for
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import Context
 
@@ -55,8 +56,8 @@ class Estimate:
     count: int
     source: Source
     adjusted: bool
-    low: float = stands_for(-inf)
-    high: float = stands_for(inf)
+    low: Annotated[float, Null(-inf)]
+    high: Annotated[float, Null(inf)]
 
     @property
     def kind(self) -> str:

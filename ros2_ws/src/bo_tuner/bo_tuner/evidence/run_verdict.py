@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.biases import biases_in_words
@@ -107,10 +108,9 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         return None
     try:
         trial = trials[summary["trial"]]  # type: ignore[index]
-        default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
+        default, tuned = (read(Validation, summary[key], JSON) for key in (DEFAULT, TUNED))
         feasibility = float(str(summary.get("predicted_feasibility") or 0.0))
         checked = trial.number in summary.get("checked_trials", ())  # type: ignore[operator]
-        prospects = summary.get("prospects")
         method = recorded_method(record)
         verdict = validated(
             record.study,
@@ -121,13 +121,13 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             record.evaluations,
             doubt="" if bool(summary["passed_check"]) else method.doubt(feasibility),
             likely=method.is_likely(feasibility, checked=checked),
-            prospects=None if prospects is None else Prospects.from_mapping(prospects),  # type: ignore[arg-type]
+            prospects=read(Prospects | None, summary.get("prospects"), JSON),
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
         runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
         seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
-        effects = tuple(ParameterEffects.from_mapping(item) for item in summary.get("effects", ()))  # type: ignore[attr-defined]
+        effects = read(tuple[ParameterEffects, ...], summary.get("effects", ()), JSON)
         alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
         # The default was not chosen by its runs: those of its trial are like those of the end.
         alike[DEFAULT] = [*_drawn(record, default.parameters), *alike[DEFAULT]]

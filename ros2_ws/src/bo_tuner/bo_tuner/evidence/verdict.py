@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import isfinite, isnan
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.evidence.at_bounds import AtBound
 from bo_tuner.evidence.busy import HighLoad, load_in_words
 from bo_tuner.evidence.differences import CONFIDENCE, Change, Difference
@@ -18,7 +19,6 @@ from bo_tuner.evidence.infeasible import Infeasible
 from bo_tuner.evidence.infeasible_words import advice_in_words, reasons_in_words
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
-from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import Standing
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside, uncapitalized
@@ -539,7 +539,7 @@ class Verdict:
                 "tuned": list(self.reasons),
             },
             "confidence_of_differences": CONFIDENCE,
-            "quantities": without_nan(
+            "quantities": to_json(
                 [
                     asdict(q)
                     | {
@@ -554,7 +554,7 @@ class Verdict:
                 ]
             ),
             "at_bounds": [asdict(bound) for bound in self.at_bounds],
-            "infeasible": self.infeasible and without_nan(asdict(self.infeasible)),
+            "infeasible": self.infeasible and to_json(self.infeasible),
             "unseen_parameters": [item.parameter for item in self.unseen],
         }
 

@@ -5,15 +5,14 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TextIO
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display, Result
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
@@ -105,7 +104,7 @@ class JsonLines(Display):
 
     def advise(self, advice: StopAdvice) -> None:
         """Write the event ``stop_advice``."""
-        self._write("stop_advice", **asdict(advice))
+        self._write("stop_advice", **to_json(advice))
 
     def pause(self, paused: bool) -> None:
         """Write the event ``pause``."""
@@ -146,7 +145,7 @@ class JsonLines(Display):
             "verdict": outcome_in_words(self._study, trial),
             "parameters": trial.parameters,
             "mean_metrics": metrics,
-            "worst_cases": {name: asdict(worst) for name, worst in trial.worst_cases.items()},
+            "worst_cases": trial.worst_cases,
             "evaluations": len(trial.evaluations),
             "optimizer_seconds": trial.seconds,
             "evaluation_seconds": sum(evaluation.seconds for evaluation in trial.evaluations),
@@ -156,7 +155,7 @@ class JsonLines(Display):
     def _write(self, event: str, **fields: object) -> None:
         if self._out is None:
             return
-        content = without_nan({"event": event, "time": time.time(), **fields})
+        content = to_json({"event": event, "time": time.time(), **fields})
         line = json.dumps(content, allow_nan=False)
         try:
             self._out.write(f"{line}\n")

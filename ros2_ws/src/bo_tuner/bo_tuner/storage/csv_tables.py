@@ -4,13 +4,12 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.run_notes import Notes
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.storage.typed_json import to_json
 from bo_tuner.text import csv_cell
 from bo_tuner.trials import Evaluation, Trial
 
@@ -56,7 +55,7 @@ def trial_row(trial: Trial) -> dict[str, object]:
         **{
             column: cell
             for name, worst in trial.worst_cases.items()
-            for column, cell in _columns(f"worst_cases.{name}", asdict(worst)).items()
+            for column, cell in _columns(f"worst_cases.{name}", to_json(worst)).items()
         },
         "warnings": json.dumps(trial.warnings),
         "evaluations": len(trial.evaluations),

@@ -2,10 +2,11 @@
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.storage.run_files import GUARD_RECORD, read_text
 from bo_tuner.text import brief
 
@@ -22,7 +23,7 @@ class Act:
         Why.
     stop_seconds, safe_seconds : float
         Time [s] until the stop messages were sent, and until the safe values were read back.
-    problems : list of str
+    problems : tuple of str
         What was not safe then.
     """
 
@@ -30,17 +31,17 @@ class Act:
     reason: str
     stop_seconds: float
     safe_seconds: float
-    problems: Sequence[str] = ()
+    problems: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        outcome = "; ".join(map(str, self.problems)) or "it was left safe"
+        outcome = "; ".join(self.problems) or "it was left safe"
         return brief(f"{self.time}: the guard has stopped the machine: {self.reason}; {outcome}")
 
 
 def add_act(path: Path, act: Act) -> None:
     """Add an act to a record, and have it on the disk; raises `OSError`."""
     with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(act)) + "\n")
+        file.write(json.dumps(to_json(act)) + "\n")
         file.flush()
         os.fsync(file.fileno())
 
@@ -62,12 +63,7 @@ def _acts(record: Path) -> list[Act]:
     acts = []
     for line in lines:
         try:
-            content = json.loads(line)
-            values = {item.name: content[item.name] for item in fields(Act)}
-            problems = [str(problem) for problem in values["problems"]]
-            # Times are put in order: a text and a number have none.
-            if isinstance(values["time"], str):
-                acts.append(Act(**values | {"problems": problems}))
-        except (ValueError, TypeError, KeyError, RecursionError):
+            acts.append(read(Act, json.loads(line), JSON))
+        except (ValueError, RecursionError):
             continue
     return acts

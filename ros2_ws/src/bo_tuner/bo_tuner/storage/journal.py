@@ -11,17 +11,16 @@ import os
 import sqlite3
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Self
 
 from bo_tuner.codec import checks
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import JournalError
 from bo_tuner.plans import Event
 from bo_tuner.storage.atomic import synchronize, temporary_path
 from bo_tuner.storage.rows import notes_text
 from bo_tuner.storage.run_files import is_same_file
-from bo_tuner.storage.typed_json import to_json
 from bo_tuner.trials import Evaluation, Trial
 
 SCHEMA_VERSION = 9
@@ -226,7 +225,7 @@ def evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
         _storable(outcome.reason),
         json.dumps(dict(outcome.metrics)),
         json.dumps(dict(outcome.details)),
-        json.dumps(None if outcome.load is None else to_json(outcome.load)),
+        json.dumps(to_json(outcome.load)),
         notes_text(outcome.notes),
         float(evaluation.seconds),
     )
@@ -239,7 +238,7 @@ def _trial_row(trial: Trial) -> tuple[object, ...]:
         _storable(trial.origin),
         str(trial.state),
         _storable(trial.reason),
-        json.dumps({name: asdict(worst) for name, worst in trial.worst_cases.items()}),
+        json.dumps(to_json(trial.worst_cases)),
         json.dumps(trial.warnings),
         json.dumps(dict(trial.hyperparameters)),
         len(trial.evaluations),

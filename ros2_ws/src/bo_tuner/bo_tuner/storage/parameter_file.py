@@ -87,7 +87,7 @@ def from_yaml(text: str) -> dict[str, dict[str, object]]:
                 )
             # A study cannot set an array without an item, but a node may have had one.
             given = section.values
-            read(RosValues, {node: {k: v for k, v in given.items() if v != []}})
+            read(Mapping[str, RosValues], {node: {k: v for k, v in given.items() if v != []}})
             values[node] = dict(given)
     except StudyError as error:
         place = "" if error.line is None else f"line {error.line}: "

@@ -5,16 +5,20 @@ A checksum shows damage by a disk, but not that another program has written the 
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from bo_tuner import maxima
 from bo_tuner.codec import checks
-from bo_tuner.errors import ParameterError
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import JSON, STUDY, Form, read
+from bo_tuner.codec.rules import Count
+from bo_tuner.codec.writing import to_json
+from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes
-from bo_tuner.storage.typed_json import from_json, to_json
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Context,
@@ -31,6 +35,9 @@ from bo_tuner.trials import (
 Row = Mapping[str, object]
 
 _BLANK = to_json(Notes())
+_Texts = Mapping[str, str]
+_Numbers = Mapping[str, float]
+_Values = Mapping[str, Value]
 
 
 def provenance_of(row: Row) -> dict[str, str]:
@@ -41,73 +48,73 @@ def provenance_of(row: Row) -> dict[str, str]:
     ValueError
         If the row is not one that this program writes to a journal.
     """
-    return _texts(row, "provenance")
+    provenance: dict[str, str] = _json(_Texts, row, "provenance")
+    return provenance
 
 
 def evaluation_of(row: Row) -> Evaluation:
     """Make an evaluation."""
-    state, reason = EvaluationState(_text(row, "state")), _text(row, "reason")
-    metrics = {name: float(value) for name, value in _numbers(row, "metrics").items()}
+    state, reason = _cell(EvaluationState, row, "state"), _cell(str, row, "reason")
+    metrics = _json(_Numbers, row, "metrics")
     problems = {name: problem for name in metrics if (problem := metric_problem(metrics[name]))}
     if problems:
         # An earlier version recorded metrics that are refused today.
         name, problem = next(iter(problems.items()))
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
-    outcome = Outcome(state, metrics, reason, _texts(row, "details"), _load(row), _notes(row))
+    load, notes = _json(Load | None, row, "load"), _json(Notes, row, "notes", JSON)
+    if missing := [name for name, value in notes.at_least.items() if math.isnan(value)]:
+        raise ValueError(f"notes: at_least.{missing[0]}: expected a number, found nothing")
     return Evaluation(
-        trial=_count(row, "trial"),
-        index=_count(row, "position"),
-        stage=Stage(_text(row, "stage")),
-        parameters=_values(row, "parameters"),
-        context=_values(row, "context"),
-        seed=_count(row, "seed"),
-        outcome=outcome,
-        seconds=float(_number(row["seconds"], "seconds")),
+        trial=_cell(Count, row, "trial"),
+        index=_cell(Count, row, "position"),
+        stage=_cell(Stage, row, "stage"),
+        parameters=_json(_Values, row, "parameters"),
+        context=_json(_Values, row, "context"),
+        seed=_cell(Count, row, "seed"),
+        outcome=Outcome(state, metrics, reason, _json(_Texts, row, "details"), load, notes),
+        seconds=_cell(float, row, "seconds"),
     )
 
 
 def event_of(row: Row) -> Event:
     """Make an event."""
-    kind = EventKind(_text(row, "kind"))
-    return Event(_text(row, "phase"), _count(row, "tasks"), kind, _text(row, "detail"))
+    phase, detail = _cell(str, row, "phase"), _cell(str, row, "detail")
+    return Event(phase, _cell(Count, row, "tasks"), _cell(EventKind, row, "kind"), detail)
 
 
 def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
     """Make a trial."""
-    state, reason = TrialState(_text(row, "state")), _text(row, "reason")
+    state, reason = _cell(TrialState, row, "state"), _cell(str, row, "reason")
     worst_cases: dict[str, WorstCase] = {}
     failed = [e for e in evaluations if not e.outcome.complete]
     if state is TrialState.COMPLETE and failed:
         state, reason = TrialState.FAILED, failed[0].outcome.reason
     else:
-        worst_cases = {
-            name: _worst_case(content) for name, content in _object(row, "worst_cases").items()
-        }
+        worst_cases = _json(Mapping[str, WorstCase], row, "worst_cases")
     return Trial(
         number=number_of(row),
-        parameters=_values(row, "parameters"),
-        origin=_text(row, "origin"),
+        parameters=_json(_Values, row, "parameters"),
+        origin=_cell(str, row, "origin"),
         state=state,
         reason=reason,
         evaluations=evaluations,
         worst_cases=worst_cases,
-        warnings=tuple(_as_text(item, "warnings") for item in _list(row, "warnings")),
-        hyperparameters={
-            name: tuple(float(_number(phi, "hyperparameters")) for phi in _sequence(values))
-            for name, values in _object(row, "hyperparameters").items()
-        },
-        seconds=float(_number(row["seconds"], "seconds")),
+        warnings=_json(tuple[str, ...], row, "warnings"),
+        hyperparameters=_json(Mapping[str, tuple[float, ...]], row, "hyperparameters"),
+        seconds=_cell(float, row, "seconds"),
     )
 
 
 def number_of(row: Row) -> int:
     """Return the number of a trial."""
-    return _count(row, "number")
+    number: int = _cell(Count, row, "number")
+    return number
 
 
 def evaluations_of(row: Row) -> int:
     """Return the number of evaluations of a trial."""
-    return _count(row, "evaluations")
+    count: int = _cell(Count, row, "evaluations")
+    return count
 
 
 def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterable[Trial]) -> None:
@@ -177,26 +184,6 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             raise ValueError(f"trial {trial.number}: {error}") from error
 
 
-def _worst_case(content: object) -> WorstCase:
-    if not isinstance(content, dict):
-        raise ValueError(f"worst_cases: expected an object, found {checks.show(content)}")
-    _same_names(content, ("value", "context", "observed", "noise"), "worst_cases")
-    value, observed, noise = (
-        float(_number(content[key], "worst_cases")) for key in ("value", "observed", "noise")
-    )
-    if noise < 0.0:
-        raise ValueError(f"worst_cases: noise {noise}")
-    return WorstCase(value, _as_values(content["context"], "worst_cases"), observed, noise)
-
-
-def _load(row: Row) -> Load | None:
-    content = _json(row, "load")
-    try:
-        return None if content is None else from_json(Load, content)
-    except ValueError as error:
-        raise ValueError(f"load: {error}") from error
-
-
 def notes_text(notes: Notes) -> str:
     """Return notes as their column has them: what differs from those of a run without any."""
     content = to_json(notes)
@@ -205,85 +192,19 @@ def notes_text(notes: Notes) -> str:
     return json.dumps(noted, ensure_ascii=False).encode(errors="replace").decode()
 
 
-def _notes(row: Row) -> Notes:
-    try:
-        notes = from_json(Notes, _BLANK | _object(row, "notes"))
-        if missing := [name for name, value in notes.at_least.items() if math.isnan(value)]:
-            raise ValueError(f"at_least.{missing[0]}: expected a number, found nothing")
-    except ValueError as error:
-        raise ValueError(f"notes: {error}") from error
-    return notes
+def _cell(hint: Any, row: Row, column: str) -> Any:
+    with under(column):
+        return read(hint, row[column])
 
 
-def _text(row: Row, column: str) -> str:
-    return _as_text(row[column], column)
-
-
-def _as_text(value: object, column: str) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{column}: expected text, found {checks.show(value)}")
-    return value
-
-
-def _count(row: Row, column: str) -> int:
-    value = row[column]
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{column}: expected a count, found {checks.show(value)}")
-    return value
-
-
-def _number(value: object, column: str) -> int | float:
-    if isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) < checks.INTEGER_LIMIT:
-            return value
-    elif isinstance(value, float) and math.isfinite(value):
-        return value
-    raise ValueError(f"{column}: expected a number, found {checks.show(value)}")
-
-
-def _json(row: Row, column: str) -> object:
-    try:
-        return json.loads(_text(row, column))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{column}: {error}") from error
-
-
-def _object(row: Row, column: str) -> dict[str, object]:
-    value = _json(row, column)
-    if not isinstance(value, dict):
-        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
-    return value
-
-
-def _list(row: Row, column: str) -> Sequence[object]:
-    return _sequence(_json(row, column))
-
-
-def _sequence(value: object) -> Sequence[object]:
-    if not isinstance(value, list):
-        raise ValueError(f"expected a list, found {checks.show(value)}")
-    return value
-
-
-def _numbers(row: Row, column: str) -> dict[str, int | float]:
-    return {name: _number(item, column) for name, item in _object(row, column).items()}
-
-
-def _values(row: Row, column: str) -> dict[str, Value]:
-    return _as_values(_object(row, column), column)
-
-
-def _as_values(value: object, column: str) -> dict[str, Value]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
-    return {
-        name: item if isinstance(item, (bool, str)) else _number(item, column)
-        for name, item in value.items()
-    }
-
-
-def _texts(row: Row, column: str) -> dict[str, str]:
-    return {name: _as_text(item, column) for name, item in _object(row, column).items()}
+def _json(hint: Any, row: Row, column: str, form: Form = STUDY) -> Any:
+    with under(column):
+        try:
+            return read(hint, json.loads(checks.text(row[column])), form)
+        except StudyError:
+            raise
+        except (ValueError, RecursionError) as error:
+            raise StudyError(str(error)) from error
 
 
 def _check_size(values: Iterable[float], what: str, largest: float = LARGEST_METRIC) -> None:

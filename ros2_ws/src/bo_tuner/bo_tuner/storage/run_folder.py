@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import OutputError
 from bo_tuner.storage.atomic import (
     LEFTOVERS,
@@ -19,7 +20,6 @@ from bo_tuner.storage.atomic import (
     temporary_path,
     write_atomically,
 )
-from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import node_values, sent_values, to_yaml
 from bo_tuner.storage.run_files import (
     HELD_PARAMETERS,
@@ -245,7 +245,7 @@ def _release(lock: int, process: int) -> None:
 
 def write_json(path: Path, content: Mapping[str, object]) -> Path:
     """Write a file of JSON, with null for what is not a number, also to a folder not held open."""
-    text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+    text = json.dumps(to_json(content), indent=2, allow_nan=False)
     return write_atomically(path, text + "\n")
 
 

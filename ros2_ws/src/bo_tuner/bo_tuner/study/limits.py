@@ -18,6 +18,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec.rules import Count
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
@@ -60,8 +61,8 @@ class Sample:
 
     name: str
     worst: float
-    count: int
-    violations: int
+    count: Count
+    violations: Count
     permitted: int | None
     standing: Standing
 

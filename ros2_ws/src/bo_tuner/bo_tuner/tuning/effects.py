@@ -6,18 +6,18 @@ whether runs fail is one more response. All tests together take a parameter that
 one that does with the probability `ERROR` at most (Bonferroni).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 
+from bo_tuner.codec.rules import Null
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.dependence import dependences
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.linear_effects import NO_EFFECT, NOTHING_KNOWN, LinearEffect
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial
 
@@ -55,7 +55,7 @@ class Effect:
     unit: str
     seen: bool
     change: float
-    visible: float
+    visible: Annotated[float, Null(np.inf)]
 
     @classmethod
     def of(cls, study: Study, metric: str, test: LinearEffect, level: float) -> Self:
@@ -91,30 +91,6 @@ class ParameterEffects:
     def unseen(self) -> bool:
         """Whether it was not, although that would have been seen."""
         return self.conclusive and not self.seen
-
-    @classmethod
-    def from_mapping(cls, entry: Mapping[str, Any]) -> Self:
-        """Return what a summary holds.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError, AttributeError
-            If it is something else.
-        """
-        return cls(
-            parameter=str(entry["parameter"]),
-            effects=tuple(
-                Effect(
-                    metric=str(effect["metric"]),
-                    unit=str(effect["unit"]),
-                    seen=bool(effect["seen"]),
-                    change=to_number(effect["change"]),
-                    visible=to_number(effect["visible"], np.inf),
-                )
-                for effect in entry["effects"]
-            ),
-            conclusive=bool(entry["conclusive"]),
-        )
 
 
 def test_level(study: Study, responses: int) -> float:

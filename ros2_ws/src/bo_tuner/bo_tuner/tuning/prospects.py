@@ -6,9 +6,7 @@ a bound the models extrapolate; it counts only where they believe in feasible se
 none within.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 
@@ -59,23 +57,6 @@ class Prospects:
 
     chance: float
     beyond: tuple[Beyond, ...] = ()
-
-    @classmethod
-    def from_mapping(cls, entry: Mapping[str, Any]) -> Self:
-        """Return what a summary holds.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If it is something else.
-        """
-        return cls(
-            float(entry["chance"]),
-            tuple(
-                Beyond(str(item["parameter"]), str(item["side"]), float(item["chance"]))
-                for item in entry["beyond"]
-            ),
-        )
 
 
 def prospects_in(study: Study, models: Surrogates) -> Prospects:

@@ -6,15 +6,16 @@ validate, summarize. The reader's evaluations all come from the journal.
 
 import json
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import RunError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.plans import ON_REQUEST, TIME_UP, Phase, Phases, finish_in, finished_after
-from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import recorded_window, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY
@@ -220,23 +221,23 @@ def summarize(
         "passed_check": best.feasible,
         "checked_trials": best.checked,
         "ranked_trials": sorted(candidate.trial.number for candidate in best.ranked),
-        "passed_over": [asdict(item) for item in best.passed_over],
-        "biases": [asdict(item) for item in best.biases],
+        "passed_over": best.passed_over,
+        "biases": best.biases,
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
-        "default": asdict(default),
-        "tuned": asdict(tuned),
-        "effects": [asdict(item) for item in conclusion.effects],
-        "prospects": conclusion.prospects and asdict(conclusion.prospects),
-        "stop_advice": advice and asdict(advice),
+        "default": default,
+        "tuned": tuned,
+        "effects": conclusion.effects,
+        "prospects": conclusion.prospects,
+        "stop_advice": advice,
         "stopped_early": stop_early and advice is not None,
         "ended_on_request": finish == ON_REQUEST,
         "ended_by_time": finish == TIME_UP,
     }
     if len(study.objectives) > 1:
-        content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
+        content["front"] = pareto_front(study, best.ranked)
     # As it will be read from the file.
-    as_read: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
+    as_read: dict[str, object] = json.loads(json.dumps(to_json(content), allow_nan=False))
     return as_read
 
 
@@ -331,8 +332,8 @@ def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
     if any(type(summary.get(key)) is not bool for key in flags):
         return False
     try:
-        default, tuned = (Validation.from_mapping(summary[key]) for key in ("default", "tuned"))
-    except (KeyError, TypeError, ValueError, AttributeError):
+        default, tuned = (read(Validation, summary[key], JSON) for key in ("default", "tuned"))
+    except (KeyError, ValueError):
         return False
     sides = (
         (default, record.study.search_space().defaults),

@@ -2,13 +2,11 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
 
-from bo_tuner.codec import checks
+from bo_tuner.codec.rules import Count
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Phase, Plan, Run
-from bo_tuner.storage.json_numbers import to_number
-from bo_tuner.study.limits import Sample, Standing, judge_samples
+from bo_tuner.study.limits import Sample, judge_samples
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
 
@@ -31,39 +29,10 @@ class Validation:
     """
 
     parameters: Mapping[str, Value]
-    draws: int
-    failures: int
-    lost: int
+    draws: Count
+    failures: Count
+    lost: Count
     constraints: Mapping[str, Sample]
-
-    @classmethod
-    def from_mapping(cls, entry: object) -> Self:
-        """Return the validation that a summary holds.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError, AttributeError
-            If it is something else.
-        """
-        if not isinstance(entry, Mapping):
-            raise TypeError(f"expected an object, found {entry!r}")
-        return cls(
-            parameters=dict(entry["parameters"]),
-            draws=checks.integer(entry["draws"], at_least=0),
-            failures=checks.integer(entry["failures"], at_least=0),
-            lost=checks.integer(entry["lost"], at_least=0),
-            constraints={
-                str(name): Sample(
-                    name=str(sample["name"]),
-                    worst=to_number(sample["worst"]),
-                    count=checks.integer(sample["count"], at_least=0),
-                    violations=checks.integer(sample["violations"], at_least=0),
-                    permitted=None if (most := sample["permitted"]) is None else int(most),
-                    standing=Standing(sample["standing"]),
-                )
-                for name, sample in entry["constraints"].items()
-            },
-        )
 
     @property
     def feasible(self) -> bool:

@@ -8,12 +8,13 @@ Rockafellar and Uryasev (2000). Optimization of conditional value-at-risk. Journ
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, sqrt
+from typing import Annotated
 
 import numpy as np
 
+from bo_tuner.codec.rules import Null
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.sequential import mean_bounds
-from bo_tuner.storage.typed_json import stands_for
 from bo_tuner.study.limit_kinds.limited import UPPER
 
 
@@ -34,8 +35,8 @@ class Mean:
 
     value: float
     standard_error: float
-    upper: float = stands_for(inf)
-    lower: float = stands_for(-inf)
+    upper: Annotated[float, Null(inf)]
+    lower: Annotated[float, Null(-inf)]
 
     def bound(self, side: str) -> float:
         """Return the bound on a side, ``upper`` or ``lower``."""

@@ -13,12 +13,13 @@ again and again; where the noise is as large as the excess over the limit, it ca
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from bo_tuner.codec.rules import Null
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.storage.typed_json import stands_for
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete
 from bo_tuner.trials import Context
@@ -47,7 +48,7 @@ class SearchWidth:
     """
 
     probability: float
-    width: float = stands_for(inf)
+    width: Annotated[float, Null(inf)]
 
 
 def search_widths(space: ContextSpace, contexts: Sequence[Context]) -> tuple[SearchWidth, ...]:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from bo_tuner import maxima
 from bo_tuner.codec import checks
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
@@ -23,7 +25,6 @@ from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
-from bo_tuner.storage.typed_json import from_json, to_json
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, one_line
@@ -106,7 +107,7 @@ def read_certificate(path: Path, study: Study) -> Certificate:
     try:
         content = json.loads(read_text(path))
         known = isinstance(content, dict) and content.get("format") == FORMAT
-        certificate = from_json(Certificate, content) if known else None
+        certificate: Certificate | None = read(Certificate, content, JSON) if known else None
         if certificate is not None:
             certificate.check_names(study)
     except (OSError, ValueError, RecursionError) as error:

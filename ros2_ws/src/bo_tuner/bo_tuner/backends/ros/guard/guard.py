@@ -456,7 +456,7 @@ class Guard:
             return
         begun = datetime.now(UTC) - timedelta(seconds=safe)
         time_of_act = begun.isoformat(timespec="milliseconds")
-        act = Act(time_of_act, reason, round(stopped, 4), round(safe, 4), list(problems))
+        act = Act(time_of_act, reason, round(stopped, 4), round(safe, 4), tuple(problems))
         with contextlib.suppress(OSError):
             add_act(self._record, act)
 
