@@ -9,7 +9,7 @@ from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.errors import RunError, RunRecordError
 from bo_tuner.evidence.certificate.store import read_certificate
-from bo_tuner.evidence.drift import DriftPlan, baseline_runs, next_number, result_of
+from bo_tuner.evidence.drift import DriftPlan, baseline_runs, next_number_of, result_of
 from bo_tuner.trials import EvaluationState, Outcome
 from bo_tuner.tuning.driver import Driver
 
@@ -126,8 +126,8 @@ def test_no_usable_run():
 
 
 def test_the_number_of_the_next(tmp_path):
-    assert next_number(tmp_path) == 1
+    assert next_number_of(tmp_path) == 1
     (tmp_path / "drift").mkdir()
     for name in ("0007.json", "note.txt", ".0008.json.3.new"):
         (tmp_path / "drift" / name).write_text(json.dumps({}))
-    assert next_number(tmp_path) == 8
+    assert next_number_of(tmp_path) == 8

@@ -33,7 +33,7 @@ from bo_tuner.evidence.drift import (
     Drift,
     DriftPlan,
     baseline_runs,
-    next_number,
+    next_number_of,
     result_of,
     write_drift,
 )
@@ -105,7 +105,7 @@ def compare(
         )
         if isinstance(nodes, RosBackend):
             nodes.at_abort = AbortBags(folder.path, study, say_error)
-        number, started = next_number(folder.path), _now()
+        number, started = next_number_of(folder.path), _now()
         false_alarms = arguments.false_alarms or FALSE_ALARMS
         plan = DriftPlan(
             study, certificate.parameters, baseline, metrics, most, false_alarms, number

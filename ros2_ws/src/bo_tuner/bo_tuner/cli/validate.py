@@ -29,6 +29,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.drift import FALSE_ALARMS, RUNS, compare
+from bo_tuner.cli.drives import expect, refuse_used_bags
 from bo_tuner.cli.exit_codes import EXIT_FAULT, early_end, exit_code
 from bo_tuner.cli.given_values import add_given_arguments, given
 from bo_tuner.cli.notify import add_notify_argument, notify
@@ -87,6 +88,11 @@ The bounds hold after each test run, and over all certificates of the run: the
 first has four fifths of the error probability, and each later one fresh draws
 and less; --with-default divides that between the two parameter sets.
 
+--drives runs a parameter set, and the default, once on each of some bags that
+the search has not used. PASS requires that as large a share of drives as the
+limits ask for is within all of them, with the confidence of the study, by the
+count of those that are; a failed run is not. It writes RUN/drives/0001.json.
+
 writes RUN/certificates/0001.json, or the next number, and the test runs as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the
 draws and the confidence that the study requires, and no later FAIL of the same
@@ -120,6 +126,7 @@ examples:
   validate --parameters my_params.yaml --study my_study.yaml    without a run
   validate latest --junit report.xml       for a CI server
   validate --against runs/latest/certificates/0001.json    drifted since?
+  validate latest --drives new_drives/*    what to expect of the next drive
   validate runs/latest && echo fit for use
 """
 
@@ -200,6 +207,14 @@ def make_parser() -> Parser:
         help="probability of a drift in any metric where there is none, at most (default: "
         f"{FALSE_ALARMS})",
     )
+    parser.add_argument_group("drives, instead").add_argument(
+        "--drives",
+        nargs="+",
+        default=[],
+        metavar="BAG",
+        help="for a study that plays bags: run the parameter set on drives that the search has "
+        "not used, and say what to expect of the next one",
+    )
     parser.add_argument_group("files").add_argument(
         "--junit",
         type=Path,
@@ -244,6 +259,9 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
         print_line(console, text, "  ")
 
     trial = _trial(record, arguments.trial) if of_given is None else of_given.trial
+    if arguments.drives:
+        return expect(arguments, parser, record, trial, ros_arguments, interruption)
+    refuse_used_bags(record.study)
     begun = _unfinished(record, trial, backend) if most > 1 else None
     if begun is not None:
         show(f"trial {begun.number} comes first, whose certificate was interrupted")

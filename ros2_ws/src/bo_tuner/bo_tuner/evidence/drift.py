@@ -6,7 +6,6 @@ runs are of one distribution, and count. Each metric is tested by ranks after ev
 """
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -23,6 +22,7 @@ from bo_tuner.numerics.rank_drift import RankTest
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.storage.atomic import write_atomically, writing
+from bo_tuner.storage.numbered_files import next_number, numbered
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNED, Evaluation, Outcome, Stage, Value
@@ -37,8 +37,6 @@ POWER = 0.95
 """Probability with which an effect that is stated is found."""
 BASELINES = 0.95
 """Share of all baselines that have at most the stated rate of false alarms."""
-
-_NAME = re.compile(r"(\d{4,9})\.json", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -288,11 +286,9 @@ def result_of(plan: DriftPlan, certificate: str, started: str, finished: str) ->
     )
 
 
-def next_number(folder: Path) -> int:
+def next_number_of(folder: Path) -> int:
     """Return the number of the next comparison in a run folder, from 1."""
-    directory = folder / DRIFT
-    names = [path.name for path in directory.iterdir()] if directory.is_dir() else []
-    return 1 + max((int(match[1]) for name in names if (match := _NAME.fullmatch(name))), default=0)
+    return next_number(folder / DRIFT)
 
 
 def write_drift(folder: Path, number: int, drift: Drift, runs: Sequence[Evaluation]) -> Path:
@@ -321,4 +317,4 @@ def write_drift(folder: Path, number: int, drift: Drift, runs: Sequence[Evaluati
         ],
     }
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    return write_atomically(directory / f"{number:04d}.json", text)
+    return write_atomically(numbered(directory, number), text)

@@ -1,0 +1,212 @@
+"""``validate --drives``: what drives that the search has not used show of those to come."""
+
+import argparse
+import contextlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.ros.play.bag import Bag
+from bo_tuner.cli.common import Parser, allow_programs, attached, ended, in_namespace_of, opened
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, early_end
+from bo_tuner.cli.notify import notify
+from bo_tuner.cli.streams import say_error
+from bo_tuner.errors import RunError, StudyError
+from bo_tuner.evidence.next_drive import NextDrive, attempt_in, next_drive, write_next_drive
+from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.monitoring.certificate_progress import CertificateProgress
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.plans import Runs
+from bo_tuner.storage.atomic import writing
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.distributions import Discrete
+from bo_tuner.study.parts import ROS
+from bo_tuner.study.playing import is_bag
+from bo_tuner.study.study import Study
+from bo_tuner.terminal import print_table
+from bo_tuner.text import counted, listed
+from bo_tuner.trials import Context, Evaluation, Stage, Trial
+from bo_tuner.tuning.driver import Driver
+from bo_tuner.tuning.gate import Gate
+
+
+def expect(
+    arguments: argparse.Namespace,
+    parser: Parser,
+    record: RunRecord,
+    trial: Trial,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> int:
+    """Run a parameter set on drives that were not used; returns the exit code.
+
+    Parameters
+    ----------
+    arguments
+        Of `validate`, with ``drives``.
+    parser
+        Of `validate`.
+    record
+        The run.
+    trial
+        That of the parameter set.
+    ros_arguments
+        ``--ros-args`` of the command line.
+    interruption
+        Ends the runs on a signal.
+    """
+    drives = _bags(arguments.drives, parser)
+    study = record.study
+    contexts = _contexts(study, drives)
+    attach = attached(arguments, parser, ROS, record)
+    allow_programs(record, trusted=arguments.trust, attach=attach)
+    folder = RunFolder(record.path)
+    with contextlib.closing(folder):
+        with writing(folder.log):
+            folder.log.mkdir(exist_ok=True)
+        nodes = make_backend(
+            ROS,
+            study,
+            folder.log,
+            attach=attach,
+            ros_arguments=in_namespace_of(record, ros_arguments),
+            interrupted=interruption.check,
+        )
+        number = attempt_in(folder.path)
+        defaults = study.search_space().defaults
+        evaluations = [
+            Evaluation(0, index, Stage.DRAWN, parameters, context, study.seed)
+            for index, (context, parameters) in enumerate(
+                (context, parameters)
+                for context in contexts
+                for parameters in (trial.parameters, defaults)
+            )
+        ]
+        shown = CertificateProgress(plain_console(stderr=True))
+        try:
+            with opened(nodes, interruption) as left, shown:
+                driver = Driver(nodes, shown, gate=Gate(interruption.check, shown))
+                done = [task.evaluation for task in driver.run(Runs(evaluations, "runs"))]
+        except (Interrupted, RunError) as error:
+            reason, code = early_end(error)
+            say_error(reason)
+            notify(arguments.notify, folder.path, code, reason, say_error)
+            return code
+        folder.check()
+        done.sort(key=lambda evaluation: evaluation.index)
+        made = next_drive(study, trial.parameters, done[::2], done[1::2], drives, number)
+        written = write_next_drive(folder.path, number, made)
+    _show(study, made)
+    say(f"written: {written}")
+    code = ended(left, EXIT_OK if made.passed else EXIT_INFEASIBLE)
+    notify(arguments.notify, record.path, code, headline(made), say_error)
+    return code
+
+
+def refuse_used_bags(study: Study) -> None:
+    """Raise `StudyError` if test runs of a study would play bags that the search has used."""
+    if study.run is not None and study.run.play is not None:
+        raise StudyError(
+            "plays bags, which the search has used, so that they prove nothing of other drives; "
+            "name some that were not used by --drives"
+        )
+
+
+def _bags(given: Sequence[str], parser: Parser) -> list[str]:
+    """Return the full paths of the bags."""
+    paths = [Path(item).resolve() for item in given]
+    for path in paths:
+        if not is_bag(path):
+            parser.error(f"--drives: {path}: expected a bag")
+    if len(set(paths)) < len(paths):
+        parser.error("--drives: a bag is named twice")
+    return [str(path) for path in paths]
+
+
+def _contexts(study: Study, drives: Sequence[str]) -> list[Context]:
+    """Return a context for each drive, nominal but for the drive.
+
+    Raises
+    ------
+    StudyError
+        If the study plays no bag that is a context, or has used one of the drives.
+    """
+    play = None if study.run is None else study.run.play
+    places = [] if play is None else play.names_in_braces
+    names = [name for place, name, _ in places if place == ("bag",)]
+    variable = study.contexts.get(names[0]) if len(names) == 1 else None
+    if play is None or variable is None or not isinstance(variable.distribution, Discrete):
+        raise StudyError(
+            "plays no bag that is a context; expected contexts: {drive: {bags: [...]}} and "
+            'play: "{drive}"'
+        )
+    (name,) = names
+    values = variable.distribution.values
+    used = [Bag(Path(study.folder) / play.filled({name: value}).bag) for value in values]
+    for drive in drives:
+        bag = Bag(Path(drive))
+        for other in used:
+            if bag.overlaps(other) or bag.path == other.path.resolve():
+                raise StudyError(
+                    f"{drive} is of a drive that the search has used, {other.path.name}; expected "
+                    "others"
+                )
+    space = study.context_space()
+    nominal = space.to_dict(space.nominal())
+    return [{**nominal, name: drive} for drive in drives]
+
+
+def _show(study: Study, made: NextDrive) -> None:
+    names = [study.objective.metric, *(item.metric for item in study.constraints.values())]
+    metrics = list(dict.fromkeys(names))
+    table = Table(title="drives that the search has not used", title_justify="left")
+    table.add_column("drive")
+    for name in metrics:
+        unit = study.metrics[name].unit
+        table.add_column(f"{name} [{unit}]" if unit else name, justify="right")
+        table.add_column("default", justify="right")
+    table.add_column("")
+    for run in made.runs:
+        cells = [
+            f"{values[name]:.4g}" if values else "failed"
+            for name in metrics
+            for values in (run.tuned, run.default)
+        ]
+        words = f"beyond {listed(run.beyond)}" if run.beyond else ""
+        table.add_row(Path(run.drive).name, *cells, words)
+    print_table(plain_console(), table)
+    count = len(made.runs)
+    say(f"within all limits: {made.within} of {counted(count, 'drive')}")
+    say(
+        f"the next drive is no worse than the worst of these with a probability of "
+        f"{percent(made.no_worse_on_average)} on average ({count} of {count + 1}); with "
+        f"{percent(made.confidence)} confidence, {percent(made.no_worse)} of all drives are not"
+    )
+    say(
+        "both hold if drives to come are like these: recorded by the same robot, in the same kind "
+        "of places, none chosen for how it went"
+    )
+    say(headline(made))
+    if not made.passed:
+        say(
+            f"{counted(made.missing, 'more drive')} within all limits would show it, in one call "
+            "with these"
+        )
+
+
+def headline(made: NextDrive) -> str:
+    """Return the verdict in a line."""
+    verdict = "PASS" if made.passed else "FAIL"
+    return (
+        f"{verdict}: at least {percent(made.shown)} of drives are within all limits, with "
+        f"{percent(made.confidence)} confidence; asked for are {percent(made.asked)}"
+    )
+
+
+def percent(share: float) -> str:
+    """Return a share in percent; it is rounded down."""
+    return f"{math.floor(1000.0 * share) / 10.0:g} %"

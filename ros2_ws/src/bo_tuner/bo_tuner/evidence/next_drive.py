@@ -1,0 +1,173 @@
+"""What to expect of the next drive, by drives that the search has not used.
+
+If drives are exchangeable, as drives of one robot in one season are, a drive to come is as likely
+as each of those at hand to be the worst one of all: with n unused ones, the next one is no worse
+than all of them with probability n / (n + 1), on average over such sets. Of a given set less can be
+said: with confidence 1 - α a share α^(1/n) of all drives is no worse than its worst one.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scipy.special import betaincinv
+
+from bo_tuner.codec.writing import to_json
+from bo_tuner.numerics.sequential import spent
+from bo_tuner.storage.atomic import write_atomically, writing
+from bo_tuner.storage.numbered_files import next_number, numbered
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Value
+
+DRIVES = "drives"
+"""Folder in a run folder with what was shown by drives that were not used."""
+SHARE = 0.9
+"""Share of the drives that must be within the limits, where the study asks for no probability."""
+
+
+@dataclass(frozen=True)
+class DriveRun:
+    """The runs of a drive.
+
+    Attributes
+    ----------
+    drive : str
+        Its bag.
+    tuned, default : mapping from str to float
+        Metrics of the result and of the default; empty for a run that failed.
+    beyond : tuple of str
+        The limits that the result does not keep; all of them if its run failed.
+    """
+
+    drive: str
+    tuned: Mapping[str, float]
+    default: Mapping[str, float]
+    beyond: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NextDrive:
+    """What drives that the search has not used show of those to come.
+
+    Attributes
+    ----------
+    parameters : mapping
+        The parameter set.
+    runs : tuple of DriveRun
+        One for each drive.
+    confidence : float
+        Confidence of this statement: all those of a run together have that of the study.
+    asked : float
+        Share of the drives that is to be within the limits.
+    """
+
+    parameters: Mapping[str, Value]
+    runs: tuple[DriveRun, ...]
+    confidence: float
+    asked: float
+
+    @property
+    def within(self) -> int:
+        """How many drives are within all limits."""
+        return sum(not run.beyond for run in self.runs)
+
+    @property
+    def shown(self) -> float:
+        """Share of the drives that are within all limits at least, with the confidence."""
+        return share_shown(self.within, len(self.runs), self.confidence)
+
+    @property
+    def passed(self) -> bool:
+        """Whether that is what was asked for."""
+        return self.shown >= self.asked
+
+    @property
+    def no_worse(self) -> float:
+        """Share of all drives that are no worse than the worst one here, with the confidence."""
+        return share_shown(len(self.runs), len(self.runs), self.confidence)
+
+    @property
+    def no_worse_on_average(self) -> float:
+        """Probability that the next drive is no worse, on average over such sets of drives."""
+        return len(self.runs) / (len(self.runs) + 1)
+
+    @property
+    def missing(self) -> int:
+        """How many more drives within all limits would show what was asked for."""
+        beyond = len(self.runs) - self.within
+        count = len(self.runs)
+        while share_shown(count - beyond, count, self.confidence) < self.asked:
+            count += 1
+        return count - len(self.runs)
+
+
+def share_shown(within: int, count: int, confidence: float) -> float:
+    """Return the share of all that is within limits at least, if `within` of `count` are.
+
+    The lower bound of C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
+    """
+    if within == 0:
+        return 0.0
+    return float(betaincinv(within, count - within + 1, 1.0 - confidence))
+
+
+def asked_of(study: Study) -> float:
+    """Return the share of drives that the limits of a study ask for."""
+    levels = [
+        item.probability for item in study.constraints.values() if item.probability is not None
+    ]
+    return max(levels, default=SHARE)
+
+
+def next_drive(
+    study: Study,
+    parameters: Mapping[str, Value],
+    tuned: Sequence[Evaluation],
+    default: Sequence[Evaluation],
+    drives: Sequence[str],
+    attempt: int,
+) -> NextDrive:
+    """Judge the runs of a parameter set, and of the default, on some drives, in their order.
+
+    Parameters
+    ----------
+    study
+        The study.
+    parameters
+        The parameter set.
+    tuned, default
+        Runs on each of the drives.
+    drives
+        The drives.
+    attempt
+        How many such statements there are of the run, this one included: each has less of the
+        error probability, so that to go on until one passes does not pass too often.
+    """
+    runs = []
+    for drive, mine, theirs in zip(drives, tuned, default, strict=True):
+        values = mine.outcome.metrics if mine.outcome.complete else {}
+        beyond = tuple(
+            name
+            for name, limit in study.constraints.items()
+            if not values or bool(limit.violations(values[limit.metric]))
+        )
+        before = theirs.outcome.metrics if theirs.outcome.complete else {}
+        runs.append(DriveRun(drive, dict(values), dict(before), beyond))
+    confidence = spent(study.certificate.confidence, attempt)
+    return NextDrive(dict(parameters), tuple(runs), confidence, asked_of(study))
+
+
+def attempt_in(folder: Path) -> int:
+    """Return the number of the next statement in a run folder, from 1."""
+    return next_number(folder / DRIVES)
+
+
+def write_next_drive(folder: Path, number: int, made: NextDrive) -> Path:
+    """Write a statement, and return the path; raises `OutputError` if it cannot be written."""
+    directory = folder / DRIVES
+    with writing(directory):
+        directory.mkdir(exist_ok=True)
+    content = {"passed": made.passed, "shown": made.shown, **to_json(made)}
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    return write_atomically(numbered(directory, number), text)
