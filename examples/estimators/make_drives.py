@@ -1,8 +1,8 @@
-"""Writes drives of the robot as bags: ``make_drives.py FOLDER COUNT [SECONDS]``."""
+"""Writes drives of the robot as bags: ``make_drives.py FOLDER COUNT``."""
 
+import argparse
 import math
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -84,12 +84,18 @@ def write(folder: Path, seed: int, seconds: float) -> None:
             writer.write(connections[topic], nanoseconds, data)
 
 
-def main(folder: str, count: str, seconds: str = "60") -> None:
-    """Write drives of the first seeds."""
-    for seed in range(int(count)):
-        write(Path(folder) / f"drive_{seed + 1}", seed + 1, float(seconds))
-    print(f"{count} drives of {seconds} s in {folder}")
+def main() -> None:
+    """Write drives."""
+    parser = argparse.ArgumentParser(description="Write drives of the robot as bags.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--first", type=int, default=1, help="number of the first one")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each")
+    arguments = parser.parse_args()
+    for seed in range(arguments.first, arguments.first + arguments.count):
+        write(arguments.folder / f"drive_{seed}", seed, arguments.seconds)
+    print(f"{arguments.count} drives of {arguments.seconds:g} s in {arguments.folder}")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
