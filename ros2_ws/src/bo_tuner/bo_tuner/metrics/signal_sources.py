@@ -11,6 +11,7 @@ from bo_tuner.metrics.python_process import PythonProcess
 from bo_tuner.metrics.python_worker import Passed
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
+from bo_tuner.metrics.trajectory_source import TrajectorySource
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.numerics.signal_metrics import (
     FROM_START,
@@ -22,6 +23,7 @@ from bo_tuner.study.metrics import PythonMetric, SignalMetric
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
+from bo_tuner.study.trajectory_metric import TrajectoryMetric
 
 
 class SignalSource:
@@ -161,6 +163,8 @@ def signal_sources(
                 sources[name] = SignalSource(metric, study, recording)
             elif isinstance(metric, PathMetric):
                 sources[name] = PathSource(metric, study, recording)
+            elif isinstance(metric, TrajectoryMetric):
+                sources[name] = TrajectorySource(metric, recording)
             elif isinstance(metric, PythonMetric):
                 sources[name] = PythonSource(metric, recording, process)
         yield sources

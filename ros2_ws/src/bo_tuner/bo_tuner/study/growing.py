@@ -17,6 +17,7 @@ from bo_tuner.study.metrics import (
     StudyMetric,
 )
 from bo_tuner.study.parts import MINIMIZE, Objective
+from bo_tuner.study.trajectory_metric import TrajectoryMetric
 
 
 def why_not(metric: StudyMetric) -> str:
@@ -27,6 +28,8 @@ def why_not(metric: StudyMetric) -> str:
         return "it is computed from other metrics"
     if isinstance(metric, PythonMetric):
         return "it is a function of a whole run"
+    if isinstance(metric, TrajectoryMetric):
+        return "it is of a whole trajectory"
     if metric.measure not in NEVER_FALLS:
         return f"{metric.measure} may fall during a run"
     if isinstance(metric, SignalMetric) and isinstance(metric.target, str):

@@ -20,6 +20,7 @@ from bo_tuner.study.metric_keys import MetricKeys, ScaledMetricKeys
 from bo_tuner.study.parts import LINEAR
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import TIME, Signal, expression, named_expression, only_numbers
+from bo_tuner.study.trajectory_metric import TrajectoryMetric
 
 
 class Metric(Protocol):
@@ -189,7 +190,9 @@ class CombinedMetric(ScaledMetricKeys):
     expression: str
 
     _of: ClassVar[Expression]
-    parts: ClassVar[tuple[ReportedMetric | SignalMetric | PathMetric | PythonMetric, ...]] = ()
+    parts: ClassVar[
+        tuple[ReportedMetric | SignalMetric | PathMetric | TrajectoryMetric | PythonMetric, ...]
+    ] = ()
     """The metrics that it is computed from; there as soon as it is `joined` to a study."""
 
     def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
@@ -319,15 +322,23 @@ def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:
 
 
 StudyMetric = (
-    ReportedMetric | SignalMetric | PathMetric | PythonMetric | CombinedMetric | RelativeMetric
+    ReportedMetric
+    | SignalMetric
+    | PathMetric
+    | TrajectoryMetric
+    | PythonMetric
+    | CombinedMetric
+    | RelativeMetric
 )
+OF_DISTANCE = (PathMetric, TrajectoryMetric)
+"""Metrics that measure a distance between signals."""
 
 
 def signals_of(metric: object, signals: Iterable[str]) -> Iterator[str]:
     """Yield the names of the signals that a metric is computed from, of those of a study."""
     if isinstance(metric, PythonMetric):
         yield from signals
-    elif isinstance(metric, PathMetric):
+    elif isinstance(metric, OF_DISTANCE):
         yield from metric.signals
     elif isinstance(metric, SignalMetric):
         for text in metric.expressions:
@@ -339,6 +350,8 @@ def metric_kind(fields: object) -> type[StudyMetric]:
     keys = fields.keys() if isinstance(fields, dict) else ()
     if "plan" in keys or "path" in keys:
         return PathMetric
+    if "truth" in keys or "estimate" in keys:
+        return TrajectoryMetric
     if "of" in keys or "measure" in keys:
         return SignalMetric
     if "expression" in keys:
