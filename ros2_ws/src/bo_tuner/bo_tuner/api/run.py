@@ -21,9 +21,10 @@ from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
-from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM, WINDOW, session_provenance
+from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM, session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, LOCK, STUDY, SUMMARY, RunFolder
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
@@ -106,7 +107,8 @@ class OpenRun:
             self.known = continued(
                 study, self.method, known.trials, known.evaluations, stop_early=False
             )
-            provenance = session_provenance(study, FUNCTION, algorithm) | {WINDOW: str(window)}
+            options = SessionOptions(window=window)
+            provenance = session_provenance(study, FUNCTION, algorithm) | options.provenance
             if damage:
                 warnings.warn(f"the record was damaged: {damage}", RuntimeWarning, stacklevel=5)
                 provenance["salvaged"] = damage

@@ -235,7 +235,7 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
         backend,
         attach=attach,
         ros_arguments=in_namespace_of(record, ros_arguments),
-        provenance=record.provenance if of_given is None else None,
+        known=record.options if of_given is None else None,
         keeps_window=False,
     )
     console = plain_console(stderr=True)

@@ -175,7 +175,7 @@ def before_run(record: RunRecord) -> NodeValues | None:
     None of a run on nodes of its own, and where the note is gone, or is not of these nodes,
     parameters and types.
     """
-    if not record.attached:
+    if not record.options.attached:
         return None
     default = node_values(record.study, record.study.search_space().defaults)
     try:

@@ -340,7 +340,7 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
         method,
         record.trials[:count],
         record.evaluations[: max(own, default=-1) + 1],
-        stop_early=record.stop_early,
+        stop_early=record.options.stop_early,
         finished=record.finished,
     )
     models = method.ranking.models(study, trials, analysis.models.warm_starts)
