@@ -189,7 +189,7 @@ class TestRun:
         assert process.wait(DEADLINE) == 0, shown
         text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
         assert "5/5" in text
-        assert "best so far: trial" in text
+        assert "best within limits: trial" in text
         assert "validation" in text
 
     def test_a_terminal_without_our_signs(self, fresh_tune):
