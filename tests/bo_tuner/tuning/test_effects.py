@@ -9,8 +9,8 @@ from functions import NODE, failed, make_study
 from report_runs import run_axis
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.evidence.effects import effects_in_words, file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.effects import effects_in_words, file_notes
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
 from bo_tuner.report.sections.effects import effects

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
-from bo_tuner.evidence.busy import high_load, load_in_words
+from bo_tuner.evidence.busy import high_load
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
@@ -27,6 +27,7 @@ from bo_tuner.evidence.certificate.store import (
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
 from bo_tuner.evidence.declarations import drifts, two_kinds
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
@@ -91,6 +92,7 @@ def make_certificate(
     deaths = deaths_in(study, tuned.evaluations, others, level)
     made_by = provenance(study, backend, record.algorithm)
     metric = study.metrics[study.objective.metric]
+    drawn = {name: item.drawn for name, item in evidence.items()}
     return Certificate(
         study=study.name,
         study_sha256=made_by["study_sha256"],
@@ -121,8 +123,8 @@ def make_certificate(
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
             *_busy(study, findings, tuned),
             *_rounded(findings, held),
-            *drifts(study, {name: item.drawn for name, item in evidence.items()}),
-            *two_kinds(study, {name: item.drawn for name, item in evidence.items()}),
+            *map(in_words, drifts(study, drawn)),
+            *map(in_words, two_kinds(study, drawn)),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -163,7 +165,7 @@ def _busy(study: Study, findings: Findings, evidence: Evidence) -> Iterator[str]
     titles = {study.metrics[constraint.metric].title for constraint in open_limits}
     high = high_load(study, evidence.evaluations)
     if high is not None and titles & set(high.metrics):
-        yield load_in_words(high)
+        yield in_words(high)
 
 
 def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:
