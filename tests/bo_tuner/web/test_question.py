@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 from axis import write_study
+from bo_tuner.codec.writing import to_json
 from commands import Fork, finish
 from live_run import Page
 from waiting import wait_until
@@ -14,7 +15,6 @@ from waiting import wait_until
 from bo_tuner.plans import EventKind
 from bo_tuner.report.page import question_html
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.storage.typed_json import to_json
 from bo_tuner.tuning.question import Asked, Change
 from bo_tuner.web.live_page import ahead_of, in_parts
 from bo_tuner.web.sections import LiveSections

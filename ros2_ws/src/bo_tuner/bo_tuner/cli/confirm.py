@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from bo_tuner.cli.streams import prompt, typed
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.interruption import LOOK_AROUND
 from bo_tuner.methods.protocol import Method
 from bo_tuner.models.surrogates import Surrogates

@@ -90,7 +90,7 @@ def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
             dtype=float,
         )
         line = of_limit(constraint, constraint.limit)
-        title = with_unit(study.titled(constraint, study.limited(constraint)), unit)
+        title = with_unit(study.limit_title(constraint), unit)
         side = "≤" if constraint.sign > 0.0 else "≥"
         limit = with_unit(f"{constraint.limit:g}", metric.unit)
         panels.append(
@@ -117,7 +117,7 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         header.append(with_unit(metric.title, metric.unit))
     for limit in limits:
         unit = PERCENT if in_percent(limit) else study.metrics[limit.metric].unit
-        header.append(f"{study.titled(limit, study.limited(limit))}, {unit}".removesuffix(", "))
+        header.append(f"{study.limit_title(limit)}, {unit}".removesuffix(", "))
     rows = []
     for trial in list(trials)[: -LATEST - 1 : -1]:
         complete = trial.state is TrialState.COMPLETE

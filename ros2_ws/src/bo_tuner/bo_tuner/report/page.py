@@ -250,7 +250,9 @@ def answer_html(analysis: Analysis) -> str:
     content = replace(answer(analysis), files=())
     if analysis.verdict.state is State.OPEN:
         content = replace(content, steps=())
-    return str(_macros().show_answer(content, ""))
+    macros = _macros()
+    bar = f"{macros.show_mark(content)}{macros.show_actions(content, '')}"
+    return f'<div class="bar result">{bar}</div>{macros.show_answer(content)}'
 
 
 def list_html(**content: object) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
@@ -23,7 +24,6 @@ from bo_tuner.monitoring.progress import (
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import LOGS, open_file
-from bo_tuner.storage.typed_json import to_json
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, printable
 from bo_tuner.trials import Evaluation, Trial

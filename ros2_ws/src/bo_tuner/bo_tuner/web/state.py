@@ -8,9 +8,9 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import BoTunerError
 from bo_tuner.report.page import question_html
-from bo_tuner.storage.typed_json import from_json
 from bo_tuner.tuning.question import Asked
 from bo_tuner.web.sections import LiveSections, Made, Part
 
@@ -96,7 +96,7 @@ class LiveState:
         """Return a question as HTML, which is empty while nothing is asked."""
         whole, self._ahead = "".join((*self._ahead, text)), []
         if (number, whole) != self._shown_question[:2]:
-            html = question_html(from_json(Asked, json.loads(whole))) if whole else ""
+            html = question_html(read(Asked, json.loads(whole), JSON)) if whole else ""
             self._shown_question = (number, whole, html)
         return {"number": number, "html": self._shown_question[2]}
 
