@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 from axis import write_study
-from bo_tuner.codec.reading import JSON, read
-from bo_tuner.codec.writing import to_json
 from in_process import complaint
 from terminals import converse
 
 from bo_tuner.cli import confirm, tune
 from bo_tuner.cli.confirm import Confirmation, asked_about, in_lines, refused_in
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.method_names import SAFE
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import REPETITION
@@ -59,7 +59,7 @@ def test_shows_differences_predictions_and_the_nearest(make_study, function_back
     last = trials[-1].parameters["gain"]
     asked = asked_about(study, METHODS[SAFE], trials, {"gain": 0.625}, REPETITION)
     # What goes to the live page comes back as it was.
-    assert read(Asked, json.loads(json.dumps(to_json(asked), JSON))) == asked
+    assert read(Asked, json.loads(json.dumps(to_json(asked))), JSON) == asked
     lines = list(in_lines(asked))
     assert lines[:2] == [
         "next, trial 5: the same again, to learn its noise",

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 from axis import write_study
-from bo_tuner.codec.writing import to_json
 from commands import Fork, finish
 from live_run import Page
 from waiting import wait_until
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.plans import EventKind
 from bo_tuner.report.page import question_html
 from bo_tuner.storage.journal_reader import read_journal
