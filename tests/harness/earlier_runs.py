@@ -4,6 +4,7 @@ from functions import NODE
 
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
@@ -32,11 +33,7 @@ def record(tmp_path, study, backend, algorithm=BOUNDARY, trials=None):
         study=study,
         algorithm=algorithm,
         backend="inprocess",
-        stop_early=False,
-        attached=False,
-        namespace="",
-        record_policy="",
-        record_limit=None,
+        options=SessionOptions(),
         provenance={},
         trials=tuple(trials),
         evaluations=evaluations,

@@ -10,11 +10,11 @@ from bo_tuner.evidence.certificate.store import evaluations_path, next_path
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import (
-    ATTACHED,
     session_provenance,
     study_sha256,
 )
 from bo_tuner.storage.record import read_run
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.journaling import JournalObserver
@@ -37,7 +37,7 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess", a
     try:
         who = session_provenance(study, backend_name, "IV")
         if attached:
-            who |= {ATTACHED: "yes"}
+            who |= SessionOptions(attached=True).provenance
         with Journal(folder / "journal.sqlite", who) as journal:
             for trial in Tuning(study, Driver(backend, JournalObserver(journal)), METHODS["IV"]):
                 journal.record_trial(trial)

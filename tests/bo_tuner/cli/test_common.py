@@ -12,6 +12,7 @@ from commands import start
 from bo_tuner.cli.common import attached, in_namespace_of, run_folder
 from bo_tuner.cli.executables import module_of
 from bo_tuner.errors import RunRecordError
+from bo_tuner.storage.session_options import SessionOptions
 
 COMMANDS = (
     "apply", "check", "guard", "init", "recompute", "replay", "report", "try", "tune", "validate",
@@ -78,6 +79,10 @@ class TestLatest:
             run_folder(Path("latest"))
 
 
+def of_run(**options):
+    return SimpleNamespace(options=SessionOptions(**options))
+
+
 @pytest.mark.parametrize(
     ("options", "backend", "expected"),
     [
@@ -90,10 +95,8 @@ class TestLatest:
 def test_nodes_are_attached_as_in_the_run(options, backend, expected):
     parser = importlib.import_module("bo_tuner.cli.replay").make_parser()
     arguments = parser.parse_args(["run", *options])
-    assert attached(arguments, parser, backend, SimpleNamespace(attached=True)) is expected
-    assert attached(arguments, parser, backend, SimpleNamespace(attached=False)) is (
-        "--attach" in options
-    )
+    assert attached(arguments, parser, backend, of_run(attached=True)) is expected
+    assert attached(arguments, parser, backend, of_run(attached=False)) is ("--attach" in options)
     assert attached(arguments, parser, backend, None) is ("--attach" in options)
 
 
@@ -115,4 +118,4 @@ def test_a_run_may_be_called_latest(name):
     ],
 )
 def test_a_command_on_a_run_is_for_the_nodes_in_its_namespace(recorded, given, expected):
-    assert in_namespace_of(SimpleNamespace(namespace=recorded), given) == expected
+    assert in_namespace_of(of_run(namespace=recorded), given) == expected

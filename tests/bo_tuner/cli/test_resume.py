@@ -22,6 +22,7 @@ from bo_tuner.storage.journal import create_journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import CHECKS, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.summary import summary_from_record, with_summary
@@ -109,11 +110,11 @@ class TestResume:
     def test_bags_are_kept_as_before(self, runs, whole, arguments, expected):
         """A lower limit would delete those of the earlier session."""
         record = read_run(runs.latest(whole))
-        assert (record.record_policy, record.record_limit) == ("notable", 1_000_000_000)
+        assert (record.options.record, record.options.record_limit) == ("notable", 1_000_000_000)
         given = tune.make_parser().parse_args(["--resume", "run", *arguments])
-        other = replace(record, record_policy="all", record_limit=5_000_000)
+        other = replace(record, options=SessionOptions(record="all", record_limit=5_000_000))
         assert tune._recording(given, other) == expected
-        unknown = replace(record, record_policy="", record_limit=None)
+        unknown = replace(record, options=SessionOptions())
         assert tune._recording(given, unknown) == (expected if arguments else RecordOptions())
 
     def test_a_folder_in_use_is_refused(self, runs, whole):

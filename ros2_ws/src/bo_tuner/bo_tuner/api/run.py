@@ -14,6 +14,7 @@ from bo_tuner.api.earlier import EarlierRun, first_trials
 from bo_tuner.backends.recorded import OnRecord
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import as_summary, notes_of_file
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.report.deliverables import withdraw_result
@@ -21,9 +22,10 @@ from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
-from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM, WINDOW, session_provenance
+from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM, session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, LOCK, STUDY, SUMMARY, RunFolder
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
@@ -106,7 +108,8 @@ class OpenRun:
             self.known = continued(
                 study, self.method, known.trials, known.evaluations, stop_early=False
             )
-            provenance = session_provenance(study, FUNCTION, algorithm) | {WINDOW: str(window)}
+            options = SessionOptions(window=window)
+            provenance = session_provenance(study, FUNCTION, algorithm) | options.provenance
             if damage:
                 warnings.warn(f"the record was damaged: {damage}", RuntimeWarning, stacklevel=5)
                 provenance["salvaged"] = damage
@@ -173,9 +176,9 @@ class OpenRun:
             )
             verdict = run_verdict(replace(record, summary=summary))
             parameters = conclusion.recommendation.candidate.trial.parameters
-            notes = verdict.file_notes(self.study)
+            notes = notes_of_file(verdict, self.study)
             self._folder.write_parameters(self.study, parameters, notes)
-            self._folder.write_json(SUMMARY, summary | verdict.to_summary())
+            self._folder.write_json(SUMMARY, summary | as_summary(verdict))
         export_csv(self._folder.journal, self.path)
         self.close()
 

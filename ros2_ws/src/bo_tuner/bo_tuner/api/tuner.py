@@ -25,7 +25,6 @@ from bo_tuner.errors import (
 )
 from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.plans import Phases, Plan
-from bo_tuner.storage.provenance import recorded_window
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.ending_early import check_ends_early
@@ -363,7 +362,7 @@ def opened(
     checks.choice(name, tuple(METHODS), "algorithm")
     record = _recorded(study, path, algorithm)
     if record is not None:
-        name, window = record.algorithm, recorded_window(record.provenance)
+        name, window = record.algorithm, record.options.window
     if problem := problem_of(name, study):
         raise StudyError(problem, ("algorithm",))
     check_ends_early(study, FUNCTION)

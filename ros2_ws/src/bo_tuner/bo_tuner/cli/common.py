@@ -339,7 +339,7 @@ def attached(
         parser.error(f"{asks_for_running_nodes(arguments)} needs --backend ros")
     if arguments.attach is not None or record is None:
         return bool(arguments.attach)
-    return record.attached and backend == ROS
+    return record.options.attached and backend == ROS
 
 
 def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str]:
@@ -352,9 +352,9 @@ def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str
     ros_arguments
         ``--ros-args`` of the command line.
     """
-    if named_namespace(ros_arguments) or record.namespace in ("", "/"):
+    if named_namespace(ros_arguments) or record.options.namespace in ("", "/"):
         return list(ros_arguments)
-    return in_namespace(ros_arguments, record.namespace)
+    return in_namespace(ros_arguments, record.options.namespace)
 
 
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:

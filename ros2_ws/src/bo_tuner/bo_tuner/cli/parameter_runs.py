@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from bo_tuner.cli.streams import say_error
-from bo_tuner.evidence.effects import amount, not_seen, proposals
+from bo_tuner.evidence.words.effects import amount, not_seen, proposals
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.seeds import Stream, noise_seed

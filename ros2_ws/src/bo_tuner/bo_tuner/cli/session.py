@@ -25,6 +25,7 @@ from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.evidence.words.verdict import as_summary, notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.registry import METHODS
@@ -48,26 +49,18 @@ from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, read_journal
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
 from bo_tuner.storage.provenance import (
-    ATTACHED,
-    BENCHES,
     CARRIED,
     CARRIED_FROM,
-    NAMESPACE,
-    RECORD,
-    RECORD_LIMIT,
-    SCHEDULER,
     SIMULATION_FROM,
     SIMULATION_SHA256,
     SIMULATION_TAKEN,
-    STOP_EARLY,
-    WINDOW,
-    WORKERS,
     changed_sources,
     file_sha256,
     session_provenance,
 )
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RECORDING, SIMULATION, SUMMARY, RunFolder, how_to_resume
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
@@ -307,20 +300,7 @@ class Session:
         """Return what works on the run from now on, and warn of what has changed."""
         options = self._options
         provenance = session_provenance(self._study, options.backend, options.algorithm)
-        if options.attach:
-            provenance[ATTACHED] = "yes"
-        if self._namespace:
-            provenance[NAMESPACE] = self._namespace
-        if options.stop_early:
-            provenance[STOP_EARLY] = "yes"
-        provenance[WINDOW] = str(options.workers.window)
-        provenance[WORKERS] = str(options.workers.count)
-        if options.workers.scheduler:
-            provenance[SCHEDULER] = options.workers.scheduler
-        if options.workers.benches:
-            provenance[BENCHES] = ",".join(bench.name for bench in options.workers.benches)
-        provenance[RECORD] = str(options.record.policy)
-        provenance[RECORD_LIMIT] = str(options.record.limit)
+        provenance |= self._kept.provenance
         if options.carried is not None:
             provenance[CARRIED_FROM] = options.carried.run
             provenance[CARRIED] = options.carried.text
@@ -528,6 +508,22 @@ class Session:
         options = self._options
         return namespace_of(options.ros_arguments) if options.backend == ROS else ""
 
+    @property
+    def _kept(self) -> SessionOptions:
+        """The options that the next session goes on with."""
+        options = self._options
+        return SessionOptions(
+            stop_early=options.stop_early,
+            attached=options.attach,
+            namespace=self._namespace,
+            window=options.workers.window,
+            workers=options.workers.count,
+            scheduler=options.workers.scheduler,
+            benches=tuple(bench.name for bench in options.workers.benches),
+            record=str(options.record.policy),
+            record_limit=options.record.limit,
+        )
+
     def _verdict(self, summary: Mapping[str, object] | None) -> Verdict:
         """Return the verdict on the result: that of its certificate, if it has one."""
         content = read_journal(self._folder.journal)
@@ -537,11 +533,7 @@ class Session:
                 study=self._study,
                 algorithm=self._options.algorithm,
                 backend=self._options.backend,
-                stop_early=self._options.stop_early,
-                attached=self._options.attach,
-                namespace=self._namespace,
-                record_policy=str(self._options.record.policy),
-                record_limit=self._options.record.limit,
+                options=self._kept,
                 provenance=content.sessions[-1],
                 trials=content.trials,
                 evaluations=content.evaluations,
@@ -554,8 +546,8 @@ class Session:
     def _report(self, conclusion: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
         parameters = conclusion.recommendation.candidate.trial.parameters
-        notes = verdict.file_notes(self._study)
+        notes = notes_of_file(verdict, self._study)
         path = folder.write_parameters(self._study, parameters, notes)
-        summary |= verdict.to_summary()
+        summary |= as_summary(verdict)
         folder.write_json(SUMMARY, summary)
         self._display.result(Result(self._study, verdict, parameters, path, summary))

@@ -39,7 +39,7 @@ from bo_tuner.methods.registry import METHODS, method_of, problem_of
 from bo_tuner.monitoring.display import Output, plain_console
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.replay.recompute import measure_again
-from bo_tuner.storage.provenance import SIMULATION_FROM, SIMULATION_TAKEN, recorded_workers
+from bo_tuner.storage.provenance import SIMULATION_FROM, SIMULATION_TAKEN
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import is_trusted
@@ -131,7 +131,7 @@ def _run(
         plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        provenance=None if plan.resumed is None else plan.resumed.provenance,
+        known=None if plan.resumed is None else plan.resumed.options,
     )
     _check_options(plan, arguments, parser, workers)
     options = RunOptions(
@@ -197,7 +197,7 @@ def _certify(
         command += ["--time", f"{max(limit.left, 0.001):.3f}s"]
     if address is not None:
         # Of a cluster, a run says nothing for others.
-        count = recorded_workers(read_run(run_path).provenance)
+        count = read_run(run_path).options.workers
         command += ["--scheduler", address, "--workers", str(count)]
     if arguments.notify is not None:
         command += ["--notify", arguments.notify]
@@ -214,9 +214,9 @@ def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> Reco
     """
     policy, limit = arguments.record, arguments.record_limit
     if resumed is not None:
-        known = resumed.record_policy in list(Policy)
-        policy = policy or (resumed.record_policy if known else None)
-        limit = resumed.record_limit if limit is None else limit
+        known = resumed.options
+        policy = policy or (known.record if known.record in list(Policy) else None)
+        limit = known.record_limit if limit is None else limit
     default = RecordOptions()
     return RecordOptions(
         Policy(policy or default.policy), default.limit if limit is None else limit
@@ -238,11 +238,12 @@ def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -
     study, backend = record.study, recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     allow_programs(record, trusted=arguments.trust, attach=attach)
-    stop_early = arguments.stop_early or record.stop_early
+    stop_early = arguments.stop_early or record.options.stop_early
     if arguments.trials is not None or arguments.evaluations is not None:
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
-        study, stop_early = changed_study(study, arguments, record.namespace), arguments.stop_early
+        study = changed_study(study, arguments, record.options.namespace)
+        stop_early = arguments.stop_early
     known = None
     if record.simulation:
         origin = record.provenance
@@ -390,9 +391,9 @@ def _resumed_in(
     record: RunRecord, attach: bool, ros_arguments: Sequence[str], parser: Parser
 ) -> list[str]:
     """Return the ``--ros-args`` of the rest of a run, which is on the same nodes."""
-    arguments, recorded = in_namespace_of(record, ros_arguments), record.namespace
+    arguments, recorded = in_namespace_of(record, ros_arguments), record.options.namespace
     namespace = namespace_of(arguments)
-    if attach and record.attached and recorded and namespace != recorded:
+    if attach and record.options.attached and recorded and namespace != recorded:
         parser.error(
             f"--resume: the run is of nodes in the namespace {recorded}, not {namespace}; --from "
             "begins a new run with its trials"

@@ -2,7 +2,7 @@
 
 import argparse
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from bo_tuner import maxima
@@ -12,7 +12,7 @@ from bo_tuner.backends.workers.limits import problem_of_workers
 from bo_tuner.backends.workers.workers import Bench, Workers
 from bo_tuner.cli.common import Parser, asks_for_running_nodes, whole_number
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.provenance import BENCHES, SCHEDULER, recorded_window, recorded_workers
+from bo_tuner.storage.session_options import SessionOptions
 from bo_tuner.study.study import Study
 
 SCHEDULER_ADDRESS = re.compile(
@@ -78,7 +78,7 @@ def workers_of(
     *,
     attach: bool,
     ros_arguments: Sequence[str],
-    provenance: Mapping[str, str] | None = None,
+    known: SessionOptions | None = None,
     keeps_window: bool = True,
 ) -> Workers:
     """Return by how many workers a run is to be run, and where.
@@ -89,8 +89,8 @@ def workers_of(
         Of the command.
     study, backend, attach, ros_arguments
         What is run, and where.
-    provenance
-        Of the run that goes on, or that the command is about; None for a new run.
+    known
+        Options of the run that goes on, or that the command is about; None for a new run.
     keeps_window
         Whether its window is to stay as it is: its trials were planned by it.
 
@@ -104,29 +104,27 @@ def workers_of(
         if given is not None and not 1 <= given <= maxima.WORKERS:
             bound = "at least 1" if given < 1 else f"at most {maxima.WORKERS}"
             parser.error(f"--{name}: expected {bound}, found {given}")
-    known = provenance or {}
     benches = _benches(arguments, parser, known, attach=attach, ros_arguments=ros_arguments)
     scheduler = _scheduler(arguments, parser, attach=attach)
     count = _count(arguments, parser, study, known, attach=attach, benches=benches)
     workers = Workers(count, arguments.window or count, scheduler, benches)
     if problem := problem_of_workers(study, backend, workers, attach=attach):
         raise StudyError(f"--workers: {problem}")
-    if provenance is None or not keeps_window:
+    if known is None or not keeps_window:
         return workers
-    window = recorded_window(provenance)
-    if arguments.window not in (None, window):
+    if arguments.window not in (None, known.window):
         parser.error(
-            f"--window: expected {window}, by which the trials of the run were planned, found "
-            f"{arguments.window}; leave it out"
+            f"--window: expected {known.window}, by which the trials of the run were planned, "
+            f"found {arguments.window}; leave it out"
         )
-    return replace(workers, window=window)
+    return replace(workers, window=known.window)
 
 
 def _count(
     arguments: argparse.Namespace,
     parser: Parser,
     study: Study,
-    known: Mapping[str, str],
+    known: SessionOptions | None,
     *,
     attach: bool,
     benches: Sequence[Bench],
@@ -143,8 +141,8 @@ def _count(
         return given
     if known:
         # Those of a session on other nodes, or of a cluster, say nothing of what is here.
-        elsewhere = SCHEDULER in known and not arguments.scheduler
-        return 1 if attach or elsewhere else recorded_workers(known)
+        elsewhere = known.scheduler and not arguments.scheduler
+        return 1 if attach or elsewhere else known.workers
     if arguments.scheduler and study.budget.workers is None:
         parser.error("--scheduler: expected --workers N, too: how many test runs at once")
     return study.budget.workers or 1
@@ -171,7 +169,7 @@ def _scheduler(arguments: argparse.Namespace, parser: Parser, *, attach: bool) -
 def _benches(
     arguments: argparse.Namespace,
     parser: Parser,
-    known: Mapping[str, str],
+    known: SessionOptions | None,
     *,
     attach: bool,
     ros_arguments: Sequence[str],
@@ -180,9 +178,9 @@ def _benches(
     text: str | None = arguments.benches
     if text is not None and not attach:
         parser.error("--benches: expected nodes that run, found --no-attach")
-    if text is None and attach and arguments.workers is None:
-        text = known.get(BENCHES)
-    names = [] if text is None else text.split(",")
+    names: Sequence[str] = () if text is None else text.split(",")
+    if text is None and known is not None and attach and arguments.workers is None:
+        names = known.benches
     benches = [_bench(name, parser, ros_arguments) for name in names]
     for index, bench in enumerate(benches):
         if bench.place in {other.place for other in benches[:index]}:

@@ -36,6 +36,16 @@ def to_json(value: object) -> Any:
     )
 
 
+def changes(value: Any) -> dict[str, Any]:
+    """Return what JSON has for the fields of an object that are not their defaults."""
+    cls: Any = type(value)
+    return {
+        item.name: to_json(getattr(value, item.name))
+        for item in fields_of(cls)
+        if item.is_required or getattr(value, item.name) != item.default
+    }
+
+
 def _inside(value: object, write: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: write(item) for key, item in value.items()}

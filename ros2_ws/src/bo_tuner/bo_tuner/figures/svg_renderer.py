@@ -461,15 +461,15 @@ def _edges(places: Array) -> Array:
     )
 
 
-def _evenly(edges: Array) -> Array:
+def _evenly(edges: Array) -> list[int]:
     """Return which cell stands at each of the pixels (m,) of a picture, by the cells' borders."""
     widths = np.abs(np.diff(edges))
     if np.allclose(widths, widths[0], rtol=1e-3):
-        return np.arange(len(widths))
+        return list(range(len(widths)))
     pixels = np.linspace(edges[0], edges[-1], 2 * PIXELS + 1)[1::2]
     rising = edges[0] < edges[-1]
     found = np.searchsorted(edges if rising else -edges, pixels if rising else -pixels) - 1
-    cells: Array = np.clip(found, 0, len(widths) - 1)
+    cells: list[int] = np.clip(found, 0, len(widths) - 1).tolist()
     return cells
 
 

@@ -4,7 +4,7 @@ import base64
 import hashlib
 import importlib.resources
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -18,9 +18,16 @@ from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.svg_renderer import hover_texts, panels_svg, symbols
+from bo_tuner.monitoring.progress import why
 from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.content import Chapter, Section, WhatIf
-from bo_tuner.report.live import latest_trials, limit_panels, objective_panel
+from bo_tuner.report.content import Chapter, Section, WhatIf, number
+from bo_tuner.report.live import (
+    bar,
+    latest_trials,
+    limit_panels,
+    objective_panel,
+    step_in_words,
+)
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
@@ -38,8 +45,9 @@ from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
+from bo_tuner.text import capitalized, printable
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.question import Asked
 
 OF_LISTS = ("tables.js",)
 """Scripts of a page without figures."""
@@ -190,8 +198,25 @@ def section_html(section: Section) -> str:
     return str(_macros().show_section(section))
 
 
-def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
-    """Return the HTML of what the page of a run in progress has of its trials, by name."""
+def question_html(asked: Asked) -> str:
+    """Return the HTML of what is asked before a parameter set is tried."""
+    return (
+        _environment()
+        .get_template("question.html")
+        .render(
+            asked=asked,
+            reason=capitalized(f"{why(asked.origin)}."),
+            changes=[(change, step_in_words(change)) for change in asked.changes],
+            rows=[bar(expected) for expected in asked.expected],
+        )
+    )
+
+
+def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> dict[str, str]:
+    """Return the HTML of what the page of a run in progress has of its trials, by name.
+
+    `best` is the trial that is the best within limits, by the number of trials known then.
+    """
     macros: Any = _environment().get_template("live_parts.html").module
     panels = limit_panels(study, trials)
     objective = Figure(
@@ -199,7 +224,7 @@ def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
         title="",
         caption="",
         alternative="The objective by trial; the latest ones stand in the table.",
-        panels=[objective_panel(study, trials)],
+        panels=[objective_panel(study, trials, best)],
         panel_height=215,
     )
     limits = replace(
@@ -207,7 +232,7 @@ def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
         name="limits",
         alternative="Each limit by trial; the latest ones stand in the table.",
         panels=panels,
-        panel_height=max(80, 160 // max(len(panels), 1)),
+        panel_height=max(80, 172 // max(len(panels), 1)),
     )
     found: dict[str, Any] = {
         "objective": macros.show_objective(objective),
@@ -225,7 +250,9 @@ def answer_html(analysis: Analysis) -> str:
     content = replace(answer(analysis), files=())
     if analysis.verdict.state is State.OPEN:
         content = replace(content, steps=())
-    return str(_macros().show_answer(content, ""))
+    macros = _macros()
+    bar = f"{macros.show_mark(content)}{macros.show_actions(content, '')}"
+    return f'<div class="bar result">{bar}</div>{macros.show_answer(content)}'
 
 
 def list_html(**content: object) -> str:
@@ -300,6 +327,7 @@ def _environment() -> Environment:
     environment.filters["color_bars"] = color_bars
     environment.filters["hover_texts"] = hover_texts
     environment.filters["pictures"] = panels_svg
+    environment.filters["value"] = number
     environment.filters["what_if_data"] = _forecasts
     return environment
 

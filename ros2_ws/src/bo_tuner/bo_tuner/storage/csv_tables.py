@@ -6,8 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from bo_tuner.codec.writing import to_json
-from bo_tuner.run_notes import Notes
+from bo_tuner.codec.writing import changes, to_json
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.text import csv_cell
@@ -77,7 +76,7 @@ def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
         "reason": outcome.reason,
         **_columns("metrics", outcome.metrics),
         **_columns("details", outcome.details),
-        **_noted("notes", to_json(outcome.notes), to_json(Notes())),
+        **_noted("notes", changes(outcome.notes)),
     }
 
 
@@ -86,15 +85,13 @@ def _columns(section: str, values: Mapping[str, object]) -> dict[str, object]:
     return {f"{section}.{name}": value for name, value in values.items()}
 
 
-def _noted(
-    section: str, content: Mapping[str, object], blank: Mapping[str, object]
-) -> dict[str, object]:
-    """Return what differs from `blank`, each number and text under a name of its own."""
+def _noted(section: str, content: Mapping[str, object]) -> dict[str, object]:
+    """Return what was noted, each number and text under a name of its own."""
     columns: dict[str, object] = {}
     for name, value in content.items():
         if isinstance(value, Mapping):
-            columns |= _noted(f"{section}.{name}", value, {})
-        elif name not in blank or value != blank[name]:
+            columns |= _noted(f"{section}.{name}", value)
+        else:
             columns[f"{section}.{name}"] = value
     return columns
 

@@ -23,7 +23,7 @@ from bo_tuner.storage.journal import (
     checksum,
     harden,
 )
-from bo_tuner.storage.provenance import recorded_window
+from bo_tuner.storage.session_options import options_of
 from bo_tuner.text import one_line
 from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place
 
@@ -100,7 +100,7 @@ def read_journal(path: Path) -> JournalContent:
     try:
         evaluations: Sequence[Evaluation] = [rows.evaluation_of(row) for row in evaluation_rows]
         provenances = tuple(rows.provenance_of(row) for row in sessions)
-        if any(recorded_window(provenance) > 1 for provenance in provenances):
+        if any(options_of(provenance).window > 1 for provenance in provenances):
             evaluations = in_order_of_plans(evaluations)
         trials = tuple(_trials(trial_rows, evaluations))
         events = tuple(rows.event_of(row) for row in event_rows)

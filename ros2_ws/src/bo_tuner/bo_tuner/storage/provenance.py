@@ -21,22 +21,6 @@ OWN_PACKAGE = "bo_tuner"
 SOURCES = "sources_sha256"
 METHOD_PACKAGE = "algorithm_package"
 """Key of the package that offers the algorithm; none for one of the tuner."""
-STOP_EARLY = "stop_early"
-"""Key of the option: a run that goes on keeps it."""
-WINDOW = "window"
-"""Key of the number of trials, or other tasks, that are planned at once."""
-WORKERS = "workers"
-"""Key of the number of evaluations that a session runs at once."""
-SCHEDULER = "scheduler"
-"""Key of the cluster whose workers a session used."""
-BENCHES = "benches"
-"""Key of the sets of running nodes that a session used, one a worker."""
-ATTACHED = "attached"
-"""Key that says that a session used running nodes."""
-NAMESPACE = "namespace"
-"""Key of the namespace in which a session looked for nodes."""
-RECORD, RECORD_LIMIT = "record", "record_limit"
-"""Keys of which bags to keep, and of their size together [byte]."""
 CARRIED_FROM, CARRIED = "carried_from", "carried"
 """Keys of the earlier run that a run begins with the trials of, and of what it took from them."""
 SIMULATION_FROM, SIMULATION_TAKEN = "simulation_from", "simulation"
@@ -78,22 +62,6 @@ def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
 def session_provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
     """Return the provenance for the journal: with the study, to be compared with its file."""
     return provenance(study, backend, algorithm) | {STUDY_YAML: study_to_yaml(study)}
-
-
-def recorded_window(provenance: Mapping[str, str]) -> int:
-    """Return how many tasks a run plans at once, by the provenance of one of its sessions."""
-    return _count(provenance, WINDOW)
-
-
-def recorded_workers(provenance: Mapping[str, str]) -> int:
-    """Return how many evaluations a session of a run has run at once, by its provenance."""
-    return _count(provenance, WORKERS)
-
-
-def _count(provenance: Mapping[str, str], key: str) -> int:
-    """Return a number of at least 1, and 1 where none is on record."""
-    text = provenance.get(key, "")
-    return max(1, int(text)) if text.isascii() and text.isdigit() else 1
 
 
 def study_sha256(study: Study) -> str:

@@ -12,13 +12,8 @@ from bo_tuner.method_names import DEFAULT_METHOD, titles
 from bo_tuner.plans import Event, finished_after
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
-    ATTACHED,
     METHOD_PACKAGE,
-    NAMESPACE,
-    RECORD,
-    RECORD_LIMIT,
     SIMULATION_SHA256,
-    STOP_EARLY,
     STUDY_YAML,
     file_sha256,
     session_provenance,
@@ -26,6 +21,7 @@ from bo_tuner.storage.provenance import (
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, SIMULATION, STUDY, SUMMARY
+from bo_tuner.storage.session_options import SessionOptions, options_of
 from bo_tuner.study import study_file
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.study import Study
@@ -45,15 +41,8 @@ class RunRecord:
         The study of the last session.
     algorithm, backend
         The method, a key of `METHODS`, and the backend, as the command line names it.
-    stop_early
-        Whether its last session follows the advice to stop.
-    attached
-        Whether its last session used running nodes.
-    namespace
-        In which its last session looked for nodes; empty where that is not on record.
-    record_policy, record_limit
-        Which bags its last session keeps, and their size together [byte]; empty and None where
-        that is not on record.
+    options
+        Of its last session.
     provenance
         Versions, seed and host of the process that began it.
     trials
@@ -75,11 +64,7 @@ class RunRecord:
     study: Study
     algorithm: str
     backend: str
-    stop_early: bool
-    attached: bool
-    namespace: str
-    record_policy: str
-    record_limit: int | None
+    options: SessionOptions
     provenance: Mapping[str, str]
     trials: tuple[Trial, ...]
     evaluations: tuple[Evaluation, ...]
@@ -144,11 +129,7 @@ def read_run(path: Path) -> RunRecord:
         study=study,
         algorithm=algorithm,
         backend=provenance.get("backend", ""),
-        stop_early=STOP_EARLY in content.sessions[-1],
-        attached=ATTACHED in content.sessions[-1],
-        namespace=content.sessions[-1].get(NAMESPACE, ""),
-        record_policy=content.sessions[-1].get(RECORD, ""),
-        record_limit=_size(content.sessions[-1].get(RECORD_LIMIT, "")),
+        options=options_of(content.sessions[-1]),
         provenance=provenance,
         trials=content.trials,
         evaluations=content.evaluations,
@@ -166,11 +147,7 @@ def record_of_study(study: Study, path: Path, backend: str) -> RunRecord:
         study=study,
         algorithm=DEFAULT_METHOD,
         backend=backend,
-        stop_early=False,
-        attached=False,
-        namespace="",
-        record_policy="",
-        record_limit=None,
+        options=SessionOptions(),
         provenance=session_provenance(study, backend, DEFAULT_METHOD),
         trials=(),
         evaluations=(),
@@ -186,10 +163,6 @@ def _unknown(algorithm: str, provenance: Mapping[str, str]) -> str:
         owner = checks.quoted(package)
         return f"its algorithm {named} is of the package {owner}, which is not installed"
     return f"no known algorithm in its provenance: {named}"
-
-
-def _size(text: str) -> int | None:
-    return int(text) if text.isascii() and text.isdigit() else None
 
 
 def _study(path: Path, in_file: Study, sessions: Sequence[Mapping[str, str]]) -> Study:

@@ -13,7 +13,7 @@ from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
 from bo_tuner.codec.reading import JSON, STUDY, Form, read
 from bo_tuner.codec.rules import Count
-from bo_tuner.codec.writing import to_json
+from bo_tuner.codec.writing import changes
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
 from bo_tuner.plans import Event, EventKind
@@ -34,7 +34,6 @@ from bo_tuner.trials import (
 
 Row = Mapping[str, object]
 
-_BLANK = to_json(Notes())
 _Texts = Mapping[str, str]
 _Numbers = Mapping[str, float]
 _Values = Mapping[str, Value]
@@ -186,10 +185,8 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
 
 def notes_text(notes: Notes) -> str:
     """Return notes as their column has them: what differs from those of a run without any."""
-    content = to_json(notes)
-    noted = {name: value for name, value in content.items() if value != _BLANK[name]}
     # Texts of others may have half a character.
-    return json.dumps(noted, ensure_ascii=False).encode(errors="replace").decode()
+    return json.dumps(changes(notes), ensure_ascii=False).encode(errors="replace").decode()
 
 
 def _cell(hint: Any, row: Row, column: str) -> Any:

@@ -538,6 +538,10 @@ class Study:
         ]
         return text if len(same) == 1 else f"{text} ({constraint.name})"
 
+    def limit_title(self, constraint: Constraint) -> str:
+        """Return what screens call a limit."""
+        return self.titled(constraint, self.limited(constraint))
+
     def assignments(
         self, parameters: Mapping[str, Value], context: Context, seed: int
     ) -> dict[str, dict[str, checks.ParameterValue]]:

@@ -16,7 +16,7 @@ from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.stopping import StopAdvice, StopAdvisor
 from bo_tuner.plans import ON_REQUEST, TIME_UP, Phase, Phases, finish_in, finished_after
-from bo_tuner.storage.provenance import recorded_window, study_sha256
+from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY
 from bo_tuner.study.study import Study
@@ -266,7 +266,7 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
     study, method = record.study, recorded_method(record)
     over = trials_are_over(study, record.trials, record.finished)
-    if not over and not record.stop_early:
+    if not over and not record.options.stop_early:
         return None
     advisor = StopAdvisor(study, method)
     for count in range(1, len(record.trials) + 1):
@@ -287,10 +287,10 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
             method,
             record.trials,
             record.evaluations,
-            stop_early=record.stop_early,
+            stop_early=record.options.stop_early,
             finished=record.finished,
         )
-        driver = Driver(backend, window=recorded_window(record.provenance))
+        driver = Driver(backend, window=record.options.window)
         finished = finished_after(record.events, Phase.CHECKING)
         conclusion = conclude(study, driver, method, trials, finished)
     except (_NotOnRecordError, RunError, KeyError):
@@ -301,7 +301,7 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         study,
         conclusion,
         advisor.advice,
-        stop_early=record.stop_early,
+        stop_early=record.options.stop_early,
         finish=finish_in(record.events),
         trials=len(record.trials),
         evaluations=len(record.evaluations),

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.figures.figure import (
     Axis,
     Color,
@@ -340,7 +340,7 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
         method,
         record.trials[:count],
         record.evaluations[: max(own, default=-1) + 1],
-        stop_early=record.stop_early,
+        stop_early=record.options.stop_early,
         finished=record.finished,
     )
     models = method.ranking.models(study, trials, analysis.models.warm_starts)
