@@ -1,10 +1,20 @@
 """What drives that were not used show of those to come, against closed forms and simulation."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bo_tuner.evidence.next_drive import DriveRun, NextDrive, share_shown
+from bo_tuner.evidence.next_drive import (
+    DriveRun,
+    NextDrive,
+    attempt_in,
+    drives_problem,
+    share_shown,
+    write_next_drive,
+)
 from bo_tuner.numerics.sequential import spent
 
 
@@ -55,3 +65,19 @@ def test_more_drives_until_one_passes():
     """What is called again and again gets less of the error probability each time."""
     spending = [1.0 - spent(0.95, attempt) for attempt in range(1, 2000)]
     assert sum(spending) < 0.05
+
+
+def test_what_opens_apply(tmp_path):
+    """The latest statement on the parameter set; one on another set is no matter."""
+    trial = SimpleNamespace(number=3, parameters={"gain": 0.5})
+    record = SimpleNamespace(path=tmp_path)
+    assert "run validate --drives" in drives_problem(record, trial)
+    passing, failing = replace(of(29), parameters=trial.parameters), of(5)
+    write_next_drive(tmp_path, attempt_in(tmp_path), passing)
+    assert attempt_in(tmp_path) == 2
+    write_next_drive(tmp_path, 2, replace(failing, parameters={"gain": 0.7}))
+    assert drives_problem(record, trial) == ""
+    path = write_next_drive(tmp_path, 3, replace(failing, parameters=trial.parameters))
+    assert drives_problem(record, trial) == f"{path}: expected PASS, found FAIL"
+    path.write_text("{", encoding="utf-8")
+    assert drives_problem(record, trial).startswith(f"{path}: cannot be read")

@@ -47,6 +47,7 @@ from bo_tuner.deploy.bundle import (
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.evidence.certificate.store import certificate_problem
+from bo_tuner.evidence.next_drive import drives_problem
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically
@@ -151,7 +152,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         trial = result_of(record)
         if arguments.trial is not None:
             trial = trial_of(record, arguments.trial)
-        problem = certificate_problem(record, trial)
+        by_drives = record.study.plays_bags
+        problem = (drives_problem if by_drives else certificate_problem)(record, trial)
         if problem and not arguments.without_certificate:
             return _refuse(f"{problem} (or use --without-certificate)", EXIT_INFEASIBLE)
         if problem:

@@ -109,7 +109,7 @@ def expect(
 
 def refuse_used_bags(study: Study) -> None:
     """Raise `StudyError` if test runs of a study would play bags that the search has used."""
-    if study.run is not None and study.run.play is not None:
+    if study.plays_bags:
         raise StudyError(
             "plays bags, which the search has used, so that they prove nothing of other drives; "
             "name some that were not used by --drives"

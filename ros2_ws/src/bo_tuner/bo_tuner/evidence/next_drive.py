@@ -13,12 +13,17 @@ from pathlib import Path
 
 from scipy.special import betaincinv
 
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.codec.writing import to_json
+from bo_tuner.errors import RunRecordError, StudyError
+from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.numbered_files import next_number, numbered
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Value
+from bo_tuner.trials import Evaluation, Trial, Value
 
 DRIVES = "drives"
 """Folder in a run folder with what was shown by drives that were not used."""
@@ -171,3 +176,24 @@ def write_next_drive(folder: Path, number: int, made: NextDrive) -> Path:
     content = {"passed": made.passed, "shown": made.shown, **to_json(made)}
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     return write_atomically(numbered(directory, number), text)
+
+
+def drives_problem(record: RunRecord, trial: Trial) -> str:
+    """Return in one line why no drives open `apply` to a parameter set; empty if some do.
+
+    They do if the latest statement on it is a PASS.
+    """
+    directory = record.path / DRIVES
+    for number in range(next_number(directory) - 1, 0, -1):
+        path = numbered(directory, number)
+        try:
+            made = read(NextDrive, json.loads(read_text(path)), JSON)
+        except (RunRecordError, ValueError, StudyError) as error:
+            # It may be a FAIL.
+            return f"{path}: cannot be read: {error}"
+        if made.parameters == trial.parameters:
+            return "" if made.passed else f"{path}: expected {PASS}, found {FAIL}"
+    return (
+        f"{directory}: no drives that were not used are within the limits with trial "
+        f"{trial.number}; run validate --drives BAG..."
+    )

@@ -82,7 +82,7 @@ def run_verdict(record: RunRecord) -> Verdict:
     RunRecordError
         If the summary of the run is not one of `tune`.
     """
-    verdict = _with_load(record, _latest(record))
+    verdict = replace(_with_load(record, _latest(record)), plays_bags=record.study.plays_bags)
     faults = contradicted(record.study, record.evaluations)
     return _with(verdict, *faults, *_unfinished(record))
 

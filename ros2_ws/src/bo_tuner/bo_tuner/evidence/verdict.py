@@ -99,6 +99,8 @@ class Verdict:
         Runs with limits on measured times in which the computer was busy; None if there are none.
     of_ended
         Whether a certificate is of runs that ended: those in which a node died were made again.
+    plays_bags
+        Whether the runs play bags, so that only drives that were not used show more.
     """
 
     state: State
@@ -126,6 +128,7 @@ class Verdict:
     standstill: bool = False
     high_load: HighLoad | None = None
     of_ended: bool = False
+    plays_bags: bool = False
 
     @property
     def feasible(self) -> bool:

@@ -335,6 +335,11 @@ class Study:
         return self.objective.from_cost(cost)
 
     @property
+    def plays_bags(self) -> bool:
+        """Whether its runs play bags."""
+        return self.run is not None and self.run.play is not None
+
+    @property
     def growing_metrics(self) -> list[str]:
         """Names of the metrics that only grow during a run."""
         return [name for name, metric in self.metrics.items() if not why_not(metric)]

@@ -69,6 +69,9 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     again = Step(f"tune --resume {where}", "continue the run")
     more = _more(verdict, where)
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
+    if verdict.plays_bags:
+        unused = "run it on drives that were not used: PASS or FAIL for the next one"
+        validate = Step(f"validate {where} --drives BAG...", unused)
     both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
     others = Step(
         f"validate {where}{trial} --until-pass 3",
@@ -93,7 +96,8 @@ def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
         case State.UNPROVEN:
             return (more, validate, replay)
         case State.VALIDATED:
-            return (both if verdict.default_preferred else validate, replay, more)
+            with_default = verdict.default_preferred and not verdict.plays_bags
+            return (both if with_default else validate, replay, more)
         case State.CERTIFIED if verdict.default_preferred:
             return (more, replay) if verdict.default_certified else (both, replay, more)
         case State.CERTIFIED if not verdict.has_result:
