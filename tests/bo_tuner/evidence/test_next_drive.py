@@ -21,7 +21,7 @@ from bo_tuner.numerics.sequential import spent
 def of(within, beyond=0, confidence=0.95, asked=0.9):
     runs = [DriveRun(f"drive_{k}", {}, {}, ()) for k in range(within)]
     runs += [DriveRun(f"other_{k}", {}, {}, ("error",)) for k in range(beyond)]
-    return NextDrive({}, tuple(runs), confidence, asked)
+    return NextDrive({}, tuple(runs), confidence, asked, further=confidence)
 
 
 @pytest.mark.parametrize(("count", "average", "share"), [(5, 0.8333, 0.549), (29, 0.9667, 0.902)])

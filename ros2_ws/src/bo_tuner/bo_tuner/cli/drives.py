@@ -193,7 +193,7 @@ def _show(study: Study, made: NextDrive) -> None:
     say(headline(made))
     if not made.passed:
         say(
-            f"{counted(made.missing, 'more drive')} within all limits would show it, in one call "
+            f"{counted(made.missing, 'more drive')} within all limits would show it, in a call "
             "with these"
         )
 

@@ -65,12 +65,15 @@ class NextDrive:
         Confidence of this statement: all those of a run together have that of the study.
     asked : float
         Share of the drives that is to be within the limits.
+    further : float
+        Confidence of the next statement of the run.
     """
 
     parameters: Mapping[str, Value]
     runs: tuple[DriveRun, ...]
     confidence: float
     asked: float
+    further: float
 
     @property
     def within(self) -> int:
@@ -99,10 +102,10 @@ class NextDrive:
 
     @property
     def missing(self) -> int:
-        """How many more drives within all limits would show what was asked for."""
+        """How many more drives within all limits would show it with these, in a further call."""
         beyond = len(self.runs) - self.within
         count = len(self.runs)
-        while share_shown(count - beyond, count, self.confidence) < self.asked:
+        while share_shown(count - beyond, count, self.further) < self.asked:
             count += 1
         return count - len(self.runs)
 
@@ -159,8 +162,10 @@ def next_drive(
         )
         before = theirs.outcome.metrics if theirs.outcome.complete else {}
         runs.append(DriveRun(drive, dict(values), dict(before), beyond))
-    confidence = spent(study.certificate.confidence, attempt)
-    return NextDrive(dict(parameters), tuple(runs), confidence, asked_of(study))
+    confidence, further = (
+        spent(study.certificate.confidence, number) for number in (attempt, attempt + 1)
+    )
+    return NextDrive(dict(parameters), tuple(runs), confidence, asked_of(study), further)
 
 
 def attempt_in(folder: Path) -> int:
