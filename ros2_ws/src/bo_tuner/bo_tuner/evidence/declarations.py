@@ -17,7 +17,7 @@ from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown
+from bo_tuner.text import counted, listed, shown
 from bo_tuner.trials import Evaluation, ParameterSet
 
 CHANCE = 0.01
@@ -94,7 +94,7 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
 
 
 def uneven(evaluations: Iterable[Evaluation]) -> tuple[str, ...]:
-    """Return a sentence for each signal that comes less often in one run of a set than another."""
+    """Return a sentence on signals that come less often in one run of a set than in another."""
     by_set: dict[ParameterSet, list[Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.outcome.complete and evaluation.outcome.notes.rates:
@@ -106,7 +106,11 @@ def uneven(evaluations: Iterable[Evaluation]) -> tuple[str, ...]:
             [e.place for e in runs], [o.notes.rates for o in outcomes], [o.load for o in outcomes]
         )
         found = of_set | found
-    return tuple(f"Equal runs are not alike: {text}." for text in found.values())
+    if not found:
+        return ()
+    (_, text), *others = found.items()
+    so = f" ({listed([name for name, _ in others])} likewise)" if others else ""
+    return (f"Equal runs are not alike{so}: {text}.",)
 
 
 def _in_words(study: Study, metric: str, name: str, values: Array, between: float) -> str:
