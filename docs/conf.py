@@ -71,7 +71,10 @@ def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
 
     def named(match: re.Match[str]) -> str:
         text, target = match.groups()
-        path = target.removeprefix("../").split("#")[0]
+        place = (ROOT / "docs" / document).parent / target.split("#")[0]
+        path = str(place.resolve().relative_to(ROOT))
+        if path.startswith("docs/"):
+            return match[0]
         if (ROOT / path).parent == NOTEBOOKS:
             return f"[{text}](notebooks/{Path(path).name})"
         if not (ROOT / path).exists():

@@ -1,10 +1,14 @@
 """What all examples promise, and how a campaign judges."""
 
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+
+from bo_tuner.study.study_file import load_study
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BRIDGES = {
@@ -20,6 +24,29 @@ def test_the_bridge_knows_nothing_of_the_tuner_and_the_study_is_short(example):
         assert not any(word in text for word in ("tuner", "bo_", "trial", "evaluation"))
     text = (EXAMPLES / example / "study.yaml").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 40
+
+
+FIELD = EXAMPLES / "field"
+
+
+@pytest.mark.parametrize("study", sorted(FIELD.glob("*.yaml")), ids=lambda path: path.stem)
+def test_a_study_of_a_public_controller_is_short(study):
+    load_study(str(study))
+    assert len(study.read_text(encoding="utf-8").splitlines()) <= 40
+
+
+def test_where_the_code_of_public_controllers_is_to_be_had(tmp_path):
+    """Of each study, by a script that fetches nothing; it runs none without its code."""
+    for file in FIELD.glob("*.*"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    command = [sys.executable, str(tmp_path / "field.py")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    told = dict(line.split(": ", 1) for line in done.stdout.splitlines())
+    assert told.keys() == {path.stem for path in FIELD.glob("*.yaml")}
+    assert all("https://github.com/" in where and " at " in where for where in told.values())
+    refused = subprocess.run([*command, "ais_pid"], capture_output=True, text=True, check=False)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr.startswith("error: code/AIS2105_lab1: a clone of https://github.com/")
 
 
 @dataclass(frozen=True)

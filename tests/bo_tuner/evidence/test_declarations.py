@@ -40,13 +40,13 @@ def test_equal_runs_with_messages_at_different_rates(make_study):
 
     def made(trial, gain, messages):
         rate = Rate(messages, 5.0 / messages, 6.0 / messages, 0.1, 5.0)
-        notes = Notes(rates={"angle": rate, "event": None})
+        notes = Notes(rates={"angle": rate, "event": None, "speed": rate})
         outcome = Outcome(EvaluationState.COMPLETE, {}, load=Load(0.0, None), notes=notes)
         return Evaluation(trial, 0, Stage.DRAWN, {"gain": gain}, {}, 1, outcome)
 
     assert not [*uneven([made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)])]
     (found,) = uneven([made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)])
-    assert in_words(found).startswith("Equal runs are not alike: angle comes ")
+    assert in_words(found).startswith("Equal runs are not alike (speed likewise): angle comes ")
 
 
 def test_values_without_a_logarithm(make_study):

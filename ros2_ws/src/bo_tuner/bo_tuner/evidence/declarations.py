@@ -86,7 +86,7 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
 
 
 def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
-    """Yield a fact on each signal that comes less often in one run of a set than another."""
+    """Yield a fact on signals that come less often in one run of a set than another."""
     by_set: dict[ParameterSet, list[Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.outcome.complete and evaluation.outcome.notes.rates:
@@ -98,7 +98,9 @@ def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
             [e.place for e in runs], [o.notes.rates for o in outcomes], [o.load for o in outcomes]
         )
         found = of_set | found
-    yield from map(UnevenRates, found.values())
+    if found:
+        (_, how), *others = found.items()
+        yield UnevenRates(how, tuple(name for name, _ in others))
 
 
 def _two_kinds(study: Study, metric: str, name: str, values: Array, between: float) -> TwoKinds:

@@ -294,9 +294,13 @@ class Drift(Fact):
 
 @dataclass(frozen=True)
 class UnevenRates(Fact):
-    """A signal comes less often in one run of a parameter set than in another, and how."""
+    """A signal comes less often in one run of a parameter set than in another, and how.
+
+    Others of these names do likewise.
+    """
 
     how: str
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -261,7 +261,8 @@ def _(fact: Drift) -> str:
 
 @in_words.register
 def _(fact: UnevenRates) -> str:
-    return f"Equal runs are not alike: {fact.how}"
+    so = f" ({text.listed(fact.others)} likewise)" if fact.others else ""
+    return f"Equal runs are not alike{so}: {fact.how}"
 
 
 @in_words.register
