@@ -1,9 +1,9 @@
 """The pages of a long run: size, how long they take to open and to follow, what axe-core finds.
 
 A page is opened in a new headless Chromium with an empty profile, as by a click on the file.
-Opened means that all text is there and the first figure is drawn; the figures below the window
-follow. Times are those of the browser's own clock, from the start of the navigation on. Before the
-report is written, the run finishes with a live page (`long_run`).
+Opened means that the page with all its figures is loaded. Times are those of the browser's own
+clock, from the start of the navigation on. Before the report is written, the run finishes with a
+live page (`long_run`).
 """
 
 import importlib.util
@@ -22,35 +22,26 @@ from threadpoolctl import threadpool_limits
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import read_run
 
-DRAWN = "document.documentElement.dataset.drawn === 'all'"
-TIMES = """
-(() => {
-  const marks = performance.getEntriesByName("figure").map((mark) => mark.startTime);
-  const loaded = performance.getEntriesByType("navigation")[0].loadEventEnd;
-  return [Math.max(loaded, marks[0]), marks[marks.length - 1]].map((ms) => ms / 1000);
-})()
-"""
+LOADED = "performance.getEntriesByType('navigation')[0].loadEventEnd / 1000"
 AXE_DEADLINE = 1200.0
 """For its rules on all rows of a long run [s]."""
 VIEWS = (("light", 1280), ("dark", 1280), ("light", 390))
 
 
-def open_page(page: Path) -> tuple[float, float, float]:
+def open_page(page: Path) -> tuple[float, float]:
     """Open a page in a new browser.
 
-    Returns the seconds until it is open and until all is drawn, and the time of the processor that
-    the page's thread took for all of it, which other programs do not stretch.
+    Returns the seconds until it is open, and the time of the processor that the page's thread took
+    for it, which other programs do not stretch.
     """
     with tempfile.TemporaryDirectory() as profile, Chromium(Path(profile)) as browser:
         browser.call("Performance.enable")
         browser.open(page)
-        browser.wait_for(DRAWN)
         if browser.errors:
             raise SystemExit(f"error: {browser.errors[0]}")
         metrics = browser.call("Performance.getMetrics")["metrics"]
         (thread,) = [item["value"] for item in metrics if item["name"] == "ThreadTime"]
-        opened, drawn = browser.evaluate(TIMES)
-        return opened, drawn, thread
+        return browser.evaluate(LOADED), thread
 
 
 def axe_findings(page: Path, axe: str) -> list[dict[str, Any]]:
@@ -59,7 +50,6 @@ def axe_findings(page: Path, axe: str) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as profile, Chromium(Path(profile)) as browser:
         for theme, width in VIEWS:
             browser.open(page, theme=theme, width=width)
-            browser.wait_for(DRAWN)
             browser.evaluate(f"{axe}; 0")
             rules = browser.evaluate(
                 # What passes is not listed, which takes long with so many rows.
@@ -88,7 +78,7 @@ def main() -> None:
     if spec is None or spec.origin is None:
         raise SystemExit("error: axe-core-python is not installed")
     axe = Path(spec.origin).with_name("axe.min.js").read_text(encoding="utf-8")
-    about = provenance(("plotly", "Jinja2", "axe-core-python"))
+    about = provenance(("Jinja2", "axe-core-python"))
     # As in the commands, where threads only slow down small matrices.
     with tempfile.TemporaryDirectory() as name, threadpool_limits(1):
         folder = Path(name)
@@ -105,7 +95,7 @@ def main() -> None:
         times = [open_page(page) for _ in range(arguments.opens)]
         findings = axe_findings(page, axe)
         size = page.stat().st_size
-    opened, drawn, thread = zip(*times, strict=True)
+    opened, thread = zip(*times, strict=True)
     serious = [item for item in findings if item["impact"] in ("serious", "critical")]
     version = re.search(r"axe v([0-9.]+)", axe)
     result = {
@@ -115,7 +105,6 @@ def main() -> None:
         "size_bytes": size,
         "seconds_to_write": writing,
         "seconds_to_open": opened,
-        "seconds_to_draw_all": drawn,
         "processor_seconds_of_the_page": thread,
         "load_average": os.getloadavg(),
         "live": live,
@@ -126,7 +115,6 @@ def main() -> None:
     measured = {
         "write": writing,
         "open": opened,
-        "draw all figures": drawn,
         "processor time of the page": thread,
         "live page: state after a trial": live["delay_of_state"],
         "live page: table after a trial": live["delay_of_table"],

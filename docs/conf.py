@@ -40,6 +40,10 @@ CONTENTS = {
         "live", "deploy", "identify", "guard", "safe_search", "procedure", "systems", "workers",
         "cluster", "python", "campaigns", "security", "troubleshooting",
     ],
+    "Recipes": [
+        "recipes/ros2_control", "recipes/px4", "recipes/ardupilot", "recipes/gazebo_nav2",
+        "recipes/launch_files", "recipes/zenoh", "recipes/mujoco",
+    ],
     "Notebooks": [
         "notebooks/pid", "notebooks/worst_case", "notebooks/mpc_weights",
         "notebooks/gymnasium_task", "notebooks/reading_a_run",

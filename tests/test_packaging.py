@@ -43,7 +43,6 @@ PIP_PACKAGES = {
     "matplotlib": ("python3-matplotlib", "matplotlib"),
     "numpy": ("python3-numpy", "numpy"),
     "osqp": (None, "osqp"),
-    "plotly": ("python3-plotly", "plotly"),
     "rich": ("python3-rich", "rich"),
     "rosbags": ("python3-rosbags-pip", "rosbags"),
     "scipy": ("python3-scipy", "scipy"),

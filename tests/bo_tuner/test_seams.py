@@ -11,7 +11,7 @@ from report_runs import axis_study, run_study
 from bo_tuner.acquisition.acquisition import Acquisition
 from bo_tuner.cli import validate
 from bo_tuner.cli.report import run
-from bo_tuner.evidence.limit_words import OfMean, words_of_kind
+from bo_tuner.evidence.words.limit_kinds import OfMean, words_of_kind
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.protocol import AnswerSearch, Method
 from bo_tuner.methods.recommendation import Recommendation
@@ -349,7 +349,8 @@ class TestLimit:
         capsys.readouterr()
         assert validate.run([str(record.path)], Interruption()) == 0
         told = capsys.readouterr().out
-        assert "is shown to stay within all limits, if no rare" in told
+        assert "; the limit shown with an assumption" in told
+        assert "shown, if no rare runs are far beyond" in told
         assert "of the others: mean over contexts and noise at most 0.9" in told
         page = Analysis(record)
         assert page.verdict.certificate == page.certificate.verdict == "PASS"

@@ -6,6 +6,7 @@ import shutil
 import pytest
 from made_runs import write_certificate
 from pages import ServedRuns
+from points import press
 
 from bo_tuner.storage.record import read_run
 
@@ -31,7 +32,6 @@ def page(chromium, served):
 
     def opened(path, **options):
         chromium.open(served.address + path, **options)
-        chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
 
     return opened
 
@@ -109,24 +109,14 @@ def test_a_row_and_a_point_lead_to_a_trial(chromium, page, served):
     page("runs/second")
     link = "document.querySelector('#all-trials tbody a')"
     assert chromium.evaluate(f"{link}.href") == f"{served.address}runs/second/trials/0"
-    # A click on the point of the second trial, where Plotly says that it is.
-    chromium.evaluate(
-        "(() => { const plot = document.querySelector('#figure-convergence .plot');"
-        "plot.emit('plotly_click', { points: [{ customdata: 1 }] }); })()"
-    )
+    press(chromium, "figure-convergence", 1)
     chromium.wait_for("location.pathname === '/runs/second/trials/1'")
 
 
 def test_a_point_of_a_report_leads_to_its_row(chromium, feed_axis_page):
     chromium.open(feed_axis_page)
-    chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
-    chromium.evaluate(
-        "(() => { const plot = document.querySelector('#figure-convergence .plot');"
-        "const point = plot.data.find((trace) => trace.customdata).customdata[0];"
-        "window.sought = point;"
-        "plot.emit('plotly_click', { points: [{ customdata: point }] }); })()"
-    )
+    press(chromium, "figure-convergence", 3)
     row = "document.querySelector('#all-trials tr.sought')"
-    assert chromium.evaluate(f"Number({row}.cells[0].textContent) === window.sought")
+    assert chromium.evaluate(f"Number({row}.cells[0].textContent)") == 3
     # Its table was closed before.
     assert chromium.evaluate(f"{row}.checkVisibility()")

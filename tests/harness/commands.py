@@ -28,7 +28,6 @@ _SERVER.set_forkserver_preload(
         "tuning_benchmark.command",
         # What these import only when it is needed, which is soon.
         "bo_tuner.figures.matplotlib_renderer",
-        "plotly",
         "rosbags.typesys.stores.ros2_jazzy",
         "scipy.stats",
     ]

@@ -89,6 +89,7 @@ def made_certificate(study, parameters, passed=True, *, backend="inprocess", alg
         context_tolerances=(),
         parameter_sensitivity=None,
         deaths=None,
+        in_force=("in force: kp, set on pid while it runs, and read back",),
         warnings=("narrow optimum",),
         provenance=provenance(study, backend, algorithm),
         finished="2026-01-01T00:00:00+00:00",

@@ -17,6 +17,8 @@ parameter accepts other values at any time, and does nothing then. Words ahead o
     does not come up with such a gain, and does not end either;
 ``clamps``
     takes 1.5 for a gain above that;
+``gain=1.5``
+    has this gain, and no such parameter;
 ``clock``
     is a simulation, whose time on /clock begins at 0;
 ``second``
@@ -65,9 +67,11 @@ class Plain(Node):
         name = "second" if "second" in words else "servo"
         super().__init__(name)
         self.prefix = "second/" if "second" in words else ""
-        self.declare_parameter("gain", DEFAULT)
         self.declare_parameter("mass", 1.0)
-        gain = self.get_parameter("gain").value
+        given = [float(word[5:]) for word in words if word.startswith("gain=")]
+        if not given:
+            self.declare_parameter("gain", DEFAULT)
+        gain = given[0] if given else self.get_parameter("gain").value
         if "limited" in words and gain > LIMIT:
             raise SystemExit(f"a gain of {gain} is too high")
         if "hangs" in words and gain > LIMIT:

@@ -10,12 +10,14 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+import rclpy
 from commands import environment
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from in_process import call
 from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action import ActionServer
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, JointState, LaserScan, PointCloud2
@@ -24,7 +26,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
 from test_msgs.action import Fibonacci
 from trajectory_msgs.msg import JointTrajectory
-from waiting import DEADLINE
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.fields import field_reader
 from bo_tuner.backends.ros.graph import _described
@@ -35,7 +37,7 @@ from bo_tuner.backends.ros.messages import (
     number_arrays,
     number_fields,
 )
-from bo_tuner.backends.ros.survey import _ends, _look
+from bo_tuner.backends.ros.survey import _ends, _look, _together
 from bo_tuner.cli import check, init, tune
 from bo_tuner.cli.chooser import numbers
 from bo_tuner.errors import StudyError
@@ -477,6 +479,27 @@ def test_a_node_of_another_namespace_has_it_in_its_name():
         for namespace in ("/robot1", "/robot2")
     ]
     assert _ends(tuner, ends) == ("/robot2/controller", "controller")
+
+
+def test_nodes_of_one_process(empty_domain):
+    """As of a container: the middleware has a participant for each process."""
+    contexts = [Context(), Context()]
+    nodes = []
+    for context, names in zip(contexts, (("pid", "motor"), ("camera",)), strict=True):
+        rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+        nodes += [Node(name, context=context) for name in names]
+    tuner, names = SimpleNamespace(node=nodes[0]), {"pid", "motor", "camera"}
+    try:
+        wait_until(
+            lambda: len(nodes[0].get_publishers_info_by_topic("/parameter_events")) == 3, "all"
+        )
+        assert [*_together(tuner, names)] == [("motor", "pid")]
+        assert [*_together(tuner, names - {"pid"})] == []
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        for context in contexts:
+            context.try_shutdown()
 
 
 def test_a_type_that_is_here_and_cannot_be_used(monkeypatch):

@@ -57,7 +57,6 @@ setup(
         "Jinja2>=3.1,<4",
         "matplotlib>=3.8,<4",
         "numpy>=1.26,<3",
-        "plotly>=6,<8",
         "scikit-learn>=1.4,<2",
         "scipy>=1.11,<2",
         "PyYAML>=6,<7",

@@ -67,5 +67,5 @@ def test_neither_ros_nor_plots_are_loaded_until_they_are_needed():
     )
     loaded = set(done.stdout.split())
     assert "bo_tuner" in loaded
-    assert not loaded & {"rclpy", "std_msgs", "matplotlib", "plotly", "sklearn", "pandas"}
+    assert not loaded & {"rclpy", "std_msgs", "matplotlib", "sklearn", "pandas"}
     assert not loaded & {"cloudpickle", "distributed"}

@@ -28,7 +28,7 @@ def test_the_best_parameters_keep_the_limit(result):
     """The error is least at 0.3, where the peak is at most 1.2; the limit is 1 at a load of 2."""
     assert result.best.keys() == {"gain"}
     assert 2.0 * result.best["gain"] * 2.0 <= 1.0 + 1e-9
-    assert "No limit broken" in result.verdict.headline
+    assert "no limit broken" in result.verdict.headline
     assert result.verdict.headline in result._repr_html_()
 
 

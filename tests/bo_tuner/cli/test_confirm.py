@@ -2,18 +2,23 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 from axis import write_study
 from in_process import complaint
 from terminals import converse
 
-from bo_tuner.cli import tune
-from bo_tuner.cli.confirm import described, refused_in
+from bo_tuner.cli import confirm, tune
+from bo_tuner.cli.confirm import Confirmation, asked_about, in_lines, refused_in
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.method_names import SAFE
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.optimizers.base import REPETITION
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage.record import read_run
+from bo_tuner.tuning.question import Asked, Given, Question, Reply
 
 OPTIONS = ("--backend", "inprocess", "--confirm")
 ASKED = "the trials: "
@@ -52,9 +57,12 @@ def test_shows_differences_predictions_and_the_nearest(make_study, function_back
 
     trials = list(Tuning(study, Driver(function_backend(study, run)), METHODS[SAFE]))
     last = trials[-1].parameters["gain"]
-    lines = list(described(study, METHODS[SAFE], trials, {"gain": 0.625}))
+    asked = asked_about(study, METHODS[SAFE], trials, {"gain": 0.625}, REPETITION)
+    # What goes to the live page comes back as it was.
+    assert read(Asked, json.loads(json.dumps(to_json(asked))), JSON) == asked
+    lines = list(in_lines(asked))
     assert lines[:2] == [
-        "next, trial 5:",
+        "next, trial 5: the same again, to learn its noise",
         f"  gain: 0.625 (trial before {last:.4g}, default 0.5)",
     ]
     # The peak in the worst context is 0.5 whatever the gain, and the error falls with it.
@@ -65,6 +73,50 @@ def test_shows_differences_predictions_and_the_nearest(make_study, function_back
     assert peak.endswith("limit 1")
     nearest = max(trials, key=lambda trial: trial.parameters["gain"])
     assert f"nearest tried, trial {nearest.number}: " in lines[-2]
+
+
+class Unanswered:
+    """A question that is answered after so many looks; each takes a minute."""
+
+    def __init__(self, looks, monkeypatch):
+        self.looks, self.now = looks, 0.0
+        monkeypatch.setattr(confirm.time, "monotonic", lambda: self.now)
+
+    def __call__(self, question):
+        self.now += 60.5
+        self.looks -= 1
+        if self.looks == 0:
+            question.answer(Given(Reply.ACCEPT, "live page"))
+
+
+class TestWaiting:
+    @pytest.fixture
+    def wait(self, make_study, monkeypatch, capsys):
+        """Function that waits for an answer for some minutes; returns what is said meanwhile."""
+
+        def waited(minutes, is_terminal):
+            monkeypatch.setattr(confirm.sys.stdin, "isatty", lambda: is_terminal, raising=False)
+            confirmation = Confirmation(make_study(), METHODS[SAFE], lambda: [])
+            look = Unanswered(minutes, monkeypatch)
+            monkeypatch.setattr(confirmation, "_look_at_terminal", look)
+            task = SimpleNamespace(parameters={"gain": 0.5}, origin="start")
+            assert confirmation.ask(task, Question(), lambda: None).allowed
+            out, err = capsys.readouterr()
+            return out + err
+
+        return waited
+
+    def test_a_terminal_has_one_line_that_counts(self, wait):
+        said = wait(4, is_terminal=True)
+        assert said.count("still waiting") == 4
+        lines = [line for line in said.split("\n") if "still waiting" in line]
+        assert len(lines) == 1
+        assert lines[0].split("\r")[-1].startswith("\x1b[Kstill waiting, 4 min; try it?")
+
+    def test_a_file_is_told_ever_more_rarely(self, wait):
+        said = wait(9, is_terminal=False)
+        told = [line for line in said.splitlines() if "still waiting" in line]
+        assert told == [f"still waiting, {minutes} min" for minutes in (1, 2, 4, 8)]
 
 
 class TestRefused:

@@ -5,9 +5,10 @@ from axis import write_study
 from in_process import call, complaint
 
 from bo_tuner.cli import tune
-from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.facts import Said
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.next_steps import next_steps
 from bo_tuner.method_names import SAFE
 from bo_tuner.methods.safe.stage_one import NO_SAFE_START
 from bo_tuner.storage.record import read_run
@@ -30,7 +31,7 @@ def test_without_a_safe_start_it_ends_with_what_would_help(
     assert (code, record.algorithm, len(record.evaluations)) == (3, SAFE, 1)
     assert NO_SAFE_START in " ".join(err.split())
     (reason,) = run_verdict(record).reasons
-    assert reason == f"{NO_SAFE_START[0].upper()}{NO_SAFE_START[1:]}"
+    assert reason.text == f"{NO_SAFE_START[0].upper()}{NO_SAFE_START[1:]}"
     # There is nothing to validate, and to resume it would end there again.
     commands = [step.command for step in next_steps(run_verdict(record), "runs/a")]
     assert commands == ["tune --from runs/a --start FILE"]
@@ -41,7 +42,7 @@ def test_without_a_safe_start_it_ends_with_what_would_help(
 @pytest.mark.parametrize("state", [State.VALIDATED, State.INFEASIBLE, State.REFUSED])
 def test_a_search_that_stood_still_is_not_to_be_resumed(state):
     """Its answer is settled all the same; more trials need a study that permits more."""
-    verdict = Verdict(state=state, trial=2, evidence="", reasons=("why",), standstill=True)
+    verdict = Verdict(state=state, trial=2, reasons=(Said("why"),), standstill=True)
     commands = [step.command for step in next_steps(verdict, "runs/a")]
     assert "tune --from runs/a --study FILE" in commands
     assert not any(command.startswith("tune --resume") for command in commands)

@@ -22,8 +22,8 @@ from waiting import DEADLINE, catches, count_in, wait_until
 from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.errors import JournalError
-from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.next_steps import next_steps
 from bo_tuner.report.sections import convergence
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
@@ -101,7 +101,7 @@ class TestRun:
         lines = err.splitlines()
         assert len(rows(lines)) == 5
         assert "\x1b" not in out + err
-        assert "against the default, in the same 5 fresh draws" in out
+        assert "against the default, in the same 5 fresh test runs" in out
         assert str(Path("runs") / folder.readlink() / "best.yaml") in out
 
     @pytest.mark.parametrize("algorithm", ["boundary", "IV"])
@@ -140,7 +140,7 @@ class TestRun:
         text = (latest(tmp_path) / "best.yaml").read_text()
         assert text.startswith("# DO NOT USE: ")
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
-        assert out.startswith("No feasible parameter set was found\n")
+        assert out.startswith("No feasible parameter set was found: ")
         assert "best.yaml holds this set, which is not within limits: do not use it." in out
 
     def test_every_trial_fails(self, tune, tmp_path):
@@ -189,7 +189,7 @@ class TestRun:
         assert process.wait(DEADLINE) == 0, shown
         text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
         assert "5/5" in text
-        assert "best so far: trial" in text
+        assert "best within limits: trial" in text
         assert "validation" in text
 
     def test_a_terminal_without_our_signs(self, fresh_tune):

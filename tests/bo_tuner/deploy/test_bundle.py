@@ -151,6 +151,24 @@ class TestBundle:
         assert provenance["sha256"]["rollback.yaml"] == expected
 
 
+def test_a_study_in_which_no_node_has_a_parameter(tmp_path, make_study, function_backend):
+    """They stand in what starts the node; there is nothing to set, or to set back, on any."""
+    study = make_study(
+        nodes={"axis": {"node": "x_drive", "result": "~/cut_result", "command": "drive {gain}"}},
+        parameters={"gain": {"type": "double", "bounds": [0.0, 8.0], "default": 2.0}},
+        contexts={},
+        constraints={},
+        budget=INITIAL,
+    )
+    backend = function_backend(study, lambda seed: {"error": seed % 7.0, "peak": 0.5})
+    record = make_run(tmp_path / "run", study, backend, result=2)
+    folder = write_bundle(record)
+    assert read_rollback(record) == {}
+    gain = record.result.parameters["gain"]
+    said = f"# gain = {gain}: stands in nodes.axis.command; put it there"
+    assert said in (folder / "parameters.yaml").read_text().splitlines()
+
+
 class TestRefusals:
     def test_a_run_without_a_result(self, record):
         with pytest.raises(RunRecordError, match="has no result"):

@@ -6,8 +6,10 @@ import pytest
 from functions import NODE
 
 from bo_tuner.evidence.at_bounds import at_bounds, wider_options
-from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.facts import Said
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.verdict import as_mapping, at_bound
 
 STUDY = {
     "kp": NODE | {"type": "double", "bounds": [0.1, 10.0], "default": 1.0, "unit": "V/rad"},
@@ -57,7 +59,7 @@ def test_inside_there_is_nothing_to_tell(make_study):
 )
 def test_at_a_bound(make_study, values, sentence, option):
     (bound,) = each = found(make_study, **values)
-    assert bound.sentence == f"{sentence}; wider bounds may give a better result."
+    assert at_bound(bound) == f"{sentence}; wider bounds may give a better result."
     assert wider_options(each) == f"--bounds {option}"
 
 
@@ -70,7 +72,7 @@ def test_close_to_a_bound_is_not_at_it(make_study, values):
 
 def test_where_the_sign_changes_no_wider_bound_is_proposed(make_study):
     (bound,) = each = found(make_study, ki=0.0)
-    assert bound.sentence == "ki is at its lower bound 0, where its sign changes."
+    assert at_bound(bound) == "ki is at its lower bound 0, where its sign changes."
     assert wider_options(each) == ""
 
 
@@ -86,7 +88,7 @@ def test_a_whole_number_on_a_log_scale_stays_positive(make_study, lower, sentenc
     horizon = NODE | {"type": "integer", "bounds": [lower, 12], "default": 9, "scale": "log"}
     study = make_study(parameters={"horizon": horizon})
     (bound,) = each = at_bounds(study, {"horizon": lower})
-    assert bound.sentence.startswith(sentence)
+    assert at_bound(bound).startswith(sentence)
     assert wider_options(each) == options
 
 
@@ -95,9 +97,9 @@ def test_a_whole_number_on_a_log_scale_stays_positive(make_study, lower, sentenc
 )
 def test_the_verdict_tells_of_it_and_names_the_command(make_study, state):
     each = found(make_study, kp=10.0, ki=8.0, law="a")
-    verdict = Verdict(state=state, trial=3, evidence="", reasons=("why",), at_bounds=each)
+    verdict = Verdict(state=state, trial=3, reasons=(Said("why"),), at_bounds=each)
     assert "kp is at its upper bound 10 V/rad" in " ".join(verdict.sentences)
-    assert [item["parameter"] for item in verdict.to_mapping()["at_bounds"]] == ["kp", "ki"]
+    assert [item["parameter"] for item in as_mapping(verdict)["at_bounds"]] == ["kp", "ki"]
     step = next_steps(verdict, "/my runs/a")[-1]
     assert shlex.split(step.command) == [
         "tune", "--from", "/my runs/a", "--bounds", "kp=0.1:20", "--bounds", "ki=0:16",

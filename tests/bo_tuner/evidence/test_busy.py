@@ -7,12 +7,12 @@ import pytest
 from bo_tuner.evidence.busy import (
     HIGH,
     HighLoad,
-    computing_in_words,
     computing_times,
     high_load,
-    load_in_words,
 )
+from bo_tuner.evidence.facts import ComputingTimes, Said
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.processor_load import Load
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
@@ -93,14 +93,13 @@ def test_computing_time_is_named_where_all_runs_have_it():
     assert computing_times(STUDY, [run(None, "cpu"), run(None, "cpu")]) == ["return_time"]
     assert computing_times(STUDY, [run(None, "cpu"), run(None, "measured")]) == []
     assert computing_times(STUDY, []) == []
-    assert computing_in_words(STUDY, []) == ()
 
 
 def test_the_words():
-    assert computing_in_words(STUDY, ["return_time"]) == (
-        "Solve time (p99): computing time; waiting for the processor is not in it.",
+    assert in_words(ComputingTimes((TITLE,))) == (
+        "Solve time (p99): computing time; waiting for the processor is not in it."
     )
-    assert load_in_words(BUSY) == (
+    assert in_words(BUSY) == (
         "The computer was busy in 3 of 9 runs (trials 2–3, validation of the tuned): nodes waited "
         "for the processor up to 63.4 % of the time, and solve time (p99) is longer there than on "
         "a free one. Run it with nothing else at work, or limit computing time."
@@ -110,7 +109,6 @@ def test_the_words():
 @pytest.mark.parametrize("state", list(State))
 def test_a_verdict_says_it_first(state):
     trial = None if state is State.OPEN else 0
-    verdict = Verdict(state=state, trial=trial, evidence="nothing", reasons=("none",))
-    assert replace(verdict, high_load=BUSY).sentences == (
-        load_in_words(BUSY), *verdict.sentences
-    )  # fmt: skip
+    verdict = Verdict(state=state, trial=trial, reasons=(Said("none"),))
+    busy = replace(verdict, high_load=BUSY)
+    assert busy.sentences == (in_words(BUSY), *verdict.sentences)

@@ -1,13 +1,16 @@
 """What runs contradict: a range, a scale, and that they are alike."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds, uneven
+from bo_tuner.evidence.facts import NoLogarithm
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.metrics.collect import judged
+from bo_tuner.processor_load import Load
+from bo_tuner.run_notes import Notes, Rate
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 NODE = {"node": "axis"}
@@ -28,39 +31,54 @@ def runs(study, peaks):
 def test_a_run_outside_its_range(make_study):
     study = make_study(metrics={"error": NODE, "peak": NODE | {"range": [0.0, 2.0]}})
     assert [*contradicted(study, runs(study, [0.5, 2.0]))] == []
-    (said,) = contradicted(study, runs(study, [0.5, 2.5]))
-    assert said.startswith("A run contradicts the study: peak was 2.5, outside its range [0, 2]")
+    (found,) = contradicted(study, runs(study, [0.5, 2.5]))
+    assert found.how.startswith("peak was 2.5, outside its range [0, 2]")
+
+
+def test_equal_runs_with_messages_at_different_rates(make_study):
+    """Of a simulator that does not wait; each signal is named once, other sets are no matter."""
+
+    def made(trial, gain, messages):
+        rate = Rate(messages, 5.0 / messages, 6.0 / messages, 0.1, 5.0)
+        notes = Notes(rates={"angle": rate, "event": None})
+        outcome = Outcome(EvaluationState.COMPLETE, {}, load=Load(0.0, None), notes=notes)
+        return Evaluation(trial, 0, Stage.DRAWN, {"gain": gain}, {}, 1, outcome)
+
+    assert not [*uneven([made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)])]
+    (found,) = uneven([made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)])
+    assert in_words(found).startswith("Equal runs are not alike: angle comes ")
 
 
 def test_values_without_a_logarithm(make_study):
     study = make_study(metrics={"error": NODE, "peak": NODE | {"scale": "log"}})
     assert [*contradicted(study, runs(study, [0.5, 0.1]))] == []
-    (said,) = contradicted(study, runs(study, [0.5, 0.0, -1.0]))
-    assert said.startswith("2 runs failed as peak was 0 or negative, which has no logarithm (met")
-    assert "(metrics.peak.scale: log)" in said
+    assert [*contradicted(study, runs(study, [0.5, 0.0, -1.0]))] == [
+        NoLogarithm("peak", "metrics.peak", 2)
+    ]
     study = make_study(objective={"metric": "error", "scale": "log"})
     (zero,) = runs(study, [1.0])
     failed = judged(study, Outcome(EvaluationState.COMPLETE, {"error": 0.0, "peak": 1.0}))
-    (said,) = contradicted(study, [replace(zero, outcome=failed)])
-    assert said.startswith("1 run failed as error was 0 or negative")
-    assert "(objective.scale: log)" in said
+    assert [*contradicted(study, [replace(zero, outcome=failed)])] == [
+        NoLogarithm("error", "objective", 1)
+    ]
 
 
 @pytest.mark.parametrize(
-    ("of", "change"),
+    ("of", "in_scatter", "rises"),
     [
-        (lambda noise, time: noise + 3.0 * time, "larger"),
-        (lambda noise, time: noise - 3.0 * time, "smaller"),
-        (lambda noise, time: noise * np.exp(4.0 * time), "more scattered"),
-        (lambda noise, time: noise * np.exp(-4.0 * time), "less scattered"),
+        (lambda noise, time: noise + 3.0 * time, False, True),
+        (lambda noise, time: noise - 3.0 * time, False, False),
+        (lambda noise, time: noise * np.exp(4.0 * time), True, True),
+        (lambda noise, time: noise * np.exp(-4.0 * time), True, False),
     ],
 )
-def test_a_drift_is_named(make_study, of, change):
+def test_a_drift_is_found(make_study, of, in_scatter, rises):
     study, noise = make_study(), np.random.default_rng(3).standard_normal(40)
     peaks = of(noise, np.linspace(0.0, 1.0, 40))
-    (said,) = drifts(study, {"tuned": runs(study, peaks)})
-    assert said.startswith("peak drifts: of 40 test runs of the tuned parameter set, later ones")
-    assert f" are {change} (rank correlation" in said
+    (found,) = drifts(study, {"tuned": runs(study, peaks)})
+    assert (found.title, found.whose, found.runs) == ("peak", "tuned", 40)
+    assert (found.in_scatter, found.correlation > 0.0) == (in_scatter, rises)
+    assert found.p_value < 0.01
 
 
 def test_runs_that_are_alike_seldom_seem_to_drift(make_study):
@@ -79,15 +97,15 @@ def test_equal_runs_and_rounding_are_no_drift(make_study):
 
 
 @pytest.mark.parametrize("declared", [False, True])
-def test_two_kinds_are_named(make_study, declared):
+def test_two_kinds_are_found(make_study, declared):
     metrics = {"error": NODE, "peak": NODE | ({"range": [0.0, 9.0]} if declared else {})}
     study, rng = make_study(metrics=metrics), np.random.default_rng(4)
     peaks = np.where(np.arange(30) % 3, 0.5, 2.0) + 0.02 * rng.standard_normal(30)
-    (said,) = two_kinds(study, {"tuned": runs(study, peaks)})
-    assert said.startswith("Runs of the tuned parameter set are of two kinds: peak of 10 runs is ")
-    low = float(re.search(r"of the other 20 near ([\d.]+\d)", said)[1])
-    assert low == pytest.approx(0.5, abs=0.02)
-    assert ("takes metrics.peak.range" in said) is not declared
+    (found,) = two_kinds(study, {"tuned": runs(study, peaks)})
+    assert (found.metric, found.whose) == ("peak", "tuned")
+    assert (found.above[0], found.below[0]) == (10, 20)
+    assert found.below[1] == pytest.approx(0.5, abs=0.02)
+    assert found.needs_range is not declared
     assert [*two_kinds(study, {"tuned": runs(study, rng.normal(0.5, 0.1, 40))})] == []
 
 

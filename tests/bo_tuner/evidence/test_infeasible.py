@@ -14,9 +14,10 @@ from bo_tuner.evidence.infeasible import (
     Reached,
     infeasible,
 )
-from bo_tuner.evidence.infeasible_words import advice_in_words, blocker_in_words, reasons_in_words
-from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.infeasible import advice_in_words, blocker_in_words, reasons_in_words
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.verdict import as_mapping, notes_of_file
 from bo_tuner.study.limit_kinds.chance import Chance
 from bo_tuner.trials import EvaluationState, Outcome, TrialState, WorstCase
 from bo_tuner.tuning.prospects import Beyond, Prospects
@@ -178,7 +179,6 @@ class TestWords:
     def test_the_screen(self, make_study):
         facts = by_hand(make_study())
         assert [*reasons_in_words(facts), *advice_in_words(facts)] == [
-            "What blocks: no trial keeps the limit of solve time.",
             "3 of 20 trials failed: axis: stalled.",
             "solve time: 17 of 17 trials over the limit 2 ms; the best has 2.012 ms (trial 4), of "
             "those within all other limits 2.307 ms (trial 9).",
@@ -207,7 +207,8 @@ class TestWords:
                 (Loosened("real_time", 2.3071),),
             ),
         )
-        assert "solve time and lowest distance are in conflict" in blocker_in_words(facts)
+        said = blocker_in_words(facts)
+        assert said.startswith("the limits of solve time and lowest distance are in conflict: ")
         # Rounded so that the limit is not tighter than the value.
         assert (
             "Loosen the limit of solve time to at least 2.02 ms and the limit of lowest distance "
@@ -236,9 +237,9 @@ class TestWords:
         assert advice_in_words(facts)[0].startswith("See why test runs fail first")
 
     def test_of_a_limit_that_no_trial_came_to_nothing_is_said(self, facts):
-        assert reasons_in_words(facts((), ())) == (
-            "What blocks: 2 of 2 trials failed: axis: stalled.",
-        )
+        found = facts((), ())
+        assert reasons_in_words(found) == ()
+        assert blocker_in_words(found) == "2 of 2 trials failed: axis: stalled"
 
     @pytest.mark.parametrize(
         ("chance", "order"),
@@ -250,17 +251,15 @@ class TestWords:
     def test_commands(self, make_study, chance, order):
         """Half as many trials again, and the wider range last."""
         facts = replace(by_hand(make_study()), chance=chance)
-        verdict = Verdict(state=State.INFEASIBLE, trial=9, evidence="", infeasible=facts)
+        verdict = Verdict(state=State.INFEASIBLE, trial=9, infeasible=facts)
         commands = [step.command for step in next_steps(verdict, "run")]
         assert all(word in command for word, command in zip(order, commands, strict=True))
         assert "tune --resume run --trials 30" in commands
 
     def test_files_have_the_facts(self, make_study):
-        verdict = Verdict(
-            state=State.INFEASIBLE, trial=9, evidence="", infeasible=by_hand(make_study())
-        )
-        found = verdict.to_mapping()["infeasible"]
+        verdict = Verdict(state=State.INFEASIBLE, trial=9, infeasible=by_hand(make_study()))
+        found = as_mapping(verdict)["infeasible"]
         assert found["nearest"] == {
             "trial": 9, "limit": "real_time", "value": 2.3071, "excess": 0.15355,
         }  # fmt: skip
-        assert verdict.file_notes(make_study())[0].startswith("DO NOT USE: not within limits")
+        assert notes_of_file(verdict, make_study())[0].startswith("DO NOT USE: not within limits")

@@ -4,10 +4,12 @@ import pytest
 from scipy.stats import binomtest
 
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, exit_code
+from bo_tuner.evidence.facts import RunsLost, RunsToRepeat
 from bo_tuner.evidence.limit_verdict import by_test_runs
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import State, Status
-from bo_tuner.evidence.what_to_set import what_to_set
+from bo_tuner.evidence.words.limits import in_words
+from bo_tuner.evidence.words.verdict import as_mapping, notes_of_file
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limits import Standing, judge_samples
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
@@ -91,14 +93,15 @@ def said(study, count, above, *, unsearched=False):
 )  # fmt: skip
 def test_words(make_study, probability, kind, count, above, standing, words):
     found = said(study_of(make_study, probability, kind), count, above)
-    assert (found.standing, found.words) == (standing, words)
+    assert (found.standing, in_words(found)) == (standing, words)
 
 
 def test_in_a_study_without_contexts_there_is_but_one(make_study):
     study = study_of(make_study, 0.9, "worst_case", contexts=None)
     found = said(study, 29, 0)
     assert found.standing is Standing.SHOWN
-    assert found.words.startswith("proven to be kept in 90 % of the runs: 0 of 29")
+    assert not found.everywhere
+    assert (found.runs, found.violations, found.permitted) == (29, 0, 2)
 
 
 @pytest.mark.parametrize("above", [0, 1, 3])
@@ -121,7 +124,7 @@ def test_a_failed_run_leaves_a_share_unshown(make_study):
 def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
     found = said(study_of(make_study, 0.8, "worst_case"), 25, 1, unsearched=True)
     assert found.standing is Standing.VIOLATED
-    assert found.words == (
+    assert in_words(found) == (
         "NOT proven to be kept: 1 of 25 test runs above the limit, 5 permitted "
         "(no search was made for its worst context)"
     )
@@ -130,29 +133,29 @@ def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
 @pytest.mark.parametrize(
     ("probability", "kind", "count", "above", "headline", "status", "keeps"),
     [
-        (0.9, "chance", 10, 0, "No limit broken in 10 test runs", Status.OPEN, None),
+        (0.9, "chance", 10, 0, "no limit broken in 10 test runs", Status.OPEN, None),
         (0.9, "chance", 10, 1, "peak: 1 of 10 test runs above the limit, 1 permitted",
          Status.OPEN, None),
         (0.8, "worst_case", 6, 2,
          "peak: 2 of 6 test runs above the limit, 1 permitted, which may be chance",
          Status.WARNING, None),
-        (0.9, "chance", 40, 0, "Proven to be kept: peak in 90 % of the runs", Status.GOOD, True),
+        (0.9, "chance", 40, 0, "the limit proven", Status.GOOD, True),
     ],
 )  # fmt: skip
 def test_headline(make_study, probability, kind, count, above, headline, status, keeps):
     study = study_of(make_study, probability, kind)
     default = runs(study, count, 0, side=0, error=2.0)
     found = verdict_of(study, runs(study, count, above), default)
-    assert found.headline == f"{headline}; not certified yet"
+    assert found.headline.endswith(f"; {headline}; not certified yet")
     assert found.state is State.VALIDATED
     assert found.status is status
-    assert found.to_mapping()["keeps_limits"]["tuned"] is keeps
+    assert as_mapping(found)["keeps_limits"]["tuned"] is keeps
 
 
 def test_without_limits_nothing_is_called_kept(make_study):
     study = make_study(constraints={})
     found = verdict_of(study, runs(study, 10, 0))
-    assert found.headline == "No limits to keep; not certified yet"
+    assert found.headline.endswith("; no limits to keep; not certified yet")
     assert found.status is Status.GOOD
 
 
@@ -162,7 +165,7 @@ def test_a_result_that_is_doubted_is_not_told_that_a_limit_is_kept(make_study):
     found = verdict_of(study, runs(study, 10, 0), doubt="It did not pass")
     assert found.state is State.INFEASIBLE
     (quantity,) = [q for q in found.quantities if q.limit_verdict is not None]
-    assert "kept" not in quantity.limit_verdict.words
+    assert "kept" not in in_words(quantity.limit_verdict)
 
 
 class TestUnproven:
@@ -174,13 +177,10 @@ class TestUnproven:
         assert found.state is State.UNPROVEN
         assert found.headline == "Not proven: no limit broken in 8 test runs"
         assert (found.feasible, found.status) == (False, Status.WARNING)
-        assert found.to_mapping()["keeps_limits"]["tuned"] is None
+        assert as_mapping(found)["keeps_limits"]["tuned"] is None
         assert "do not use" not in " ".join(found.sentences).lower()
-        assert found.file_notes(study)[0] == f"{found.headline}."
+        assert notes_of_file(found, study)[0] == f"{found.headline}."
         assert exit_code(found) == EXIT_INFEASIBLE
-        assert what_to_set(study, found, {"gain": 0.25}) == (
-            f"{found.headline}. Likeliest so far: gain 0.25"
-        )
 
     @pytest.mark.parametrize(("above", "further"), [(5, ()), (0, (FAILED,))])
     def test_what_its_runs_refute_is_infeasible(self, make_study, above, further):
@@ -209,14 +209,11 @@ class TestIncomplete:
         study = study_of(make_study, 0.9)
         found = verdict_of(study, runs(study, 9, 0, LOST))
         assert found.state is State.INCOMPLETE
-        assert found.headline == (
-            "Incomplete: 1 of 10 test runs was lost with the nodes, disturbed by others or not "
-            "prepared (axis: the node stopped)"
-        )
+        assert found.reasons == (RunsLost(1, 10, "axis: the node stopped"),)
         assert found.status is Status.WARNING
         assert not found.feasible
-        assert found.to_mapping()["keeps_limits"]["tuned"] is None
-        assert any("tune --resume runs the lost" in remark for remark in found.remarks)
+        assert as_mapping(found)["keeps_limits"]["tuned"] is None
+        assert RunsToRepeat() in found.remarks
 
     @pytest.mark.parametrize("further", [(FAILED, LOST), (LOST, LOST)])
     def test_what_refutes_it_does_all_the_same(self, make_study, further):
@@ -224,8 +221,8 @@ class TestIncomplete:
         above = 0 if FAILED in further else 4
         found = verdict_of(study, runs(study, 8, above, *further))
         assert found.state is State.INFEASIBLE
-        assert not any("lost" in reason for reason in found.reasons)
-        assert any("tune --resume runs the lost" in remark for remark in found.remarks)
+        assert not any(isinstance(reason, RunsLost) for reason in found.reasons)
+        assert RunsToRepeat() in found.remarks
 
     def test_all_lost(self, make_study):
         study = study_of(make_study, 0.9)

@@ -12,10 +12,13 @@ from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.evidence.differences import Change
-from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.facts import ApplyWaits, Basis, Contradicted, Drift
+from bo_tuner.evidence.quantity import OnRecord
 from bo_tuner.evidence.run_verdict import certified, run_verdict
-from bo_tuner.evidence.validated import fresh_draws, is_default
+from bo_tuner.evidence.validated import is_default
 from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.verdict import keeps
 from bo_tuner.study.limits import WITHIN, outcome_in_words
 from bo_tuner.trials import Stage, WorstCase
 
@@ -29,7 +32,7 @@ def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
     # 120 draws are fewer than the study asks for.
     verdict = run_verdict(run)
     assert verdict.certificate == PASS
-    assert "the study requires" in verdict.remarks[-1]
+    assert "the study requires" in verdict.remarks[-1].why
     commands = [step.command for step in next_steps(verdict, "run")]
     assert commands[0] == "validate run"
     assert not any(command.startswith("apply") for command in commands)
@@ -39,11 +42,13 @@ def test_a_run_that_contradicts_the_study_is_named(run):
     """On every screen that shows the verdict; here by a range that the runs of the study leave."""
     draws = [(1.0, 0.5)] * 20
     sound = made(run, draws, draws, True)
-    assert not any("contradicts" in remark for remark in run_verdict(sound).remarks)
+    assert not any(isinstance(fact, Contradicted) for fact in run_verdict(sound).remarks)
     peak = dataclasses.replace(run.study.metrics["peak"], range=(0.9, 5.0))
     study = dataclasses.replace(run.study, metrics={**run.study.metrics, "peak": peak})
     remarks = run_verdict(dataclasses.replace(sound, study=study)).remarks
-    assert any("peak was " in remark and "its range [0.9, 5]" in remark for remark in remarks)
+    (fact,) = (fact for fact in remarks if isinstance(fact, Contradicted))
+    assert fact.how.startswith("peak was ")
+    assert "its range [0.9, 5]" in fact.how
 
 
 def test_a_drift_over_the_validation_is_named(run):
@@ -51,9 +56,9 @@ def test_a_drift_over_the_validation_is_named(run):
     steady = [(1.0, 0.5 + float(e)) for e in noise]
     warming = [(1.0, 0.5 + float(e) + 0.004 * k) for k, e in enumerate(noise)]
     remarks = run_verdict(made(run, steady, warming, True)).remarks
-    drifts = [remark for remark in remarks if "drifts" in remark]
-    assert [drift.split(":")[0] for drift in drifts] == ["peak drifts"]
-    assert "the tuned parameter set, later ones are larger" in drifts[0]
+    (drift,) = (fact for fact in remarks if isinstance(fact, Drift))
+    assert (drift.title, drift.whose, drift.in_scatter) == ("peak", "tuned", False)
+    assert drift.correlation > 0.0
 
 
 def test_a_drift_between_the_trials_and_the_validation_is_named(run):
@@ -66,12 +71,12 @@ def test_a_drift_between_the_trials_and_the_validation_is_named(run):
     defaults = run.study.search_space().defaults
     others = [e for e in judged.evaluations if e.parameters != defaults or e.trial == 1]
     validated = [e for e in judged.evaluations if e not in others and e.stage is Stage.VALIDATION]
-    for of_trial, said in ((warm, []), (cold, ["peak drifts"])):
+    for of_trial, named in ((warm, []), (cold, [("peak", "default", 35)])):
         trial = evaluations(0, defaults, of_trial[:10], Stage.DRAWN)
         whole = dataclasses.replace(judged, evaluations=(*trial, *others, *validated))
-        drifts = [remark for remark in run_verdict(whole).remarks if "drifts" in remark]
-        assert [drift.split(":")[0] for drift in drifts] == said
-    assert "of 35 test runs of the default parameter set, later ones are larger" in drifts[0]
+        drifts = [fact for fact in run_verdict(whole).remarks if isinstance(fact, Drift)]
+        assert [(drift.title, drift.whose, drift.runs) for drift in drifts] == named
+    assert drifts[0].correlation > 0.0
 
 
 @pytest.mark.parametrize("certificate", [None, "tuned", "both"])
@@ -142,9 +147,10 @@ def test_a_default_whose_worst_context_was_searched_counts_as_such(tuned, worst,
     assert verdict.default_unrefuted is keeps
     if worst == 1.1:
         trial = default_trial(run).number
-        assert verdict.default_reasons == (f"peak: worst case 1.1 N in trial {trial}, limit 1",)
+        (reason,) = verdict.default_reasons
+        assert (reason.title, reason.value, reason.trial) == ("peak", 1.1, trial)
     if worst is None:
-        assert "(no search was made for its worst context)" in verdict.default_reasons[0]
+        assert verdict.default_reasons[0].limit.unsearched
 
 
 def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
@@ -155,15 +161,16 @@ def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
         verdict = run_verdict(made(run, draws, draws, passed_check))
         assert verdict.is_default
         assert verdict.reasons == verdict.default_reasons
-        assert verdict.keeps_in_words == ("not proven", "not proven")
+        assert keeps(verdict) == ("not proven", "not proven")
 
 
 def test_a_feasible_default_beside_an_infeasible_result_is_not_kept_quiet(tuned):
     verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True))
     assert (
-        verdict.headline == "The tuned parameter set is not feasible; nothing refutes the default"
+        verdict.headline == "The tuned parameter set is not feasible; nothing refutes the default: "
+        "trials kept all limits in their own runs, but fresh test runs broke the limit of peak"
     )
-    told = "The default by the same evidence: No limit broken in 8 test runs."
+    told = "The default by the same evidence: no limit broken in 8 test runs."
     assert told in verdict.sentences
 
 
@@ -183,10 +190,8 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     verdict = certified(run, other, run.path / "certificates" / "0001.json")
     assert verdict.certificate == PASS
     assert not verdict.is_result
-    assert verdict.keeps_in_words == ("not proven", "yes")
-    assert verdict.evidence == (
-        "120 fresh draws of context and noise, and the default in the 120 draws of the validation"
-    )
+    assert keeps(verdict) == ("not proven", "yes")
+    assert verdict.basis == Basis(120, paired=False, validation=120)
     # The draws of the validation are of another parameter set, so there are no pairs.
     assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
     number = other.number
@@ -214,7 +219,7 @@ def test_apply_waits_for_the_result_of_a_run_that_has_none(run, monkeypatch):
     assert verdict.certificate == PASS
     commands = [step.command for step in next_steps(verdict, "run")]
     assert commands == ["tune --resume run", f"replay run --trial {trial.number}"]
-    assert "apply waits for the result of the run, which has not ended." in verdict.remarks
+    assert ApplyWaits() in verdict.remarks
 
 
 def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
@@ -229,7 +234,7 @@ def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     verdict = run_verdict(run)
     (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
-    assert f"largest of {known + found.tuned.evaluations} test runs on record 1.4" in worst.remark
+    assert worst.on_record == OnRecord(known + found.tuned.evaluations, 1.4)
     # Both columns are of the draws that both have, those of the validation.
     assert (error.default, error.tuned, error.difference.mean) == pytest.approx((1.0, 1.0, 0.0))
     assert verdict.observed[1].values("peak") == [0.6] * 120
@@ -251,7 +256,7 @@ def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
     write_certificate(run.path, found, evidence)
     (quantity,) = [q for q in run_verdict(run).quantities if q.limit_verdict is not None]
     bound = found.tuned.constraints[0].worst[0].violation_bound
-    assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
+    assert (quantity.violation.worst, quantity.violation.allowed) == pytest.approx((bound, 0.15))
     assert isnan(quantity.bound)
 
 
@@ -288,7 +293,7 @@ def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
     certify(run, draws, draws)
     first = run.path / "certificates" / "0001.json"
     first.write_text(json.dumps(json.loads(first.read_text()) | {"confidence": 0.5}))
-    assert run_verdict(run).remarks[0].endswith("have 50 % together.")
+    assert run_verdict(run).remarks[0].together == 0.5
 
 
 def test_the_largest_value_on_record_is_not_hidden(tuned):
@@ -299,7 +304,7 @@ def test_the_largest_value_on_record_is_not_hidden(tuned):
     verdict = run_verdict(dataclasses.replace(run, evaluations=(*run.evaluations, *seen)))
     (peak,) = [q for q in verdict.quantities if q.label == "largest peak"]
     assert peak.tuned == 0.5
-    assert "on record 0.99" in peak.remark
+    assert peak.on_record.value == 0.99
     assert "gained nothing" in verdict.sentences[-1]
 
 
@@ -316,13 +321,6 @@ def test_a_result_that_is_the_default_is_said_to_be_it(tuned):
     assert is_default(tuned.study, tuned.study.search_space().defaults)
 
 
-@pytest.mark.parametrize("words", ["context and noise", "noise"])
-def test_draws_are_of_contexts_only_where_there_are_some(tuned, words):
-    contexts = tuned.study.contexts if "context" in words else {}
-    study = dataclasses.replace(tuned.study, contexts=contexts)
-    assert fresh_draws(study, 5) == f"5 fresh draws of {words}"
-
-
 @pytest.mark.parametrize("text", ["", "parameter_set,stage\ntuned,none\n", "\x00", None])
 def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
     certify(run, [(1.0, 0.5)] * 3, [(1.0, 2.0)] * 3)
@@ -330,7 +328,7 @@ def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
     path.unlink() if text is None else path.write_text(text)
     verdict = run_verdict(run)
     assert verdict.certificate == FAIL
-    assert verdict.reasons[0].startswith("peak: ")
+    assert verdict.reasons[0].text.startswith("peak: ")
 
 
 def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):

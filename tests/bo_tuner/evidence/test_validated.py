@@ -7,18 +7,19 @@ from functools import partial
 import pytest
 
 from bo_tuner.evidence.differences import Change
+from bo_tuner.evidence.facts import AgainstLimit, OnlyTimesOver, RunsFailed
 from bo_tuner.evidence.limit_verdict import by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
 from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.quantity import Quantity
 from bo_tuner.evidence.validated import validated
-from bo_tuner.evidence.verdict import Quantity, State, Status, Verdict
+from bo_tuner.evidence.verdict import State, Status, Verdict
+from bo_tuner.evidence.words.verdict import as_mapping, keeps
 from bo_tuner.processor_load import Load
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.validation import Validation
-
-LOAD = "Only solve time (p99) exceeded a limit; other load on this machine can cause this too."
 
 
 def validation(study, violations):
@@ -57,7 +58,7 @@ def test_other_load_explains_only_measured_times(violations, source, load, told)
     )
     runs = [Evaluation(1, 0, Stage.VALIDATION, both.parameters, {}, 0, outcome)]
     verdict = validated(study, 0, both, both, (), runs, doubt="")
-    assert verdict.remarks == ((LOAD,) if told else ())
+    assert verdict.remarks == ((OnlyTimesOver(("solve time (p99)",)),) if told else ())
 
 
 def test_outliers_that_kept_all_limits_are_told_of():
@@ -103,7 +104,7 @@ def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
     )
     kept = by_certificate(study, study.constraints["cap"], passed=True, draws=30, violations=0)
     found = quantities(study, default, tuned, {}, {"cap": kept}, {})
-    verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", quantities=found)
+    verdict = Verdict(state=State.CERTIFIED, trial=1, quantities=found)
     assert [q.change for q in found if q.objective] == [Change.WORSE]
     assert verdict.default_preferred
     assert not verdict.gained
@@ -119,7 +120,9 @@ def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
         {"peak": Sample("peak", math.nan, 0, 0, 0, Standing.VIOLATED)},
     )
     found = validated(study, 0, none, none, (), (), doubt="")
-    assert found.reasons == ("peak, limit 1: no test run is complete", "8 of 8 test runs failed")
+    (limit,) = (q.limit_verdict for q in found.quantities if q.limit_verdict is not None)
+    assert limit.runs == 0
+    assert found.reasons == (AgainstLimit(limit), RunsFailed(failed=8, runs=8))
 
 
 def quantity(change):
@@ -132,24 +135,21 @@ def quantity(change):
         tuned=8.0,
         difference=None,
         change=change,
-        limit=math.nan,
-        bound=math.nan,
-        remark="",
     )
 
 
 @pytest.mark.parametrize("change", [Change.LOWER, Change.HIGHER])
 def test_what_is_neither_better_nor_worse_is_no_gain(change):
-    verdict = Verdict(state=State.VALIDATED, trial=1, evidence="", quantities=(quantity(change),))
+    verdict = Verdict(state=State.VALIDATED, trial=1, quantities=(quantity(change),))
     assert not verdict.gained
     better = replace(verdict, quantities=(quantity(Change.BETTER),))
     assert better.gained
 
 
 def test_of_a_default_that_was_not_evaluated_nothing_is_said():
-    verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", default_reasons=None)
-    assert verdict.keeps_in_words == ("–", "yes")
-    assert verdict.to_mapping()["keeps_limits"] == {"default": None, "tuned": True}
+    verdict = Verdict(state=State.CERTIFIED, trial=1, default_reasons=None)
+    assert keeps(verdict) == ("–", "yes")
+    assert as_mapping(verdict)["keeps_limits"] == {"default": None, "tuned": True}
     assert "The default was not run." in verdict.sentences
     assert not verdict.gained
     assert verdict.status is Status.GOOD

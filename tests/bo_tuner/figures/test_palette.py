@@ -7,6 +7,7 @@ import pytest
 
 from bo_tuner.figures.figure import Color
 from bo_tuner.figures.palette import DARK, DARK_GROUND, DIVERGING, LIGHT, LIGHT_GROUND, SEQUENTIAL
+from bo_tuner.figures.svg_renderer import RINGS
 from bo_tuner.report.comparison import LINES
 from bo_tuner.report.sections import convergence, trajectories
 from bo_tuner.web.runs import MOST_COMPARED
@@ -45,9 +46,15 @@ def contrast(one, other):
 @pytest.mark.parametrize(("palette", "ground"), [(LIGHT, LIGHT_GROUND), (DARK, DARK_GROUND)])
 def test_every_color_stands_out_from_its_ground(palette, ground):
     assert set(palette) == set(Color)
-    for color in set(Color) - {Color.PAPER, Color.BLACK}:
+    for color in set(Color) - {Color.PAPER, Color.BLACK, Color.WHITE}:
         assert contrast(palette[color], ground) >= 3.0, color
     assert palette[Color.PAPER] == ground
+
+
+@pytest.mark.parametrize("palette", [LIGHT, DARK])
+def test_one_of_the_rings_around_a_mark_stands_out_from_any_color_of_a_field(palette):
+    for _, shade in (*SEQUENTIAL, *DIVERGING):
+        assert max(contrast(palette[color], shade) for color, _ in RINGS) >= 3.0, shade
 
 
 def as_seen(shade, sight):

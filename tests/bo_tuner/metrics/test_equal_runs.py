@@ -12,6 +12,7 @@ from bo_tuner.metrics.equal_runs import (
     unlike_starts,
     unmoved,
 )
+from bo_tuner.metrics.message_rates import rate_of
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.processor_load import Load
 from bo_tuner.study.study_file import study_from_mapping
@@ -125,16 +126,27 @@ def every(*distances):
     return Recording({"angle": RecordedSignal(times, times)}, 2.0)
 
 
+def uneven(recordings, loads=None):
+    rates = [{name: rate_of(each.signals[name], each.end) for name in HEARD} for each in recordings]
+    runs = [f"run {k}" for k in range(1, len(recordings) + 1)]
+    return list(uneven_rates(runs, rates, loads or [None] * len(runs)).values())
+
+
 @pytest.mark.parametrize("first", [0.008, 0.014])
 def test_messages_that_come_less_often_in_one_of_two_equal_runs(first):
     runs = [every(first), every(0.02)]
-    (line,) = uneven_rates(runs, [None, Load(0.0, 0.1)], HEARD)
-    assert line.startswith("angle: comes 50 times a second in run 2 and ")
+    (line,) = uneven(runs, [None, Load(0.0, 0.1)])
+    assert line.startswith("angle comes 50 times a second in run 2 and ")
     assert line.endswith(
         "a simulator does not wait for its controller, or a publisher leaves some out"
     )
-    (line,) = uneven_rates(runs, [None, Load(0.9, 0.4)], HEARD)
-    assert line.endswith("the computer was busy then: processes waited for it 40 % of the time")
+    (line,) = uneven(runs, [None, Load(0.9, 0.4)])
+    assert line.endswith("the computer was busy: processes waited for it 40 % of the time")
+
+
+def test_a_single_run_of_many_is_remarked_on_by_itself():
+    assert uneven([every(0.02)] * 60 + [every(0.04)]) == []
+    assert len(uneven([every(0.02)] * 60 + [every(0.04)] * 3)) == 1
 
 
 @pytest.mark.parametrize(
@@ -147,7 +159,7 @@ def test_messages_that_come_less_often_in_one_of_two_equal_runs(first):
     ],
 )
 def test_messages_that_come_as_often_or_of_events(runs):
-    assert not [*uneven_rates(runs, [None, None], HEARD)]
+    assert uneven(runs) == []
 
 
 @pytest.mark.parametrize(("age", "told"), [(5.0, 1), (0.01, 0)])

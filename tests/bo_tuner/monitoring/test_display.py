@@ -6,16 +6,17 @@ from pathlib import Path
 import pytest
 from terminals import console
 
+from bo_tuner.evidence.facts import Basis, Said
 from bo_tuner.evidence.limit_verdict import by_certificate
 from bo_tuner.evidence.observed import Observed
 from bo_tuner.evidence.quantities import quantities
-from bo_tuner.evidence.table import (
+from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.terminal import (
     print_next_steps,
     print_verdict,
     verdict_notes,
     verdict_table,
 )
-from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.monitoring import display
 from bo_tuner.monitoring.display import say
 from bo_tuner.study.study_file import load_study
@@ -39,7 +40,7 @@ def verdict(study, draws=25):
     return Verdict(
         state=State.VALIDATED,
         trial=7,
-        evidence="the same fresh draws",
+        basis=Basis(25),
         quantities=quantities(
             study,
             Observed(drawn(0.0), draws),
@@ -112,7 +113,9 @@ class TestTable:
     @pytest.mark.parametrize("width", [60, 80, 120])
     def test_no_word_is_broken_on_a_terminal(self, width):
         study = load_study("benchmark")
-        found = dataclasses.replace(verdict(study), reasons=("overshoot: " + "a reason " * 20,))
+        found = dataclasses.replace(
+            verdict(study), reasons=(Said("overshoot: " + "a reason " * 20),)
+        )
         shown, whole = console(width, terminal=True), console(10_000)
         for out in (shown, whole):
             for line in verdict_notes(found):

@@ -9,6 +9,7 @@ import pytest
 from in_process import call
 
 from bo_tuner.cli import report as report_command
+from bo_tuner.evidence.words.verdict import basis
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
 from bo_tuner.report.content import number
@@ -37,7 +38,7 @@ def test_the_verdicts_are_those_of_the_runs(both, parts):
         headline, trial, evidence, *_ = found[name]
         assert analysis.verdict.headline in headline
         assert trial == str(analysis.verdict.trial)
-        assert evidence == analysis.verdict.evidence
+        assert evidence == basis(analysis.verdict)
     good, bad = both
     assert (good.verdict.feasible, bad.verdict.feasible) == (True, False)
     assert found[names(both)[1]][0] == (

@@ -12,8 +12,9 @@ from report_runs import sections
 from rich.console import Console
 
 from bo_tuner.evidence.at_bounds import at_bounds
-from bo_tuner.evidence.effects import not_seen
-from bo_tuner.evidence.table import print_verdict
+from bo_tuner.evidence.words.effects import not_seen
+from bo_tuner.evidence.words.terminal import print_verdict
+from bo_tuner.evidence.words.verdict import at_bound
 from bo_tuner.figures.keys import legend
 from bo_tuner.monitoring.progress import describe, incumbent_in_words
 from bo_tuner.monitoring.trial_table import TrialTable
@@ -99,7 +100,7 @@ def test_sentences_of_a_verdict(analysis):
     """On a result that is at a bound, with measured times that exceeded a limit."""
     study = analysis.study
     (bound,) = at_bounds(study, {"gain": 1.0})
-    assert bound.sentence.startswith(f"{TITLES['gain']} (gain) is at its upper bound 1 m")
+    assert at_bound(bound).startswith(f"{TITLES['gain']} (gain) is at its upper bound 1 m")
     effect = ParameterEffects("gain", (Effect("peak", "N", False, 0.0, 0.1),), True)
     assert f"above 0.1 N on {TITLES['peak']} would" in not_seen(study, effect)
 

@@ -11,12 +11,13 @@ from rich.console import Console
 import bo_tuner as bt
 from bo_tuner.evidence.certificate.table import certificate_lines, certificate_rows
 from bo_tuner.evidence.run_verdict import run_verdict
-from bo_tuner.evidence.table import print_verdict
+from bo_tuner.evidence.words.quantities import basis, gain
+from bo_tuner.evidence.words.terminal import print_verdict
 from bo_tuner.figures.figure import Points
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
 from bo_tuner.report.sections.answer import answer
-from bo_tuner.report.sections.front import front
+from bo_tuner.report.sections.front import front_figure
 from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
@@ -78,19 +79,16 @@ def test_every_screen_and_file_has_the_same_number(result):
     (error,) = [q for q in verdict.quantities if q.objective]
     default, tuned = (shown(estimate.value) for estimate in error.estimates)
     kind = "validation, adjusted for contexts"
-    assert error.basis.startswith(kind)
+    assert basis(error).startswith(kind)
     # Not the mean of the draws as they are.
     plain = np.mean(verdict.observed[0].values("error"))
     assert abs(plain - error.default) > 1e-3
     assert in_terminal(record, verdict) == [default, tuned]
 
     screen = answer(analysis)
-    tile = next(tile for tile in screen.tiles if tile.label == "objective: mean error")
-    assert tile.value == tuned
-    assert f"default {default}" in tile.remarks
-    assert error.basis in tile.remarks
-    (row,) = [row for row in screen.table.rows if row[0] == "objective: mean error"]
-    assert row[1:3] == [default, tuned]
+    (row,) = [row for row in screen.rows if row.detail == "mean, objective"]
+    assert (row.title, row.default, row.tuned) == ("error", default, tuned)
+    assert any(basis(error) in remark for remark in screen.remarks)
 
     row = in_a_row(analysis)
     assert row["objective"].startswith(f"mean error {default} → {tuned}")
@@ -130,8 +128,8 @@ def test_a_certificate_repeats_no_number_of_the_verdict(tuned_only):
     (error,) = [q for q in verdict.quantities if q.objective]
     assert not any("mean error" in row.label for row in certificate_rows(record.study, certificate))
     lines = certificate_lines(verdict, record.study, certificate, 9)
-    assert f"{error.gain_in_words}; {error.basis}" in lines
-    assert error.basis.startswith("validation, adjusted for contexts; in the 25 draws")
+    assert f"{gain(error)}; {basis(error)}" in lines
+    assert basis(error).startswith("validation, adjusted for contexts; in the 25 test runs")
     # Its own draws are other evidence, which its file has by the same rule.
     own = certificate.tuned.objective
     assert own.kind == "certificate, adjusted for contexts"
@@ -165,7 +163,6 @@ def test_the_star_stands_on_its_own_circle(tuned_only, tmp_path):
     study = make_study(further_objectives=[{"metric": "effort"}])
     several = study.optimize(response, folder=tmp_path / "run", progress=False)
     analysis = Analysis(read_run(several.folder))
-    (figure,) = front(analysis).figures
-    star, own = stars(figure.panels[0])
+    star, own = stars(front_figure(analysis).panels[0])
     assert len(own) >= 3
     assert set(own) == {star}

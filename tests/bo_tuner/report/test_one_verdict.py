@@ -20,12 +20,21 @@ from bo_tuner.cli import apply
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.codec.reading import JSON, read
 from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.evidence.infeasible_words import blocker_in_words
-from bo_tuner.evidence.next_steps import next_steps
+from bo_tuner.evidence.facts import ApplyRefuses, Basis, Confidence
+from bo_tuner.evidence.quantity import DrawsOf
 from bo_tuner.evidence.run_verdict import run_verdict
-from bo_tuner.evidence.table import print_verdict
 from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
-from bo_tuner.evidence.what_to_set import what_to_set
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.terminal import print_verdict
+from bo_tuner.evidence.words.verdict import (
+    advice,
+    as_mapping,
+    basis,
+    keeps,
+    page_title,
+    reasons,
+    reasons_and_remarks,
+)
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
 from bo_tuner.monitoring.display import Result
@@ -112,12 +121,12 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
 
     # A few draws refute, but never show what is to hold in every context.
     shown = certificate is not None
-    both = list(verdict.keeps_in_words)
+    both = list(keeps(verdict))
     for words, unrefuted in zip(both, (verdict.default_unrefuted, verdict.feasible), strict=True):
         # What is not shown need not be refuted.
         possible = {"yes" if shown else "not proven"} if unrefuted else {"NO", "not proven"}
         assert words in possible
-    assert shown or "kept" not in verdict.headline
+    assert shown or "proven" not in verdict.headline.replace("Not proven", "")
     assert shown or verdict.status is not Status.GOOD
 
     terminal = on_terminal(run, verdict)
@@ -128,22 +137,20 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
 
     page = on_page(run)
     (title,) = re.findall(r'<h2 id="answer-title">(.*?)</h2>', page)
-    tuned_set = run.trials[run.summary["trial"]].parameters
-    told = what_to_set(run.study, verdict, tuned_set)
+    told = page_title(verdict)
     assert unescape(title) == told
-    assert told.startswith("Set ") <= verdict.feasible
+    assert verdict.headline.removeprefix(f"{verdict.certificate}: ")[1:-19] in told
     (mark,) = re.findall(r'<section id="answer" class="answer (\w+)"', page)
     assert (mark == "bad") == (not verdict.feasible)
-    (row,) = re.findall(r"keeps all limits</th>(.*?)</tr>", page, re.DOTALL)
-    assert re.findall(r"<td[^>]*>(yes|NO|not proven)</td>", row) == both
     shown = set(re.findall(rf">\s*({PASS}|{FAIL})\s", page))
     assert shown <= {verdict.certificate}
     text = unescape(page)
-    for sentence in verdict.sentences:
-        assert sentence in terminal
-        assert sentence in text
+    assert all(sentence in terminal for sentence in verdict.sentences)
+    told_of = (*reasons_and_remarks(verdict), *advice(verdict))
+    assert set(told_of) <= set(verdict.sentences)
+    assert all(sentence in text for sentence in told_of)
 
-    mapping = json.loads(json.dumps(verdict.to_mapping(), allow_nan=False))
+    mapping = json.loads(json.dumps(as_mapping(verdict), allow_nan=False))
     assert mapping["headline"] == verdict.headline
     said = {"yes": True, "NO": False, "not proven": None}
     assert list(mapping["keeps_limits"].values()) == [said[words] for words in both]
@@ -155,21 +162,18 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     analysis = Analysis(run)
     (row,) = verdicts_table({"run": analysis}, "").rows
     marks = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
-    mark, headline = marks[verdict.status], verdict.headline
-    if verdict.infeasible is not None:
-        headline += f": {blocker_in_words(verdict.infeasible)}"
-    assert row[1] == mark + headline
-    assert row[3] == verdict.evidence
+    assert row[1] == marks[verdict.status] + verdict.headline
+    assert row[3] == basis(verdict)
     live = unescape(answer_html(analysis))
     assert f'<h2 id="answer-title">{told}</h2>' in live
-    assert all(sentence in live for sentence in verdict.sentences)
+    assert all(sentence in live for sentence in told_of)
     for trial in run.trials:
         texts = unescape(section_html(trial_sections(analysis, trial)[0]))
         assert (verdict.headline in texts) == (trial.number == verdict.trial)
     event = json_result(run, verdict)
     assert event["verdict"] == mapping
     assert event["feasible"] == verdict.feasible
-    assert event["problem"] == "; ".join(verdict.reasons)
+    assert event["problem"] == "; ".join(reasons(verdict))
 
     refusal = refusal_of_apply(run)
     assert (refusal == "") == (verdict.certificate == PASS and not verdict.apply_refuses)
@@ -178,7 +182,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     if verdict.certificate == FAIL:
         assert f"expected {PASS}, found {FAIL}" in refusal
     elif verdict.apply_refuses:
-        assert f"apply still refuses it: {refusal}." in verdict.remarks
+        assert ApplyRefuses(refusal) in verdict.remarks
     elif verdict.certificate != PASS:
         assert f"no certificate of trial {verdict.trial}" in refusal
 
@@ -209,7 +213,7 @@ def refusal_of_apply(run):
 def json_result(run, verdict):
     """The event with the result, for a run whose summary is brought up to date."""
     out = io.StringIO()
-    summary = dict(run.summary) | {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
+    summary = dict(run.summary) | {"feasible": verdict.feasible, "verdict": as_mapping(verdict)}
     tuned = run.trials[run.summary["trial"]].parameters
     status = RunStatus(run.study, METHODS[run.algorithm])
     JsonLines(run.study, status, out).result(
@@ -234,7 +238,7 @@ def test_a_certificate_brings_summary_and_bundle_up_to_date(run, peak):
     assert verdict.certificate == (PASS if certificate.passed else FAIL)
     after = json.loads((run.path / "summary.json").read_text())
     bundle = json.loads((run.path / "deploy" / "provenance.json").read_text())
-    assert after["verdict"] == bundle["verdict"] == verdict.to_mapping()
+    assert after["verdict"] == bundle["verdict"] == as_mapping(verdict)
     assert after["feasible"] == verdict.feasible
     assert {k: v for k, v in after.items() if k not in ("verdict", "feasible")} == {
         k: v for k, v in before.items() if k not in ("verdict", "feasible")
@@ -248,8 +252,8 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     verdict = run_verdict(run)
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
     assert error.difference.count == (40 if with_default else 5)
-    told = "" if with_default else "in the 5 draws that both completed"
-    assert error.draws == told
+    assert error.draws == (None if with_default else DrawsOf(5, 40, 5))
+    told = "" if with_default else "in the 5 test runs that both completed"
     # The two numbers are of these draws, and subtract to the difference.
     assert error.tuned - error.default == pytest.approx(error.difference.mean)
     if with_default:
@@ -257,25 +261,18 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     lines = on_terminal(run, verdict).splitlines()
     basis = "certificate" if with_default else f"validation; {told}"
     assert any(line.endswith(f": {basis}") for line in lines)
-    assert (told in on_page(run)) if told else ("draws that both" not in on_page(run))
-    assert verdict.evidence == (
-        "the same 40 fresh draws of context and noise"
-        if with_default
-        else "40 fresh draws of context and noise (tuned only) and the 5 draws of the validation "
-        "(both)"
-    )
+    assert (told in on_page(run)) if told else ("test runs that both" not in on_page(run))
+    own = Basis(40, paired=False, validation=5, tuned_too=True)
+    assert verdict.basis == (Basis(40) if with_default else own)
     # The two parameter sets of an attempt share its error probability.
-    each = "98" if with_default else "96"
-    assert verdict.remarks[0] == (
-        f"Each bound has {each} % confidence, so that all attempts to certify this run have 95 % "
-        "together."
-    )
+    each = 0.98 if with_default else 0.96
+    assert verdict.remarks[0] == Confidence(pytest.approx(each), 0.95, "")
     # What the limit is on, also where only the tuned parameter set was searched for it.
     (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.limit_verdict is not None]
     assert worst.label == "worst-case peak"
     assert worst.tuned == 0.5
     assert isfinite(worst.default) is with_default
-    assert ("has no certified worst case" in worst.remark) is not with_default
+    assert worst.default_unsearched is not with_default
 
 
 def test_a_limit_that_makes_a_result_infeasible_is_not_kept(tuned):
@@ -285,12 +282,9 @@ def test_a_limit_that_makes_a_result_infeasible_is_not_kept(tuned):
     draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
     run = made(run, draws, draws, True)
     assert not run_verdict(run).feasible
-    (tile,) = [t for t in answer(Analysis(run)).tiles if "limit 1: " in t.remarks[0]]
-    assert tile.remarks[0].endswith(
-        "limit 1: NOT proven to be kept: 1 of 8 test runs above the limit, which is on the mean "
-        "(no search was made for its worst context)"
-    )
-    assert tile.status is Status.BAD
+    (row,) = [row for row in answer(Analysis(run)).rows if row.limit]
+    assert (row.limit, row.shown, row.runs) == ("≤ 1", "not proven", "1 of 8 runs over")
+    assert row.status is Status.BAD
 
 
 def test_a_number_beyond_its_limit_is_not_shown_as_the_limit(tuned):
@@ -328,11 +322,10 @@ def test_a_limit_is_counted_or_shown_to_be_kept_in_the_same_words_everywhere(run
             tuned_draws = [(1.0, peak + 0.001 * k) for k in range(120)]
             certify(run, [(1.0, 0.5)] * 120, tuned_draws, repeated=120)
         analysis = Analysis(run)
-        (tile,) = [t for t in answer(analysis).tiles if "limit 1: " in t.remarks[0]]
-        assert tile.remarks[0].endswith(f"limit 1: {words}")
-        assert tile.status is status
+        (row,) = [row for row in answer(analysis).rows if row.limit]
+        assert (row.limit, row.status) == ("≤ 1", status)
         assert f": {words}" in on_terminal(run, analysis.verdict)
-        (number,) = [q for q in analysis.verdict.to_mapping()["quantities"] if q["limit_verdict"]]
+        (number,) = [q for q in as_mapping(analysis.verdict)["quantities"] if q["limit_verdict"]]
         assert number["limit_verdict"]["words"] == words
         (numbers,) = [s for s in comparison({"run": analysis}) if s.name == "numbers"]
         cells = [cell for row in numbers.tables[0].rows for cell in row[1:] if "limit" in cell]
@@ -358,10 +351,9 @@ def test_a_certificate_is_of_a_parameter_set_whichever_trial_it_names(run):
     other = dataclasses.replace(run, summary=dict(run.summary) | {"trial": again.number})
     certify(made(other, kept, kept, True), kept, kept, repeated=120)
     found = answer(Analysis(made(run, kept, kept, True)))
-    assert "shown to stay within all limits" in found.headline
-    assert found.headline.endswith("certified (PASS)")
-    (tile,) = [tile for tile in found.tiles if tile.label == "trust"]
-    assert (tile.value, tile.remarks) == (PASS, [Analysis(run).certificate.scope])
+    assert (found.mark, found.certified) == (PASS, True)
+    assert found.headline.endswith("; the limit shown with an assumption")
+    assert "attempt 1, 98 % confidence of each bound" in found.trust[0].text
 
 
 def test_the_robustness_of_a_certificate_is_that_of_the_report(run):

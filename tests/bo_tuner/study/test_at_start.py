@@ -4,6 +4,7 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study.at_start import starter_of
+from bo_tuner.study.in_force import in_force
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 
 PID = {"node": "pid", "command": "python3 pid.py"}
@@ -55,6 +56,39 @@ def test_a_node_that_is_configured_anew_takes_its_values_so(way):
 
 
 @pytest.mark.parametrize(
+    ("pid", "way"),
+    [
+        ({"at_start": False}, "set on pid while it runs, and read back"),
+        ({}, "given to pid at its start, and read back"),
+        ({"reconfigure": True}, "set on pid and read back, when it is configured anew"),
+        (
+            {"reconfigure": "controller_manager"},
+            "set on pid and read back, once the controller_manager has configured it anew",
+        ),
+        (
+            {"reconfigure": [{"call": {"service": "/pid/reload"}}]},
+            "set on pid and read back, once its steps of reconfigure are done",
+        ),
+    ],
+)
+def test_how_it_is_known_that_values_are_in_force(pid, way):
+    assert in_force(make(pid)) == (f"in force: p and weights[1], {way}",)
+
+
+def test_of_what_nothing_reads_back():
+    number = {"type": "double", "bounds": [0.1, 2.0], "default": 1.0}
+    study = make(
+        nodes={"pid": PID | {"command": "pid {q}"}, "motor": {"node": "motor"}},
+        parameters={"q": number, "r": {"node": "motor"} | number},
+        contexts={},
+    )
+    assert in_force(study) == (
+        "in force: q, as it stands in nodes.pid.command, which nothing reads back",
+        "in force: r, set on motor while it runs, and read back",
+    )
+
+
+@pytest.mark.parametrize(
     ("pid", "complaint"),
     [
         ({"at_start": ["q"]},
@@ -87,6 +121,17 @@ def test_refusals(pid, complaint):
     with pytest.raises(StudyError) as caught:
         make(pid)
     assert str(caught.value) == complaint
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_an_item_that_its_array_does_not_have(reads):
+    number = {"type": "double", "bounds": [0.1, 2.0], "default": 1.0}
+    changes = {} if reads else {"at_start": False}
+    with pytest.raises(StudyError) as caught:
+        make(changes, parameters={"weights[2]": {"node": "pid"} | number})
+    assert str(caught.value) == (
+        "nodes.pid.parameters.weights: has 2 items, so that there is no 'weights[2]'"
+    )
 
 
 def test_a_node_on_which_nothing_is_set():

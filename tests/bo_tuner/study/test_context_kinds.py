@@ -294,9 +294,7 @@ class TestSteps:
     def test_one_that_is_used_nowhere(self):
         with pytest.raises(StudyError) as error:
             study_of(gaol=GOAL)
-        assert str(error.value) == (
-            "contexts.gaol: is used nowhere; expected node, or {gaol} in a step of run"
-        )
+        assert str(error.value).startswith("contexts.gaol: is used nowhere; expected node, or")
 
     def test_one_of_a_study_without_a_run(self):
         with pytest.raises(StudyError, match="is used nowhere"):
@@ -304,7 +302,7 @@ class TestSteps:
 
     def test_a_text_in_a_condition(self):
         room = {"distribution": "discrete", "values": ["a", "b"]}
-        with pytest.raises(StudyError, match="'goal' is a text, which no condition"):
+        with pytest.raises(StudyError, match="'goal' is a text; expected a number"):
             study_of(goal=room)
 
     def test_a_parameter_without_a_node(self):

@@ -353,6 +353,25 @@ class TestStudy:
             text = text.replace(f"# {name}: {{", f"{name}: {{")
         assert set(parse_study(text).parameters) == {"kp", "filter", "port"}
 
+    def test_a_parameter_that_is_the_reference_is_offered_as_a_step(self):
+        """By its name; it is not tuned, and not the limit of something else."""
+        node = pid(setpoint=HALF, target_speed=Described("double", 2.0, read_only=True))
+        text, made = written([node], [STATES])
+        offered = [line for line in text.splitlines() if "- set: " in line]
+        assert offered == ["  #   - set: {node: pid, parameter: setpoint, value: 1.5}"]
+        assert list(made.parameters) == ["kp"]
+        taken = text.replace("  # start:", "  start:").replace("  #   - set", "    - set")
+        assert parse_study(taken).run.start[0].set.value == 1.5
+
+    def test_nodes_of_one_process_are_named(self):
+        (kp,) = parameter_offers(pid())[0]
+        for others, told in ((("motor", "pid"), True), (("camera", "motor"), False)):
+            seen = Seen((pid(),), (STATES, SETPOINT), together=(others,))
+            text = first_study("a.yaml", seen, [pid()], [kp], signal_offers(STATES))
+            said = "# motor and pid run in one process: what starts one starts all."
+            assert (said in text.splitlines()) is told
+            parse_study(text)
+
     def test_what_sets_it_in_motion_is_something_that_is_there(self):
         turn = SeenAction("/turn", "x_msgs/action/Turn", {"angle": "double"})
         parameters = parameter_offers(pid())[0]

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.evidence.limit_proof import Runs, proof_of_kind
-from bo_tuner.evidence.limit_words import words_of_kind
+from bo_tuner.evidence.words.limit_kinds import words_of_kind
 from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.on_mean import OnMean

@@ -51,3 +51,22 @@ def test_a_recipe_that_users_look_for(title):
     _, found, text = PAGE.read_text(encoding="utf-8").partition(f"**{title}")
     assert found
     assert "```yaml" in text.split("\n**")[0]
+
+
+NAMED = ("nodes", "parameters", "contexts", "signals", "metrics")
+"""Sections of parts by name, to which a recipe adds its own."""
+
+
+@pytest.mark.parametrize(
+    "page", sorted((PAGE.parent / "recipes").glob("*.md")), ids=lambda p: p.stem
+)
+def test_a_page_with_a_recipe(page):
+    blocks = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    others = {name: {"topic": f"/{name}", "field": "data"} for name in ("x", "z", "roll")}
+    base = STUDY | {"signals": others | STUDY["signals"]}
+    assert blocks or page.stem == "zenoh"
+    for block in blocks:
+        sections = yaml.safe_load(block)
+        named = {key: base.get(key, {}) | sections[key] for key in NAMED if key in sections}
+        study = study_from_mapping(base | sections | named)
+        assert sections.keys() <= study_to_mapping(study).keys()

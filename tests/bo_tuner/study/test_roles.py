@@ -3,7 +3,7 @@
 import pytest
 
 from bo_tuner.study.descriptors import Described
-from bo_tuner.study.roles import is_plant
+from bo_tuner.study.roles import is_commanded, is_plant
 from bo_tuner.study.seen import SeenNode, SeenTopic
 
 
@@ -35,3 +35,16 @@ def test_a_plant_hears_a_command_publishes_and_has_what_plants_have(
     parameters, hears, publishes, expected
 ):
     assert is_plant(node(*parameters), topics(hears, publishes)) is expected
+
+
+@pytest.mark.parametrize(
+    ("hears", "publishes", "expected"),
+    [
+        ("/torque", "/joint_states", True),
+        ("/imu", "/estimate", False),
+        ("/setpoint", "/torque", False),
+    ],
+)
+def test_one_that_is_only_commanded_is_not_tuned_beside_its_controller(hears, publishes, expected):
+    """Its gain may be that of a motor."""
+    assert is_commanded(node("gain", "k"), topics(hears, publishes)) is expected

@@ -213,9 +213,9 @@ def test_no_path_of_a_field(text):
         ("metrics/effort/percent", 101, "metrics.effort.percent: expected 0 to 100, found 101"),
         ("metrics/other", {"node": "pid"}, "metrics.other.node: is reported by a node that"),
         ("run/end", None, "run.end: missing"),
-        ("run/end/when", "position > 1", "run.end: expected one of after, when and result"),
+        ("run/end/when", "position > 1", "run.end: expected one of after, when, result and played"),
         ("run/end/after", 6, "run.end.after: 6 s are more than the timeout, 5 s"),
-        ("run/end/after", None, "run.end: expected one of after, when and result"),
+        ("run/end/after", None, "run.end: expected one of after, when, result and played"),
         ("run/timeout", 0, "run.timeout: expected a number above 0"),
         ("run/abort_when", "positon > 1", "abort_when: there is no signal or function 'positon'"),
         ("run/timeout", 1e5, "run.timeout: expected a number above 0 and at most 86400 s"),
@@ -223,9 +223,10 @@ def test_no_path_of_a_field(text):
         ("signals", {f"s{k}": {"topic": "a", "field": "b"} for k in range(101)}, "at most 100 e"),
         ("run/abort_when", "position >", "run.abort_when: not an expression: something is missing "
          "at its end, in 'position >'"),
-        ("run/end", "results", "run.end: expected result, or a mapping such as {after: 2.0}; did "
-         "you mean 'result'?"),
-        ("run/end", 2.0, "run.end: expected result, or a mapping such as {after: 2.0}; found 2.0"),
+        ("run/end", "results", "run.end: expected result, played, or a mapping such as "
+         "{after: 2.0}; did you mean 'result'?"),
+        ("run/end", 2.0, "run.end: expected result, played, or a mapping such as "
+         "{after: 2.0}; found 2.0"),
         ("run/abort_wen", "position > 1", "unknown key; did you mean 'abort_when'?"),
         ("run/before", {"wait": 1}, "run.before: expected a list of steps, found a mapping"),
         ("run/before/2/wait", -1, "run.before[2].wait: expected a number above 0"),

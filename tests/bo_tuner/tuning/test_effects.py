@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from bo_tuner.codec.reading import JSON, read
 from bo_tuner.codec.writing import to_json
-from bo_tuner.evidence.effects import effects_in_words, file_notes
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.effects import effects_in_words, file_notes
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
 from bo_tuner.report.sections.effects import effects

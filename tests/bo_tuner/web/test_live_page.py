@@ -51,9 +51,6 @@ class TestWhatItShows:
         assert (now["phase"], now["done"], now["total"], now["trials"]) == ("tuning", 2, 5, 2)
         assert re.match(r"(trial \d|none yet)", now["best"])
         assert re.fullmatch(r"\d+:\d\d:\d\d", now["time_left"])
-        # Names and values are told apart, also without the columns of a terminal.
-        latest = now["texts"]["latest trial"]
-        assert re.match(r"trial 1: gain \S+, error \S+, worst peak \S+, limit 1, ", latest)
         assert re.match(r"trial 2, (no|1) test run finished", now["texts"]["running"])
 
     def test_a_failure_with_its_reason_and_its_page(self, held):

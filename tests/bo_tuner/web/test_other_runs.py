@@ -76,7 +76,7 @@ def go_on(run):
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict"), [(lose_summary, "No limit broken"), (go_on, "No result yet: 5 of 20")]
+    ("change", "verdict"), [(lose_summary, "no limit broken"), (go_on, "No result yet: 5 of 20")]
 )
 def test_a_summary_that_is_missing_or_of_an_earlier_session(beside, tmp_path, change, verdict):
     """The verdict is that of the commands."""

@@ -13,7 +13,6 @@ import pytest
 from pages import ServedRuns
 from report_runs import run_axis, with_ends
 
-from bo_tuner.report import library
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.storage.record import read_run
@@ -62,17 +61,11 @@ class TestServed:
         assert served.ask("/runs", Host=f"evil.example:{served.port}")[0] == 403
         assert served.ask("/runs", Host=f"192.0.2.7:{served.port}")[0] == 403
 
-    def test_pages_are_light_and_lead_to_one_library_that_a_browser_keeps(self, served):
-        """The list has no figure, and needs no library."""
-        listing, report = served.ask("/runs")[2], served.ask("/runs/first")[2]
-        sources = [re.findall(r'<script src="([^"]+)"', page) for page in (listing, report)]
-        assert sources == [[], [library.address()]]
-        assert len(listing.encode()) < 150_000
-        assert 'id="library"' not in report
-        status, headers, text = served.ask(library.address())
-        assert (status, text) == (200, library.text())
-        assert "immutable" in headers["Cache-Control"]
-        assert served.ask(library.address(), token=False)[0] == 403
+    def test_pages_are_light_and_need_nothing_else(self, served):
+        for path, most in (("/runs", 150_000), ("/runs/first/trials/0", 300_000)):
+            page = served.ask(path)[2]
+            assert len(page.encode()) < most
+            assert "<script src=" not in page
 
     def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
         """Which the page asks for from time to time."""
@@ -243,3 +236,16 @@ class TestOtherMachines:
     def test_all_interfaces_are_listened_to(self, open_to_all):
         # Another address of the loopback interface; by default only 127.0.0.1 is listened to.
         socket.create_connection(("127.0.0.2", open_to_all.port), timeout=5.0).close()
+
+
+def test_a_list_of_many_runs_stands_there_before_all_of_them_are_read(folder, monkeypatch):
+    """Each time that it is asked for, one run at least has been read."""
+    monkeypatch.setattr(runs_module, "PATIENCE", 0.0)
+    runs = Runs(folder)
+    unread = re.compile(r' data-unread="(\d+)"')
+    listed = [runs.listing(), runs.news(), runs.news()]
+    assert [found and found[1] for found in map(unread.search, listed)] == ["2", "1", None]
+    names = [re.findall(r'<a href="/runs/(\w+)">', page) for page in listed]
+    assert [sorted(found) for found in names] == [["first", "second", "third"]] * 3
+    assert [page.count("<td>…</td>") for page in listed] == [8, 4, 0]
+    assert "7 of 7" in listed[0]

@@ -20,7 +20,7 @@ class Sections:
         self.fitted = threading.Event()
         self.calls = []
 
-    def made(self, *, ended):
+    def made(self, best, *, ended):
         trials = self.trials
         self.calls.append(("result" if ended else "all", trials))
         assert self.fitted.wait(DEADLINE)

@@ -14,10 +14,13 @@ from example_nodes import start_script
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from std_msgs.msg import Float64
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.guard.link import LOG
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping, study_to_mapping, study_to_yaml
@@ -122,6 +125,23 @@ def heard(topic="used"):
     node.destroy_node()
     context.try_shutdown()
     return values[0]
+
+
+def assign(node, **values):
+    """Set parameters of a node, as by ``ros2 param set``."""
+    context = Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    own = Node("somebody", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(own)
+    client = AsyncParameterClient(own, node)
+    assert client.wait_for_services(DEADLINE)
+    future = client.set_parameters([Parameter(name, value=v) for name, v in values.items()])
+    executor.spin_until_future_complete(future, DEADLINE)
+    assert all(result.successful for result in future.result().results)
+    executor.shutdown()
+    own.destroy_node()
+    context.try_shutdown()
 
 
 @pytest.mark.parametrize("words", [(), ("lifecycle",)])
@@ -323,6 +343,42 @@ def test_a_launch_file_passes_the_values_of_all_its_nodes_on(backend, tmp_path, 
     assert made._client.parameters.known("second")["mass"] == 7.0
 
 
+def in_braces(*words, **sections):
+    """A study of a servo whose gain stands in its command; no node has it as a parameter."""
+    gain = {"type": "double", "bounds": [0.1, 4.0], "default": SAFE}
+    node = {"at_start": False, "env": {"MASS": "{mass}"}}
+    mass = {"type": "double", "fixed": 2.0}
+    return study(
+        *words, "gain={gain}", node=node, parameters={"gain": gain, "mass": mass}, **sections
+    )
+
+
+def test_values_in_braces_in_what_starts_a_node(backend):
+    """It starts anew when they change, and has the safe ones after a failed run."""
+    made = backend(in_braces("limited"))
+    first = pid_of(made)
+    assert complete(made, SAFE).metrics["used"] == SAFE
+    assert pid_of(made) == first
+    assert complete(made, 1.25).notes.starts == 1
+    second = pid_of(made)
+    assert second != first
+    assert complete(made, 1.25).metrics["used"] == 1.25
+    assert pid_of(made) == second
+    environment = Path(f"/proc/{second}/environ").read_bytes().split(b"\0")
+    assert b"MASS=2.0" in environment
+    refused = run(made, 3.0)
+    assert refused.state is EvaluationState.FAILED
+    assert "a gain of 3.0 is too high" in refused.reason
+    assert heard() == SAFE
+
+
+def test_an_attached_node_has_no_values_in_braces(running, backend):
+    running()
+    where = r"nodes\.servo\.command: servo is attached, and is not started with gain; leave out"
+    with pytest.raises(StudyError, match=where):
+        backend(in_braces(), attach=True)
+
+
 def test_an_attached_node_cannot_be_started_with_values(running, backend):
     running()
     with pytest.raises(StudyError) as caught:
@@ -375,6 +431,51 @@ def test_steps_that_say_no_fail_the_trial_and_not_the_next(running, backend):
     assert complete(made, 1.0).metrics["used"] == 1.0
     made.close()
     assert heard() == SAFE
+
+
+TOO_HIGH = {"parameters": {"gain": 3.0}}
+
+
+def test_safe_values_that_a_node_is_not_configured_with(backend):
+    limited = study("lifecycle", "limited", node={"reconfigure": True}, park=TOO_HIGH)
+    with pytest.raises(BackendError, match=r"^servo refused to configure"):
+        backend(limited)
+
+
+def test_safe_values_that_a_running_node_does_not_reload(running, backend):
+    running("reload", "limited")
+    made = backend(study("reload", node=RELOAD, park=TOO_HIGH), attach=True)
+    (problem,) = made.park()
+    assert problem.startswith("servo is not parked: ")
+    assert problem.endswith("a gain of 3.0 is too high")
+    with pytest.raises(BackendError, match="but not in force"):
+        made.close()
+
+
+def test_previous_values_that_a_node_does_not_take_at_the_end(running, backend):
+    """Somebody had set them, and they were not in force then either."""
+    running("reload", "limited")
+    assign("servo", gain=3.0)
+    made = backend(study("reload", node=RELOAD), attach=True)
+    assert complete(made, 1.0).metrics["used"] == 1.0
+    with pytest.raises(
+        BackendError,
+        match=r"servo has its previous parameters, but not in force: .*3\.0 is too high",
+    ):
+        made.close()
+
+
+def test_safe_values_that_a_guard_cannot_bring_into_force(running, backend, tmp_path):
+    running("reload", "limited")
+    made = backend(study("reload", node=RELOAD, park=TOO_HIGH), attach=True, guard=True)
+    guard = made._guard._wire._process
+    guard.terminate()
+    log = tmp_path / LOG
+    wait_until(lambda: "too high" in log.read_text(), "its word")
+    assert "servo is not safe: /servo/reload refused: a gain of 3.0 is too high" in log.read_text()
+    guard.kill()
+    with pytest.raises(BackendError, match="but not in force"):
+        made.close()
 
 
 def test_steps_that_nothing_performs(running, backend):

@@ -59,6 +59,23 @@ def test_each_run_has_those_of_its_context(backend, system, place):
     assert len(place.told) == 3
 
 
+def test_a_stream_has_those_of_its_context(backend, system):
+    """In its expressions, and what it is held at after the run in the safe value of the gain."""
+    stream = {"topic": "setpoint", "rate": 50, "largest_gap": 60.0}
+    start = [{"publish": stream | {"profile": {"data": "{goal} + 0 * t"}}}]
+    after = [{"publish": stream | {"profile": {"data": "-{gain}"}, "duration": 0.1}}]
+    made = backend(
+        run={"start": start, "end": {"after": 0.3}, "after": after},
+        contexts={"goal": CONTEXTS["goal"]},
+        metrics={"set": {"of": "setpoint", "measure": "maximum"}},
+        objective={"metric": "set"},
+    )
+    for goal in (-0.25, 0.75):
+        outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": 0.75}, {"goal": goal}, 1))
+        assert outcome.metrics["set"] == goal, outcome.reason
+        assert system.setpoint == -0.5
+
+
 def test_a_service_gets_a_truth_value(backend, place):
     made = backend(run=RUN, contexts=CONTEXTS)
     assert failure(run_in(made, 0.5, brake=False)).endswith("servo/enable refused: the brake is on")

@@ -16,6 +16,7 @@ from waiting import DEADLINE, wait_until
 from bo_tuner import maxima
 from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
 from bo_tuner.errors import StudyError
+from bo_tuner.processor_load import Load, LoadMeter
 from bo_tuner.run_notes import Messages
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
@@ -209,6 +210,19 @@ def test_a_run_that_can_no_longer_count_ends_at_once(backend, system, in_run, sp
     made = backend(run=FOR_LONG, signals={"angle": angle})
     in_run(made, lambda: spoil(system))
     assert failure(run(made)).startswith(f"signal angle (joint_states) {complaint}")
+
+
+@pytest.mark.parametrize(("share", "unusable"), [(1.0, True), (0.1, False)])
+def test_a_gap_that_may_be_the_computers(backend, system, in_run, monkeypatch, share, unusable):
+    """All processes together have waited for it as long as no message came, or not."""
+    monkeypatch.setattr(LoadMeter, "load", lambda meter, processes: Load(share, 0.5))
+    angle = {"topic": "joint_states", "field": "position[motor]", "largest_gap": 1.0}
+    made = backend(run=FOR_LONG, signals={"angle": angle})
+    in_run(made, lambda: setattr(system, "silent", True))
+    (done,) = made.run([Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {}, 1)])
+    assert "has no message for " in failure(done.outcome)
+    assert done.outcome.unusable == unusable
+    assert ("waited for it 50 % of the time" in done.outcome.reason) == unusable
 
 
 def test_a_node_that_freezes_in_a_run_fails_it_by_the_first_runs(backend, system, in_run):

@@ -51,6 +51,7 @@ def position(**changes):
     mapping["run"] = mapping["run"] | {"end": {"after": 0.5}} | changes.get("run", {})
     del mapping["run"]["abort_when"]
     mapping["nodes"] = changes.get("nodes", mapping["nodes"])
+    mapping["park"] = changes.get("park", {})
     return study_from_mapping(mapping)
 
 
@@ -281,6 +282,28 @@ def test_what_it_means_that_a_node_ends_in_mid_run(backend, in_run, death):
     assert found.state is EvaluationState.LOST
     assert found.notes.death is None
     assert run(made).state is EvaluationState.COMPLETE
+
+
+@pytest.mark.parametrize("between_runs", [False, True])
+def test_a_node_that_ends_while_a_run_is_prepared(backend, monkeypatch, between_runs):
+    """With the safe values in force it is nobody's death."""
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid")},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    park = {"between_runs": between_runs}
+    made = backend(position(nodes=nodes, run={"before": [{"wait": 5.0}]}, park=park))
+    prepare, pid = made._procedure.prepare, made._started.processes["pid"].pid
+
+    def killed():
+        os.kill(pid, signal.SIGKILL)
+        prepare()
+
+    monkeypatch.setattr(made._procedure, "prepare", killed)
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert KILLED.match(found.reason)
+    assert found.notes.death == (None if between_runs else Death("pid"))
 
 
 def test_a_node_that_dies_of_what_is_not_finite_has_failed_at_once(backend, tmp_path):

@@ -50,6 +50,23 @@ class Load:
                 raise ValueError(f"{name}: expected a share from 0 to 1, found {share}")
 
 
+def explains(load: Load | None, gap: float, seconds: float) -> bool:
+    """Whether a gap [s] in a run of so many seconds may be the computer's.
+
+    It is not if all processes together have waited for a shorter time.
+    """
+    if load is None or load.share < HIGH:
+        return False
+    return load.machine is None or load.machine * seconds >= gap
+
+
+def busy_in_words(load: Load | None) -> str:
+    """Return that the computer was busy, with how long was waited for it; empty if it was not."""
+    if load is None or load.share < HIGH:
+        return ""
+    return f"the computer was busy: processes waited for it {100.0 * load.share:.3g} % of the time"
+
+
 class LoadMeter:
     """Measures the load from now on.
 

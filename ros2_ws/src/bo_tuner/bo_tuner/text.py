@@ -3,7 +3,7 @@
 import math
 import textwrap
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 JOIN = "\xa0"
 """In place of a space, between what stays on one line, such as a name and its number."""
@@ -124,6 +124,11 @@ def uncapitalized(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with what it counts: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names in a list such as ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def ranges(numbers: Iterable[int]) -> str:

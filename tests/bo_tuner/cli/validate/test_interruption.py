@@ -16,6 +16,7 @@ from bo_tuner.errors import OutputError, RunError
 from bo_tuner.evidence.certificate import making
 from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.evidence.certificate.unfinished import Unfinished
+from bo_tuner.evidence.facts import CertificateBegun
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Outcome
@@ -55,12 +56,8 @@ class TestInterruption:
         monkeypatch.setattr(InProcessBackend, "outcome", stop)
         assert here(folder)[0] == 1
         unfinished = folder / "certificates" / "unfinished.jsonl"
-        (begun,) = [
-            remark
-            for remark in run_verdict(with_summary(read_run(folder), pytest.fail)).remarks
-            if "unfinished" in remark
-        ]
-        assert begun.startswith("An unfinished certificate has 59 test runs")
+        verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
+        assert CertificateBegun(59) in verdict.remarks
         # A line that was cut off counts as not made.
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)
@@ -72,7 +69,7 @@ class TestInterruption:
         assert len(count) == 60 + expected["tuned"]["evaluations"] - 58
         assert not unfinished.exists()
         verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
-        assert not any("begun" in remark for remark in verdict.remarks)
+        assert not any(isinstance(fact, CertificateBegun) for fact in verdict.remarks)
 
     def test_the_end_of_its_time_says_what_is_shown(self, here, folder, monkeypatch):
         """The next call goes on to the same certificate as one without an end."""
@@ -159,7 +156,7 @@ class TestInterruption:
         (folder / "certificates").mkdir()
         (folder / "certificates" / "unfinished.jsonl").write_text('{"attempt": 1}\n{}\n')
         verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
-        assert not any("begun" in remark for remark in verdict.remarks)
+        assert not any(isinstance(fact, CertificateBegun) for fact in verdict.remarks)
         code, _, err = here(folder)
         assert code == 0
         assert "continuing" not in err

@@ -92,6 +92,6 @@ def test_deaths_in_a_context_are_found(study):
 
 
 def test_a_pass_says_of_which_runs_it_is():
-    verdict = Verdict(state=State.CERTIFIED, trial=0, evidence="")
+    verdict = Verdict(state=State.CERTIFIED, trial=0)
     assert "of runs that ended" not in verdict.headline
-    assert replace(verdict, of_ended=True).headline.startswith("PASS: of runs that ended, the")
+    assert replace(verdict, of_ended=True).headline.startswith("PASS of runs that ended: ")

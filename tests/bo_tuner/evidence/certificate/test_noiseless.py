@@ -139,8 +139,8 @@ def test_a_noisy_run_is_named(make_study, function_backend):
     study = make_study(constraints=MEAN, noise="none").replace(trials=5)
     trials = list(Tuning(study, Driver(function_backend(study, noisy)), METHODS["boundary"]))
     runs = [e for trial in trials for e in trial.evaluations]
-    (said,) = contradicted(study, runs)
-    assert said.startswith("A run contradicts the study: the study declares noise: none, but peak")
+    (found,) = contradicted(study, runs)
+    assert found.how.startswith("the study declares noise: none, but peak")
     assert noise_in(make_study(constraints=MEAN), runs) == ""
 
 

@@ -12,6 +12,7 @@ from bo_tuner.evidence.certificate.claim import claimed
 from bo_tuner.evidence.certificate.independent_search import most_candidates
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.numerics.sequential import draws_needed
 from bo_tuner.numerics.two_kinds import runs_to_see
 
@@ -118,7 +119,7 @@ def test_the_claim(make_study, function_backend):
         study = make_study(contexts=contexts, constraints={"peak": limit}, metrics=metrics)
         _, verdict = certified(study, function_backend, quiet)
         assert verdict.passed
-        claims.append(claimed(study, verdict))
+        claims.append(in_words(claimed(study, verdict)))
     assert claims == [
         "proven to stay within all limits",
         "proven to stay within all limits in the contexts searched, peak in 85 % of the runs",
@@ -135,7 +136,7 @@ def test_runs_beyond_a_limit_that_permits_some_are_in_the_claim(make_study, func
     )
     assert verdict.passed
     (peak,) = verdict.constraints
-    assert claimed(study, verdict) == (
+    assert in_words(claimed(study, verdict)) == (
         "proven to stay within all limits, peak in 96 % of the runs "
         f"(1 of {peak.draws} test runs above it)"
     )

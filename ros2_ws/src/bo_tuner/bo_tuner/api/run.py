@@ -14,6 +14,7 @@ from bo_tuner.api.earlier import EarlierRun, first_trials
 from bo_tuner.backends.recorded import OnRecord
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import as_summary, notes_of_file
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.report.deliverables import withdraw_result
@@ -175,9 +176,9 @@ class OpenRun:
             )
             verdict = run_verdict(replace(record, summary=summary))
             parameters = conclusion.recommendation.candidate.trial.parameters
-            notes = verdict.file_notes(self.study)
+            notes = notes_of_file(verdict, self.study)
             self._folder.write_parameters(self.study, parameters, notes)
-            self._folder.write_json(SUMMARY, summary | verdict.to_summary())
+            self._folder.write_json(SUMMARY, summary | as_summary(verdict))
         export_csv(self._folder.journal, self.path)
         self.close()
 

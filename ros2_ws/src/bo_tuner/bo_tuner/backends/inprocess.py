@@ -63,6 +63,12 @@ class InProcessBackend(SequentialBackend):
         """
         self._triggered = triggered(self._study)
         self._check_bounds()
+        for section in ("parameters", "contexts"):
+            for name, item in getattr(self._study, section).items():
+                if not item.node:
+                    raise StudyError(
+                        "missing; no object is started with it", (section, name, "node")
+                    )
         for key, node in self._study.nodes.items():
             if not node.object:
                 raise StudyError(

@@ -75,12 +75,17 @@ class SequentialBackend(ABC):
             begin, meter = monotonic(), LoadMeter(self.processes)
             outcome = self._beside.outcome(planned, self.outcome, self.after_extra_run)
             outcome = replace(outcome, load=meter.load(self.processes))
-            yield replace(planned, outcome=outcome, seconds=monotonic() - begin)
+            seconds = monotonic() - begin
+            yield replace(planned, outcome=self.weighed(outcome, seconds), seconds=seconds)
 
     @property
     def processes(self) -> Sequence[int]:
         """Processes that perform a run, by their identifiers; those that are known."""
         return (os.getpid(),)
+
+    def weighed(self, outcome: Outcome, seconds: float) -> Outcome:
+        """Return an outcome by how busy the computer was, in the time [s] that it took."""
+        return outcome
 
     @abstractmethod
     def outcome(self, planned: Evaluation) -> Outcome:

@@ -172,8 +172,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
-            for line in sent_values(record.study, trial.parameters):
-                say(line)
+        given = record.study.search_space().defaults if trial is None else trial.parameters
+        for line in sent_values(record.study, given):
+            say(line)
+        if not new:
+            say("no node has a parameter of this study: nothing to set")
+            return EXIT_OK
         there = in_namespace_of(record, ros_arguments)
         if arguments.write is not None:
             namespace = named_namespace(there)

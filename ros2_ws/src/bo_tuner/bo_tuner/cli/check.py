@@ -44,6 +44,7 @@ from bo_tuner.metrics.equal_runs import (
     unlike_starts,
     unmoved,
 )
+from bo_tuner.metrics.message_rates import rate_of
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -328,7 +329,9 @@ def _show_motion(
     notes += unmoved(study, recordings[-1], heard)
     notes += from_the_run_before(recordings, heard)
     notes += unlike_starts(recordings, heard)
-    notes += uneven_rates(recordings, [e.outcome.load for e in done], heard)
+    rates = [{name: rate_of(r.signals[name], r.end) for name in heard} for r in recordings]
+    numbered = [f"run {number}" for number in range(1, RUNS + 1)]
+    notes += uneven_rates(numbered, rates, [e.outcome.load for e in done]).values()
     for note in notes:
         say(f"note: {note}")
     return True
@@ -377,7 +380,7 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
         each = _starts_each_time(study)
         starts_of_study = tuning if each else min(tuning, study.budget.trials)
         say(
-            f"to start {', '.join(study.start_names)} with other values took {starting:.3g} s: "
+            f"to {_brought_up(study)} with other values took {starting:.3g} s: "
             f"once for {'each test run' if each else 'each parameter set'}"
         )
     seconds_of_study = tuning * seconds + starts_of_study * starting + warming
@@ -415,8 +418,24 @@ def _ramping(study: Study) -> tuple[float, float]:
     return count * ramp, 0.0 if count else ramp
 
 
+def _brought_up(study: Study) -> str:
+    """Return what is done with nodes that take values while they start, or are configured."""
+    start: list[str] = []
+    configure: list[str] = []
+    for key, spec in study.nodes.items():
+        if any(spec.names_in_braces):
+            start.append(key)
+        elif key in study.start_names:
+            (configure if spec.reconfigure else start).append(key)
+    verbs = (("start", start), ("configure", configure))
+    return " and ".join(f"{verb} {', '.join(keys)}" for verb, keys in verbs if keys)
+
+
 def _starts_each_time(study: Study) -> bool:
     """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
+    in_braces = {name for spec in study.nodes.values() for _, name in spec.names_in_braces}
+    if in_braces & study.contexts.keys():
+        return True
     targets = [(item.node, item.parameter) for item in study.contexts.values()]
     if study.seed_parameter is not None:
         targets.append((study.seed_parameter.node, study.seed_parameter.parameter))

@@ -8,17 +8,19 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
 from scipy.special import ndtri
 
 from bo_tuner.cli.streams import prompt, typed
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.interruption import LOOK_AROUND
 from bo_tuner.methods.protocol import Method
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.monitoring.display import say
+from bo_tuner.monitoring.progress import why
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.study.study import Study
@@ -27,7 +29,7 @@ from bo_tuner.text import shown, with_unit
 from bo_tuner.trials import Trial, Value
 from bo_tuner.tuning.gate import Answer
 from bo_tuner.tuning.loop import TrialTask
-from bo_tuner.tuning.question import Given, Question, Reply
+from bo_tuner.tuning.question import Asked, Change, Expected, Given, Question, Reply
 
 BAND = 0.95
 """Probability of the bands that are shown."""
@@ -35,8 +37,10 @@ BAND = 0.95
 NEAREST = 2
 """Tried parameter sets that are shown beside the next one."""
 
-REMINDER = 60.0
+MINUTE = 60.0
 """Time [s] after which a run that waits for an answer says so again."""
+ANEW = "\r\x1b[K"
+"""Begins the line of a terminal anew (ECMA-48: CR, and EL)."""
 
 QUESTION = "try it? [y]es, [n]o but another one, [e]nd the trials: "
 NO_TERMINAL = "no terminal to ask on; add --web --web-control to answer on the live page"
@@ -77,27 +81,37 @@ class Confirmation:
 
     def ask(self, task: TrialTask, question: Question, wait: Callable[[], None]) -> Answer:
         """Show the parameter set of a trial, and wait for the answer."""
-        lines = list(described(self._study, self._method, self._trials(), task.parameters))
-        for line in lines:
+        asked = asked_about(self._study, self._method, self._trials(), task.parameters, task.origin)
+        for line in in_lines(asked):
             say(line)
         if self._elsewhere:
             say(f"it may also be answered {' or '.join(self._elsewhere)}")
-        question.pose(lines)
+        say("the machine keeps its safe parameters meanwhile")
+        question.pose(asked)
         self._prompt()
-        began = reminded = time.monotonic()
+        began, minutes = time.monotonic(), 0
         while (given := question.given) is None:
             wait()
             self._look_at_terminal(question)
-            if time.monotonic() >= reminded + REMINDER:
-                reminded = time.monotonic()
-                minutes = round((reminded - began) / 60.0)
-                say(f"still waiting, {minutes} min; the machine keeps its safe parameters")
+            waited = int((time.monotonic() - began) / MINUTE)
+            if waited > minutes:
+                minutes = waited
+                self._remind(minutes)
         if given.on != TERMINAL:
             # In a line of its own, below the question.
             say(f"\n{given.reply}, by the {given.on}" if self._has_terminal else str(given.reply))
         return Answer(
             given.reply is Reply.ACCEPT, given.reply is Reply.END, _signed(given, task.parameters)
         )
+
+    def _remind(self, minutes: int) -> None:
+        """Say for how long the run has been waiting: on a terminal in one line, which counts."""
+        waiting = f"still waiting, {minutes} min"
+        if self._has_terminal:
+            prompt(f"{ANEW}{waiting}; {QUESTION}")
+        elif minutes.bit_count() == 1:
+            # In a file a line stays: after 1, 2, 4, 8 minutes and so on.
+            say(waiting)
 
     def _prompt(self) -> None:
         if self._has_terminal:
@@ -144,10 +158,14 @@ def refused_in(events: Iterable[Event]) -> list[dict[str, Value]]:
     ]
 
 
-def described(
-    study: Study, method: Method, trials: Sequence[Trial], parameters: Mapping[str, Value]
-) -> Iterator[str]:
-    """Yield in lines what there is to know of a parameter set before it is tried.
+def asked_about(
+    study: Study,
+    method: Method,
+    trials: Sequence[Trial],
+    parameters: Mapping[str, Value],
+    origin: str,
+) -> Asked:
+    """Return what there is to know of a parameter set before it is tried.
 
     Parameters
     ----------
@@ -155,61 +173,87 @@ def described(
         Of the run.
     trials
         All trials so far.
-    parameters
-        The next parameter set.
+    parameters, origin
+        The next parameter set, and why it is proposed.
     """
     space = study.search_space()
     now = trials[-1].parameters if trials else study.safe_parameters
-    before = "trial before" if trials else "safe parameters"
-    yield f"next, trial {len(trials)}:"
-    for name in space.names:
-        item = study.parameters[name]
-        compared = f"{before} {shown(now[name])}, default {shown(space.defaults[name])}"
-        yield f"  {with_unit(item.title, item.unit)}: {shown(parameters[name])} ({compared})"
+    asked = Asked(
+        len(trials),
+        origin,
+        "trial before" if trials else "safe parameters",
+        tuple(
+            Change(
+                with_unit(study.parameters[name].title, study.parameters[name].unit),
+                now[name],
+                parameters[name],
+                space.defaults[name],
+            )
+            for name in space.names
+        ),
+    )
     complete = [trial for trial in trials if not trial.unusable]
     if not complete:
-        yield "  nothing is known yet to predict it by"
-        return
+        return replace(asked, remarks=("nothing is known yet to predict it by",))
     x = space.to_cube(parameters)[None]
+    remarks = []
     try:
         models = method.ranking.models(study, trials)
-        yield from _predicted(study, models, x)
+        asked = replace(asked, expected=tuple(_predicted(study, models, x)))
     except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-        yield f"  cannot be predicted: {error}"
+        remarks.append(f"cannot be predicted: {error}")
     points = space.cube_of(trial.parameters for trial in complete)
     for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
         trial = complete[k]
         tried = titled_values(
             study.parameters, {name: trial.parameters[name] for name in space.names}
         )
-        yield f"  nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}"
+        remarks.append(f"nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}")
+    return replace(asked, remarks=tuple(remarks))
 
 
-def _predicted(study: Study, models: Surrogates, x: Array) -> Iterator[str]:
+def _predicted(study: Study, models: Surrogates, x: Array) -> Iterator[Expected]:
     """Yield what models predict at x (1, d), with bands."""
     reach = float(ndtri(0.5 + 0.5 * BAND))
     if models.objective is not None and len(study.objectives) == 1:
         mean, variance = models.objective.predict(x)
         half = reach * np.sqrt(variance)
         ends = study.from_predicted_cost(np.concatenate([mean, mean - half, mean + half]))
-        yield f"  predicted {_band(study, study.objective.metric, ends)}"
+        yield _expected(study, study.objective.metric, ends)
     for name, limit in models.constraints.items():
         constraint = study.constraints[name]
-        ends = np.concatenate(limit.band(x, reach))
-        band = _band(study, constraint.metric, ends)
-        words = words_of(constraint).predicted(
-            study.metrics[constraint.metric].title, quantile=True
+        metric = study.metrics[constraint.metric]
+        yield replace(
+            _expected(study, constraint.metric, np.concatenate(limit.band(x, reach))),
+            limit=constraint.limit,
+            is_upper=constraint.sign > 0.0,
+            words=words_of(constraint).predicted(metric.title, quantile=True),
         )
-        yield f"  predicted {band}: {words}; limit {shown(constraint.limit)}"
 
 
-def _band(study: Study, metric: str, ends: Array) -> str:
-    """Return mean and both ends (3,) of a metric in words."""
+def _expected(study: Study, metric: str, ends: Array) -> Expected:
+    """Return mean and both ends (3,) of a metric."""
     mean, *sides = ends.tolist()
-    low, high = sorted(sides)
     item = study.metrics[metric]
-    name = with_unit(item.title, item.unit)
-    return f"{name} {mean:.4g} ({100.0 * BAND:g} %: {low:.4g} to {high:.4g})"
+    return Expected(item.title, item.unit, mean, *sorted(sides))
+
+
+def in_lines(asked: Asked) -> Iterator[str]:
+    """Yield a question as a terminal shows it."""
+    yield f"next, trial {asked.trial}: {why(asked.origin)}"
+    for change in asked.changes:
+        compared = f"{asked.before} {shown(change.now)}, default {shown(change.default)}"
+        yield f"  {change.title}: {shown(change.then)} ({compared})"
+    for expected in asked.expected:
+        band = f"{100.0 * BAND:g} %: {expected.low:.4g} to {expected.high:.4g}"
+        text = (
+            f"  predicted {with_unit(expected.what, expected.unit)} {expected.value:.4g} ({band})"
+        )
+        if expected.limit is not None:
+            text += f": {expected.words}; limit {shown(expected.limit)}"
+        yield text
+    for remark in asked.remarks:
+        yield f"  {remark}"
 
 
 def _observed(study: Study, trial: Trial) -> str:

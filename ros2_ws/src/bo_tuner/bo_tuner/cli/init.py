@@ -22,7 +22,7 @@ from bo_tuner.study.offers import (
     suggested_parameters,
 )
 from bo_tuner.study.parameter_kinds import Kind
-from bo_tuner.study.roles import is_plant
+from bo_tuner.study.roles import is_commanded, is_plant
 from bo_tuner.study.seen import Seen, SeenNode
 from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
 from bo_tuner.study.study_file import parse_study
@@ -131,6 +131,8 @@ def write_first_study(
     if not seen.nodes:
         raise BackendError("no node is left whose parameters can be had")
     say(f"nodes found: {', '.join(node.name for node in seen.nodes)}")
+    for names in seen.together:
+        say(f"in one process, where one start brings up all: {', '.join(names)}")
     if not seen.topics:
         raise BackendError("no topic has a number that could be a signal while the nodes are idle")
     tuned, chosen, recorded = _choose(seen, nodes, parameters, signals, Chooser(interruption))
@@ -225,6 +227,8 @@ def _suggested_nodes(seen: Seen, offers: Mapping[str, Sequence[ParameterOffer]])
     controllers = suggested_nodes({k: own for k, own in offers.items() if k not in plants})
     # A simulation may close a loop of its own, with gains.
     closed = {k: [o for o in offers[k] if o.kind is Kind.TUNING] for k in plants}
+    commanded = [node.name for node in seen.nodes if is_commanded(node, seen.topics)]
+    controllers = [name for name in controllers if name not in commanded] or controllers
     suggested = controllers or suggested_nodes(closed)
     if plants and not suggested:
         say(

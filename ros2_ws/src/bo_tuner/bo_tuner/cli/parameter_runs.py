@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from bo_tuner.cli.streams import say_error
-from bo_tuner.evidence.effects import amount, listed, not_seen, proposals
+from bo_tuner.evidence.words.effects import amount, not_seen, proposals
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
-from bo_tuner.text import brief, counted, duration, shown
+from bo_tuner.text import brief, counted, duration, listed, shown
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.variations import (

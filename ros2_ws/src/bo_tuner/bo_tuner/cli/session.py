@@ -25,6 +25,7 @@ from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.evidence.words.verdict import as_summary, notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.registry import METHODS
@@ -545,8 +546,8 @@ class Session:
     def _report(self, conclusion: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
         folder = self._folder
         parameters = conclusion.recommendation.candidate.trial.parameters
-        notes = verdict.file_notes(self._study)
+        notes = notes_of_file(verdict, self._study)
         path = folder.write_parameters(self._study, parameters, notes)
-        summary |= verdict.to_summary()
+        summary |= as_summary(verdict)
         folder.write_json(SUMMARY, summary)
         self._display.result(Result(self._study, verdict, parameters, path, summary))

@@ -148,6 +148,10 @@ def heard_of_others(study: Study, tuner: TunerNode) -> dict[str, Signal]:
     name = tuner.node.resolve_topic_name
     published = [step.publish for _, step in steps if step.publish is not None]
     own = {name(item.topic) for publish in published for item in publish.published}
+    if study.run is not None and study.run.play is not None:
+        # What a bag has shows when it is played first.
+        topics = {name(spec.topic) for spec in study.signals.values()}
+        own |= {topic for topic in topics if not tuner.node.count_publishers(topic)}
     return {
         key: spec
         for key, spec in study.signals.items()

@@ -5,14 +5,15 @@ import contextlib
 import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 from rich.console import Console
 
 from bo_tuner import maxima
 from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.certifier import Certifier, UndecidedError
 from bo_tuner.cli.common import (
     Parser,
@@ -44,10 +45,11 @@ from bo_tuner.evidence.certificate.store import (
 )
 from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
-from bo_tuner.evidence.junit import no_verdict_in_junit, verdict_in_junit
-from bo_tuner.evidence.next_steps import next_steps
 from bo_tuner.evidence.run_verdict import certified, run_verdict
-from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.evidence.verdict import PASS, Verdict
+from bo_tuner.evidence.words.junit import no_verdict_in_junit, verdict_in_junit
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.verdict import notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.report.deliverables import write_deliverables
@@ -224,37 +226,10 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
     record = read_result(arguments.run) if of_given is None else of_given.record
     # `latest` may name another run by the time that it ends.
     record = replace(record, path=record.path.resolve())
-    backend = arguments.backend or recorded_backend(record)
-    attach = attached(arguments, parser, backend, record)
-    confidence = arguments.confidence or record.study.certificate.confidence
-    most = _most_sets(arguments, parser)
-    workers = workers_of(
-        arguments,
-        parser,
-        record.study,
-        backend,
-        attach=attach,
-        ros_arguments=in_namespace_of(record, ros_arguments),
-        known=record.options if of_given is None else None,
-        keeps_window=False,
-    )
-    console = plain_console(stderr=True)
-
-    def show(text: str) -> None:
-        print_line(console, text, "  ")
-
-    trial = _trial(record, arguments.trial) if of_given is None else of_given.trial
-    begun = _unfinished(record, trial, backend) if most > 1 else None
-    if begun is not None:
-        show(f"trial {begun.number} comes first, whose certificate was interrupted")
-        trial = begun
-    # Each attempt takes more draws than the one before, so the last one needs the most.
-    attempt = attempt_for(record.path, record.study, trial.parameters, backend)
-    last = attempt + min(most, len(record.trials) or 1) - 1
-    drawn = _draws(arguments, parser, record, confidence, last)
-    if missing := shortfall(record.study, drawn, confidence):
-        purpose = "apply will refuse a PASS" if of_given is None else "a PASS is a quick look"
-        show(f"warning: {purpose}: {missing}")
+    task = _Task(arguments, parser, record, of_given is not None)
+    trial = task.first if of_given is None else of_given.trial
+    workers, attach = _bench(task, ros_arguments)
+    task.check_draws(trial)
     if of_given is None:
         allow_programs(record, trusted=arguments.trust, attach=attach)
     if arguments.junit is not None:
@@ -271,7 +246,7 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
             folder,
             partial(
                 make_backend,
-                backend,
+                task.backend,
                 record.study,
                 folder.log,
                 attach=attach,
@@ -280,54 +255,148 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
                 earlier=record.evaluations,
                 workers=workers,
             ),
-            confidence,
+            task.confidence,
             interruption,
-            console,
+            task.console,
             with_default=arguments.with_default,
-            more=most > 1,
+            more=task.most > 1,
             window=workers.window,
             time=arguments.time,
         )
-        path = None
-        try:
-            digest = _digest(record, trial, folder, console) if record.is_result(trial) else None
-            with writing(folder.log):
-                folder.log.mkdir(exist_ok=True)
-            for candidate in _candidates(record, trial, most):
-                if path is not None and arguments.time.over:
-                    break
-                attempt = attempt_for(folder.path, record.study, candidate.parameters, backend)
-                draws = _draws(arguments, parser, record, confidence, attempt)
-                certificate, path, left = certifier.certify(
-                    candidate, draws, attempt, digest if candidate is trial else None
-                )
-                verdict = certified(record, candidate, path)
-                _report(verdict, record.study, path)
-                if arguments.junit is not None:
-                    write_atomically(arguments.junit, verdict_in_junit(record.study, verdict))
-                if certificate.passed or left:
-                    break
-            interruption.ignore()
-            if certificate.passed and not verdict.is_result and most > 1:
-                show(_not_the_result(verdict))
-        except UndecidedError as undecided:
-            headline, code = "the time is over, without a verdict", EXIT_FAULT
-            show(f"{headline}: {undecided.shown[0]}")
-            for line in undecided.shown[1:]:
-                show(f"  {line}")
-            show(again)
-        except (Interrupted, RunError, OutputError) as error:
-            headline, code = early_end(error)
-            show(f"{headline}; {again}")
-        else:
-            headline, code = verdict.headline, ended(left, exit_code(verdict))
-        finally:
-            if path is not None and record.result is not None:
-                # The verdict on it names the confidence of all certificates of the run.
-                write_deliverables(folder.path, lambda _: None, show)
-                show(f"report: {from_here(folder.path / REPORT)}")
-    notify(arguments.notify, folder.path, code, headline, show)
+        headline, code = _certify(task, certifier, trial, again)
+    notify(arguments.notify, folder.path, code, headline, task.show)
     return code
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be certified, and by how much."""
+
+    arguments: argparse.Namespace
+    parser: Parser
+    record: RunRecord
+    of_given: bool
+
+    @cached_property
+    def console(self) -> Console:
+        return plain_console(stderr=True)
+
+    def show(self, text: str) -> None:
+        print_line(self.console, text, "  ")
+
+    @property
+    def backend(self) -> str:
+        return self.arguments.backend or recorded_backend(self.record)
+
+    @property
+    def confidence(self) -> float:
+        return self.arguments.confidence or self.record.study.certificate.confidence
+
+    @cached_property
+    def most(self) -> int:
+        """The largest number of parameter sets to certify."""
+        most: int = self.arguments.until_pass
+        if not 1 <= most <= maxima.TRIALS:
+            bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
+            self.parser.error(f"--until-pass: expected {bound}, found {most}")
+        return most
+
+    @cached_property
+    def first(self) -> Trial:
+        """The trial to begin with."""
+        trial = _trial(self.record, self.arguments.trial)
+        begun = _unfinished(self.record, trial, self.backend) if self.most > 1 else None
+        if begun is None:
+            return trial
+        self.show(f"trial {begun.number} comes first, whose certificate was interrupted")
+        return begun
+
+    def draws(self, attempt: int) -> int:
+        """Return the largest number of draws, which must be able to show every limit on runs."""
+        arguments, sets = self.arguments, 2 if self.arguments.with_default else 1
+        study, confidence = self.record.study, self.confidence
+        try:
+            return draws_of(study, confidence, attempt, arguments.draws, sets=sets)
+        except StudyError as error:
+            option = "--draws: " if error.path == DRAWS_KEY else ""
+            self.parser.error(f"{option}{error.problem}" if option else str(error))
+
+    def check_draws(self, trial: Trial) -> None:
+        """Refuse too few draws for the last attempt, and warn of those that `apply` refuses."""
+        record = self.record
+        attempt = attempt_for(record.path, record.study, trial.parameters, self.backend)
+        # Each attempt takes more draws than the one before, so the last one needs the most.
+        last = attempt + min(self.most, len(record.trials) or 1) - 1
+        if missing := shortfall(record.study, self.draws(last), self.confidence):
+            purpose = "a PASS is a quick look" if self.of_given else "apply will refuse a PASS"
+            self.show(f"warning: {purpose}: {missing}")
+
+
+def _bench(task: _Task, ros_arguments: Sequence[str]) -> tuple[Workers, bool]:
+    """Return by how many workers the runs are made, and whether on nodes that are running."""
+    attach = attached(task.arguments, task.parser, task.backend, task.record)
+    workers = workers_of(
+        task.arguments,
+        task.parser,
+        task.record.study,
+        task.backend,
+        attach=attach,
+        ros_arguments=in_namespace_of(task.record, ros_arguments),
+        known=None if task.of_given else task.record.options,
+        keeps_window=False,
+    )
+    return workers, attach
+
+
+def _certify(task: _Task, certifier: Certifier, trial: Trial, again: str) -> tuple[str, int]:
+    """Certify one parameter set after another until one passes; return a headline and the code."""
+    folder, path = certifier.folder, None
+    try:
+        with writing(folder.log):
+            folder.log.mkdir(exist_ok=True)
+        for verdict, path, left in _attempts(task, certifier, trial):
+            _report(verdict, task.record.study, path)
+            if task.arguments.junit is not None:
+                content = verdict_in_junit(task.record.study, verdict)
+                write_atomically(task.arguments.junit, content)
+            if verdict.certificate == PASS or left:
+                break
+        certifier.interruption.ignore()
+        if verdict.certificate == PASS and not verdict.is_result and task.most > 1:
+            task.show(_not_the_result(verdict))
+    except UndecidedError as undecided:
+        headline, code = "the time is over, without a verdict", EXIT_FAULT
+        task.show(f"{headline}: {undecided.shown[0]}")
+        for line in undecided.shown[1:]:
+            task.show(f"  {line}")
+        task.show(again)
+    except (Interrupted, RunError, OutputError) as error:
+        headline, code = early_end(error)
+        task.show(f"{headline}; {again}")
+    else:
+        headline, code = verdict.headline, ended(left, exit_code(verdict))
+    finally:
+        if path is not None and task.record.result is not None:
+            # The verdict on it names the confidence of all certificates of the run.
+            write_deliverables(folder.path, lambda _: None, task.show)
+            task.show(f"report: {from_here(folder.path / REPORT)}")
+    return headline, code
+
+
+def _attempts(
+    task: _Task, certifier: Certifier, trial: Trial
+) -> Iterator[tuple[Verdict, Path, list[str]]]:
+    """Yield the verdict on each parameter set in turn, its certificate, and what is left."""
+    record, folder = task.record, certifier.folder
+    digest = _digest(record, trial, folder, task.console) if record.is_result(trial) else None
+    for place, candidate in enumerate(_candidates(record, trial, task.most)):
+        if place and task.arguments.time.over:
+            return
+        attempt = attempt_for(folder.path, record.study, candidate.parameters, task.backend)
+        _, path, left = certifier.certify(
+            candidate, task.draws(attempt), attempt, digest if candidate is trial else None
+        )
+        yield certified(record, candidate, path), path, left
 
 
 run = guarded(certify)
@@ -346,15 +415,6 @@ def _check_kind(arguments: argparse.Namespace, parser: Parser) -> None:
             parser.error(f"{option} {why}")
 
 
-def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
-    """Return the largest number of parameter sets to certify."""
-    most: int = arguments.until_pass
-    if not 1 <= most <= maxima.TRIALS:
-        bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
-        parser.error(f"--until-pass: expected {bound}, found {most}")
-    return most
-
-
 def _refuse_other_content(path: Path) -> None:
     """Refuse a file that is no XML: `--junit` must not replace one of the run, by a slip."""
     with writing(path):
@@ -364,22 +424,6 @@ def _refuse_other_content(path: Path) -> None:
             beginning = file.read(len(XML))
     if beginning not in (b"", XML):
         raise OutputError(f"{path}: is no XML file; expected one, or the name of a new file")
-
-
-def _draws(
-    arguments: argparse.Namespace,
-    parser: Parser,
-    record: RunRecord,
-    confidence: float,
-    attempt: int,
-) -> int:
-    """Return the largest number of draws, which must be able to show every chance constraint."""
-    sets = 2 if arguments.with_default else 1
-    try:
-        return draws_of(record.study, confidence, attempt, arguments.draws, sets=sets)
-    except StudyError as error:
-        option = "--draws: " if error.path == DRAWS_KEY else ""
-        parser.error(f"{option}{error.problem}" if option else str(error))
 
 
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
@@ -437,7 +481,7 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
         content = read_text(path)
         values = from_yaml(content)
     except (OSError, ValueError):
-        notes = run_verdict(record).file_notes(record.study)
+        notes = notes_of_file(run_verdict(record), record.study)
         path = folder.write_parameters(record.study, trial.parameters, notes)
         console.print(f"warning: {path}: missing or damaged; made from the journal", soft_wrap=True)
         return hashlib.sha256(path.read_bytes()).hexdigest()

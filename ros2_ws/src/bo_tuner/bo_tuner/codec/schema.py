@@ -80,7 +80,7 @@ class Schemas:
         if hint in SCALARS:
             return dict(SCALARS[hint])
         if origin is Literal:
-            return {"const": parts[0]}
+            return {"enum": list(parts)} if len(parts) > 1 else {"const": parts[0]}
         if origin in (Union, types.UnionType):
             kinds = [self._of(part) for part in parts if part is not type(None)]
             return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}

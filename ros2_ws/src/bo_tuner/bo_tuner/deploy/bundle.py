@@ -15,6 +15,7 @@ from bo_tuner.codec import checks
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.evidence.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import as_mapping, notes_of_file
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, sent_values, to_yaml
@@ -115,7 +116,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         _check_restorable(rollback, default)
     folder = record.path / DEPLOY
     notes = [
-        *run_verdict(record).file_notes(record.study),
+        *notes_of_file(run_verdict(record), record.study),
         *sent_values(record.study, trial.parameters),
     ]
     files = {
@@ -205,7 +206,8 @@ def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
         first, _, text = read_text(path).partition("\n")
         if first != _DIGEST + hashlib.sha256(text.encode()).hexdigest():
             raise ValueError("does not match the digest in its first line: it was changed")
-        values = from_yaml(text)
+        # A study may have values in steps and starts of nodes alone.
+        values = from_yaml(text) if expected else {}
         _check_like(values, expected)
     except OSError as error:
         raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
@@ -259,7 +261,7 @@ def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> 
         "study": record.study.name,
         "run": record.path.resolve().name,
         "trial": trial.number,
-        "verdict": run_verdict(record).to_mapping(),
+        "verdict": as_mapping(run_verdict(record)),
         "parameters": dict(trial.parameters),
         "provenance": dict(record.provenance),
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())},

@@ -9,7 +9,6 @@ from bo_tuner.study.limit_kinds.limited import UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_scale import LOG, SYMLOG
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
 from bo_tuner.trials import Value
 
 LARGEST_FACTOR = 10.0
@@ -42,16 +41,6 @@ class AtBound:
     bound: int | float
     bounds: tuple[int | float, int | float]
     wider: tuple[int | float, int | float] | None
-
-    @property
-    def sentence(self) -> str:
-        """What is to know, in a sentence."""
-        value = f"{shown(self.bound)} {self.unit}".rstrip()
-        text = f"{self.title} is at its {self.side} bound {value}"
-        if self.wider is None:
-            why = "the least of its scale" if self.bound else "where its sign changes"
-            return f"{text}, {why}."
-        return f"{text}; wider bounds may give a better result."
 
 
 def at_bounds(study: Study, parameters: Mapping[str, Value]) -> tuple[AtBound, ...]:

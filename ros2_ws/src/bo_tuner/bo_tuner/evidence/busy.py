@@ -8,10 +8,10 @@ nothing has measured it by the clock, so that waiting for a processor is in it.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from bo_tuner.evidence.facts import Fact
 from bo_tuner.processor_load import HIGH
 from bo_tuner.study.metrics import COMPUTED, ReportedMetric, StudyMetric
 from bo_tuner.study.study import Study
-from bo_tuner.text import capitalized, counted, percent, ranges
 from bo_tuner.trials import Evaluation, Outcome
 
 SOURCE = "_source"
@@ -20,7 +20,7 @@ COMPUTING, MODELLED = "cpu", "modelled"
 
 
 @dataclass(frozen=True)
-class HighLoad:
+class HighLoad(Fact):
     """Runs with limits on measured times in which the load was high.
 
     Attributes
@@ -82,38 +82,14 @@ def by_the_clock(study: Study, outcome: Outcome) -> list[str]:
     return [name for name in _limited_times(study) if _sources(study, name, outcome) - without]
 
 
-def computing_times(study: Study, evaluations: Iterable[Evaluation]) -> list[str]:
-    """Return the limited times, by the names of their metrics, that were computed in every run."""
+def times_by(study: Study, evaluations: Iterable[Evaluation], source: str) -> list[str]:
+    """Return the limited times, by the names of their metrics, of one source in every run."""
     outcomes = [e.outcome for e in evaluations if e.outcome.complete]
     return [
         name
         for name in _limited_times(study)
-        if outcomes and all(_sources(study, name, outcome) == {COMPUTING} for outcome in outcomes)
+        if outcomes and all(_sources(study, name, outcome) == {source} for outcome in outcomes)
     ]
-
-
-def load_in_words(high: HighLoad) -> str:
-    """Return a sentence on runs in which the load was high."""
-    trials = [whose for whose in high.whose if isinstance(whose, int)]
-    sides = [whose for whose in high.whose if isinstance(whose, str)]
-    where = [f"{'trials' if trials[1:] else 'trial'} {ranges(trials)}"] if trials else []
-    where += [f"validation of the {' and the '.join(sides)}"] if sides else []
-    who = "nodes" if high.of_nodes else "processes"
-    are = "are" if high.metrics[1:] else "is"
-    return (
-        f"The computer was busy in {high.runs} of {counted(high.known, 'run')} "
-        f"({', '.join(where)}): {who} waited for the processor up to {percent(high.largest)} of "
-        f"the time, and {', '.join(high.metrics)} {are} longer there than on a free one. Run it "
-        "with nothing else at work, or limit computing time."
-    )
-
-
-def computing_in_words(study: Study, names: Iterable[str]) -> tuple[str, ...]:
-    """Return a sentence on the limited times that are computing times, if there are any."""
-    titles = " and ".join(study.metrics[name].title for name in names)
-    if not titles:
-        return ()
-    return (f"{capitalized(titles)}: computing time; waiting for the processor is not in it.",)
 
 
 def _limited_times(study: Study) -> list[str]:

@@ -4,11 +4,13 @@ The study declares scales and ranges of metrics. Every result takes it for grant
 are alike do not depend on when they were made.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bo_tuner.evidence.facts import Contradicted, Drift, Fact, NoLogarithm, TwoKinds, UnevenRates
 from bo_tuner.metrics.collect import NO_LOGARITHM
+from bo_tuner.metrics.equal_runs import uneven_rates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.trends import trend
 from bo_tuner.numerics.two_kinds import gap
@@ -16,8 +18,7 @@ from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown
-from bo_tuner.trials import Evaluation
+from bo_tuner.trials import Evaluation, ParameterSet
 
 CHANCE = 0.01
 """Probability that runs which are alike are said to drift, over all metrics."""
@@ -26,25 +27,21 @@ ALIKE = 1e-9
 """Share of their size by which values differ by rounding alone."""
 
 
-def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[str]:
-    """Yield a sentence for each declared range, scale or noise that evaluations contradict."""
+def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Fact]:
+    """Yield a fact for each declared range, scale or noise that evaluations contradict."""
     if beyond_range := outside(study.metrics, evaluations):
-        yield f"A run contradicts the study: {beyond_range}."
+        yield Contradicted(beyond_range)
     if noise := noise_in(study, evaluations):
-        yield f"A run contradicts the study: {noise}."
+        yield Contradicted(noise)
     reasons = [e.outcome.reason for e in evaluations if NO_LOGARITHM in e.outcome.reason]
     for name in study.logarithmic_metrics:
         if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):
             key = f"metrics.{name}" if study.metrics[name].scale == LOG else "objective"
-            yield (
-                f"{counted(count, 'run')} failed as {study.metrics[name].title} was 0 or "
-                f"negative, which has no logarithm ({key}.scale: log); if such a value is sound, "
-                "leave the scale out."
-            )
+            yield NoLogarithm(study.metrics[name].title, key, count)
 
 
-def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[str]:
-    """Yield a sentence for each metric that changes with the order of runs which are alike.
+def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[Drift]:
+    """Yield each metric that changes with the order of runs which are alike.
 
     Parameters
     ----------
@@ -60,16 +57,12 @@ def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[s
         complete = [e.outcome.metrics for e in made if e.outcome.complete]
         for metric in study.metrics:
             values = np.array([metrics[metric] for metrics in complete if metric in metrics])
-            if change := _change(values, level):
-                yield (
-                    f"{study.metrics[metric].title} drifts: of {len(values)} test runs of the "
-                    f"{name} parameter set, later ones are {change}. Every interval takes runs for "
-                    "alike: find what changes on the machine meanwhile, and validate again."
-                )
+            if (change := _change(values, level)) is not None:
+                yield Drift(study.metrics[metric].title, name, len(values), *change)
 
 
-def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[str]:
-    """Yield a sentence for each limited metric of which runs are of two kinds.
+def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[TwoKinds]:
+    """Yield each limited metric of which runs are of two kinds.
 
     Parameters
     ----------
@@ -88,35 +81,51 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
                 pairs = zip(complete, combinations, strict=True)
                 values = [e.outcome.metrics[metric] for e, own in pairs if own == combination]
                 if (between := gap(values)) is not None:
-                    yield _in_words(study, metric, name, np.array(values), between)
+                    yield _two_kinds(study, metric, name, np.array(values), between)
                     break
 
 
-def _in_words(study: Study, metric: str, name: str, values: Array, between: float) -> str:
+def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
+    """Yield a fact on each signal that comes less often in one run of a set than another."""
+    by_set: dict[ParameterSet, list[Evaluation]] = {}
+    for evaluation in evaluations:
+        if evaluation.outcome.complete and evaluation.outcome.notes.rates:
+            by_set.setdefault(evaluation.parameter_set, []).append(evaluation)
+    found: dict[str, str] = {}
+    for runs in by_set.values():
+        outcomes = [e.outcome for e in runs]
+        of_set = uneven_rates(
+            [e.place for e in runs], [o.notes.rates for o in outcomes], [o.load for o in outcomes]
+        )
+        found = of_set | found
+    yield from map(UnevenRates, found.values())
+
+
+def _two_kinds(study: Study, metric: str, name: str, values: Array, between: float) -> TwoKinds:
     above = values > between
     limits = study.constraints.values()
     on_mean = any(item.metric == metric and not item.rule.on_runs for item in limits)
-    asks = on_mean and study.metrics[metric].range is None
-    return (
-        f"Runs of the {name} parameter set are of two kinds: {study.metrics[metric].title} of "
-        f"{counted(int(above.sum()), 'run')} is near {shown(float(np.median(values[above])))}, of "
-        f"the other {int((~above).sum())} near {shown(float(np.median(values[~above])))}."
-        + f" If a single context has both, the limit on the mean takes metrics.{metric}.range."
-        * asks
+    high, low = values[above], values[~above]
+    return TwoKinds(
+        metric,
+        study.metrics[metric].title,
+        name,
+        above=(len(high), float(np.median(high))),
+        below=(len(low), float(np.median(low))),
+        needs_range=on_mean and study.metrics[metric].range is None,
     )
 
 
-def _change(values: Array, level: float) -> str:
-    """Say how values (n,) change with their order; empty if that may be chance."""
+def _change(values: Array, level: float) -> tuple[bool, float, float] | None:
+    """Return whether the scatter of values (n,) changes with their order, and how surely.
+
+    The rank correlation and its p-value; None if a change may be chance.
+    """
     if not len(values) or float(np.ptp(values)) <= ALIKE * float(np.abs(values).max()):
-        return ""
+        return None
     scatter = np.abs(values - np.median(values))
-    for series, rising, falling in (
-        (values, "larger", "smaller"),
-        (scatter, "more scattered", "less scattered"),
-    ):
+    for in_scatter, series in ((False, values), (True, scatter)):
         rho, p_value = trend(series)
         if p_value < level:
-            change = rising if rho > 0.0 else falling
-            return f"{change} (rank correlation {shown(round(rho, 2))}, p = {p_value:.1g})"
-    return ""
+            return in_scatter, rho, p_value
+    return None

@@ -2,7 +2,7 @@
 
 What a trial has against a limit is `held_against`. It breaks a limit that it violates, or keeps
 with too small a margin, by its own runs. Screens and files take their words from
-`infeasible_words`.
+`words.infeasible`.
 """
 
 import math
@@ -244,7 +244,7 @@ def _reached(study: Study, constraint: Constraint, judged: Sequence[_Judged]) ->
     metric = study.metrics[constraint.metric]
     return LimitReached(
         name=name,
-        title=study.titled(constraint, metric.title),
+        title=study.limit_title(constraint),
         unit=metric.unit,
         limit=constraint.limit,
         upper=constraint.sign > 0.0,

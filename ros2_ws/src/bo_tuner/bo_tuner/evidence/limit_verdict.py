@@ -1,62 +1,66 @@
-"""What was found of one limit, in numbers and in words.
+"""What was found of one limit, in numbers.
 
 Few test runs cannot show that a limit is kept: they are counted, beside how many violations the
-limit permits. *Kept* is only what is shown, and it stands with what the limit permits.
+limit permits. *Kept* is only what is shown. The words are those of `words.limits`.
 """
 
 from dataclasses import dataclass
+from math import nan
 
-from bo_tuner.evidence.limit_words import words_of
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LimitVerdict:
     """What was found of a limit.
 
     Attributes
     ----------
+    constraint, title, unit
+        The limit, what screens call it, and the unit of its metric.
     standing
         Whether it is proven to be kept, open, or violated.
     runs, violations
         Number of test runs, and of those beyond the limit.
-    permitted
-        How many of them may be; None if the limit is on the mean.
-    asked
-        How often it must be kept, such as ``in 90 % of the runs``.
-    evidence
-        What was counted, in words; empty for a certificate, which has more to say.
-    words
-        What was found, in words that follow those of the limit.
+    everywhere
+        Whether it must be kept in every one of several contexts.
+    certified
+        Whether a certificate says so, which has more to say; else test runs alone.
+    unsearched
+        Whether runs count against it which do not refute it, as nobody searched for its worst
+        context.
     refuted
         Whether the runs show that the limit is not kept; else a violated one is not proven.
     condition
         What it rests on that runs do not prove, in words that follow *if*; else empty.
+    confidence
+        With which test runs show it.
     """
 
+    constraint: Constraint
+    title: str
+    unit: str
     standing: Standing
     runs: int
     violations: int
-    permitted: int | None
-    asked: str
-    evidence: str
-    words: str
+    everywhere: bool = False
+    certified: bool = False
+    unsearched: bool = False
     refuted: bool = False
     condition: str = ""
+    confidence: float = nan
+
+    @property
+    def permitted(self) -> int | None:
+        """How many test runs may be beyond the limit; None if it is on the mean."""
+        return self.constraint.rule.permitted(self.runs)
 
     @property
     def exceeds(self) -> bool:
         """Whether more test runs are beyond the limit than it permits, be it by chance."""
         return self.permitted is not None and self.violations > self.permitted
-
-
-def asked(study: Study, constraint: Constraint) -> str:
-    """Return how often a limit must be kept, in a few words."""
-    everywhere = constraint.rule.in_every_context and bool(study.contexts)
-    return words_of(constraint).asked(everywhere=everywhere)
 
 
 def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerdict:
@@ -73,32 +77,19 @@ def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerd
         one; then a single one beyond the limit, which does not refute it, counts against it, too.
     """
     constraint = study.constraints[sample.name]
-    standing, how_often = sample.standing, asked(study, constraint)
-    evidence = _counted(constraint, sample)
-    words = evidence
     everywhere = constraint.rule.in_every_context
-    if unsearched and sample.violations and sample.agrees and everywhere:
-        standing = Standing.VIOLATED
-        evidence += " (no search was made for its worst context)"
-        words = f"NOT proven to be kept: {evidence}"
-    elif not sample.count:
-        words = f"NOT proven to be kept: {evidence}"
-    elif not sample.agrees:
-        words = f"NOT kept: {evidence}"
-    elif standing is Standing.SHOWN:
-        confidence = f"{100.0 * study.certificate.confidence:g} % confidence"
-        words = f"proven to be kept {how_often}: {evidence} ({confidence})"
-    elif sample.permitted is not None and sample.violations > sample.permitted:
-        words = evidence = f"{evidence}, which may be chance"
+    against = unsearched and everywhere and sample.violations > 0 and sample.agrees
     return LimitVerdict(
-        standing,
-        sample.count,
-        sample.violations,
-        sample.permitted,
-        how_often,
-        evidence,
-        words,
+        constraint=constraint,
+        title=study.limit_title(constraint),
+        unit=study.metrics[constraint.metric].unit,
+        standing=Standing.VIOLATED if against else sample.standing,
+        runs=sample.count,
+        violations=sample.violations,
+        everywhere=everywhere and bool(study.contexts),
+        unsearched=against,
         refuted=sample.count > 0 and not sample.agrees,
+        confidence=study.certificate.confidence,
     )
 
 
@@ -113,26 +104,15 @@ def by_certificate(
     condition: str = "",
 ) -> LimitVerdict:
     """Return what a certificate says of a limit."""
-    how_often = asked(study, constraint)
-    words = f"{'' if passed else 'NOT '}proven to be kept {how_often}"
-    if passed and condition:
-        words = f"shown to stay within it {how_often}, if {condition}"
     return LimitVerdict(
-        Standing.SHOWN if passed else Standing.VIOLATED,
-        draws,
-        violations,
-        constraint.rule.permitted(draws),
-        how_often,
-        "",
-        words,
+        constraint=constraint,
+        title=study.limit_title(constraint),
+        unit=study.metrics[constraint.metric].unit,
+        standing=Standing.SHOWN if passed else Standing.VIOLATED,
+        runs=draws,
+        violations=violations,
+        everywhere=constraint.rule.in_every_context and bool(study.contexts),
+        certified=True,
         refuted=refuted,
         condition=condition if passed else "",
     )
-
-
-def _counted(constraint: Constraint, sample: Sample) -> str:
-    """Return how many test runs are beyond a limit, and how many may be."""
-    if not sample.count:
-        return "no test run is complete"
-    runs = counted(sample.count, "test run")
-    return words_of(constraint).counted(sample.violations, runs, sample.count, agrees=sample.agrees)

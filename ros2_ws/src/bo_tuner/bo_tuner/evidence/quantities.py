@@ -1,6 +1,6 @@
 """The numbers of a verdict, from evaluations of the default and of the tuned parameter set."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import nan
 
@@ -10,12 +10,11 @@ from bo_tuner.evidence.context_covariates import covariates
 from bo_tuner.evidence.differences import Change, Difference, paired, unpaired
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.observed import Observed
-from bo_tuner.evidence.verdict import Quantity, ordered
+from bo_tuner.evidence.quantity import DrawsOf, OnRecord, Quantity, ViolationBound
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
-from bo_tuner.text import counted, shown_beside
 
 
 def quantities(
@@ -24,7 +23,7 @@ def quantities(
     tuned: Observed,
     default_limits: Mapping[str, LimitVerdict],
     tuned_limits: Mapping[str, LimitVerdict],
-    remarks: Mapping[str, str],
+    violations: Mapping[str, ViolationBound],
 ) -> tuple[Quantity, ...]:
     """Return the numbers of a verdict: of each constraint, and the mean of each other metric.
 
@@ -36,12 +35,13 @@ def quantities(
         What was observed of the two parameter sets, in the same draws.
     default_limits, tuned_limits
         What was found of each constraint, by its name; nothing of a default that is not known.
-    remarks
-        A further remark on constraints, by their names.
+    violations
+        What a certificate has of constraints, by their names.
     """
     all_quantities = [
         replace(
-            _of_constraint(study, constraint, default, tuned, remarks.get(name, "")),
+            _of_constraint(study, constraint, default, tuned),
+            violation=violations.get(name),
             default_limit_verdict=default_limits.get(name),
             limit_verdict=tuned_limits[name],
         )
@@ -81,14 +81,11 @@ def quantities(
                 estimates=estimates,
                 difference=difference,
                 change=difference.change(sign),
-                limit=nan,
-                bound=nan,
-                remark="",
                 draws=_draws(default, tuned, name, difference),
                 objective=name in objectives,
             )
         )
-    return ordered(all_quantities, study.objective.metric)
+    return _ordered(all_quantities, study.objective.metric)
 
 
 def _of_constraint(
@@ -96,7 +93,6 @@ def _of_constraint(
     constraint: Constraint,
     default: Observed,
     tuned: Observed,
-    remark: str,
 ) -> Quantity:
     """Return the worst case if that of the tuned parameter set was searched, or else the extreme.
 
@@ -108,28 +104,23 @@ def _of_constraint(
     values = tuple(constraint.farthest(side.values(metric)) for side in (default, tuned))
     difference: Difference | None = None
     change, bound = Change.UNKNOWN, nan
-    draws = _draws(default, tuned, metric, None)
+    draws, default_unsearched = _draws(default, tuned, metric, None), False
     if name in tuned.worst:
         theirs, ours = default.worst.get(name), tuned.worst[name]
         label = f"worst-case {study.limited(constraint)}"
         values = nan if theirs is None else theirs.value, ours.value
-        draws = ""
+        draws = None
         if not constraint.rule.on_runs:
             bound = ours.bound
         if theirs is None:
-            remark = f"the default has no certified worst case; {remark}"
+            default_unsearched = True
         else:
             difference = unpaired(
                 (theirs.value, theirs.standard_error, theirs.count),
                 (ours.value, ours.standard_error, ours.count),
             )
             change = difference.change(constraint.sign)
-    on_record = tuned.on_record(metric)
-    parts = [remark] if remark else []
-    if on_record:
-        farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
-        runs = counted(len(on_record), "test run")
-        parts.append(f"{constraint.extreme} of {runs} on record {farthest}")
+    known = tuned.on_record(metric)
     return Quantity(
         label=study.titled(constraint, label),
         metric=metric,
@@ -141,20 +132,21 @@ def _of_constraint(
         change=change,
         limit=constraint.limit,
         bound=bound,
-        remark="; ".join(parts),
+        on_record=OnRecord(len(known), constraint.farthest(known)) if known else None,
+        default_unsearched=default_unsearched,
         draws=draws,
         constraint=name,
     )
 
 
-def _draws(default: Observed, tuned: Observed, metric: str, difference: Difference | None) -> str:
+def _draws(
+    default: Observed, tuned: Observed, metric: str, difference: Difference | None
+) -> DrawsOf | None:
     """Tell how many draws each number is from, unless all are from the same number of draws."""
     m, n = (sum(metric in metrics for metrics in side.drawn.values()) for side in (default, tuned))
     if difference is not None and difference.count:
-        if difference.count == m == n:
-            return ""
-        return f"in the {counted(difference.count, 'draw')} that both completed"
-    return "" if m == n else f"default in {counted(m, 'draw')}, tuned in {n}"
+        return None if difference.count == m == n else DrawsOf(m, n, difference.count)
+    return None if m == n else DrawsOf(m, n)
 
 
 def _pairs(
@@ -172,3 +164,14 @@ def _pairs(
         return (sides[0], sides[1]), np.empty((len(draws), 0))
     contexts = [default.contexts[k] for k in draws]
     return (sides[0], sides[1]), covariates(study.context_space(), contexts)
+
+
+def _ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:
+    """Order quantities: the objectives, the first one of the study first; limits; the others."""
+
+    def rank(quantity: Quantity) -> int:
+        if quantity.objective:
+            return 0 if quantity.metric == objective else 1
+        return 2 if quantity.constraint else 3
+
+    return tuple(sorted(quantities, key=rank))

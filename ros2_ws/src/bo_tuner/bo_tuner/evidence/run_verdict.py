@@ -3,13 +3,14 @@
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import nan
 from pathlib import Path
+from typing import Any
 
 from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
-from bo_tuner.evidence.biases import biases_in_words
-from bo_tuner.evidence.busy import computing_in_words, computing_times, high_load
+from bo_tuner.evidence.busy import COMPUTING, high_load, times_by
 from bo_tuner.evidence.certificate.claim import claimed
 from bo_tuner.evidence.certificate.earlier import earlier_in_words
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
@@ -21,26 +22,42 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
 )
 from bo_tuner.evidence.certificate.unfinished import evaluations_begun
-from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds
-from bo_tuner.evidence.effects import effects_in_words
+from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds, uneven
+from bo_tuner.evidence.differences import Difference
 from bo_tuner.evidence.estimates import Source
+from bo_tuner.evidence.facts import (
+    NO_CLAIM,
+    ApplyRefuses,
+    ApplyWaits,
+    Basis,
+    BetterSet,
+    Biases,
+    CertificateBegun,
+    ComputingTimes,
+    Confidence,
+    Effects,
+    Fact,
+    MetricBias,
+    PassedOver,
+    Said,
+    SearchStoodStill,
+    TrialsEnded,
+)
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.evidence.observed import Observed, WorstMean
-from bo_tuner.evidence.passed_over import passed_over_in_words
 from bo_tuner.evidence.quantities import quantities
+from bo_tuner.evidence.quantity import ViolationBound
 from bo_tuner.evidence.validated import (
-    fresh_draws,
     is_default,
     open_verdict,
     validated,
 )
-from bo_tuner.evidence.verdict import WITHIN, State, Verdict
+from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
 from bo_tuner.study.measured import seen_in, seen_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import (
     DEFAULT,
     TUNED,
@@ -67,21 +84,23 @@ def run_verdict(record: RunRecord) -> Verdict:
     """
     verdict = _with_load(record, _latest(record))
     faults = contradicted(record.study, record.evaluations)
-    verdict = replace(verdict, remarks=(*verdict.remarks, *faults))
-    trial = record.result
-    finish = finish_in(record.events)
-    if trial is not None and finish is not None:
-        made = counted(count_trials(record.trials), "trial")
-        how = "as the time was up" if finish == TIME_UP else "on request"
-        remark = f"The trials were ended {how}: {made} of {record.study.budget.trials}."
-        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
-    if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
-        remark = (
-            f"An unfinished certificate has {counted(begun, 'test run')} on record; validate "
-            "continues from there."
-        )
-        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
-    return verdict
+    return _with(verdict, *faults, *_unfinished(record))
+
+
+def _with(verdict: Verdict, *facts: Fact) -> Verdict:
+    return replace(verdict, remarks=(*verdict.remarks, *facts))
+
+
+def _unfinished(record: RunRecord) -> Iterator[Fact]:
+    """Yield what of a run with a result was ended early, or has only begun."""
+    trial, finish = record.result, finish_in(record.events)
+    if trial is None:
+        return
+    if finish is not None:
+        made, planned = count_trials(record.trials), record.study.budget.trials
+        yield TrialsEnded(made, planned, time_up=finish == TIME_UP)
+    if begun := evaluations_begun(record.path, record.study, trial):
+        yield CertificateBegun(begun)
 
 
 def _latest(record: RunRecord) -> Verdict:
@@ -90,14 +109,13 @@ def _latest(record: RunRecord) -> Verdict:
     if by_validation is None or trial is None:
         return open_verdict(record.study, record.trials, standstill)
     if standstill:
-        remark = f"The search ended after {counted(len(record.trials), 'trial')}: {standstill}."
-        remarks = (*by_validation.remarks, remark)
-        by_validation = replace(by_validation, remarks=remarks, standstill=True)
+        stood = _with(by_validation, SearchStoodStill(len(record.trials), standstill))
+        by_validation = replace(stood, standstill=True)
     try:
         path = latest_certificate(record, trial)
         return by_validation if path is None else _certified(record, trial, path, by_validation)
     except RunRecordError as error:
-        return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
+        return _with(by_validation, Said(f"Certificate: {error}"))
 
 
 def _by_validation(record: RunRecord) -> Verdict | None:
@@ -124,30 +142,52 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             prospects=read(Prospects | None, summary.get("prospects"), JSON),
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
-        better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
         runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
         seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = read(tuple[ParameterEffects, ...], summary.get("effects", ()), JSON)
         alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
         # The default was not chosen by its runs: those of its trial are like those of the end.
         alike[DEFAULT] = [*_drawn(record, default.parameters), *alike[DEFAULT]]
-        return replace(
-            verdict,
-            remarks=(
-                *verdict.remarks,
-                *better,
-                *biases_in_words(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
-                *seen_in_words(record.study.metrics, seen),
-                *drifts(record.study, alike),
-                *two_kinds(record.study, alike),
-            ),
-            effects=effects,
-            of_parameters=effects_in_words(record.study, effects),
+        return _with(
+            replace(verdict, effects=Effects(record.study, tuple(effects))),
+            *_passed_over(record.study, summary.get("passed_over", ())),  # type: ignore[arg-type]
+            *_biases(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
+            *map(Said, seen_in_words(record.study.metrics, seen)),
+            *drifts(record.study, alike),
+            *two_kinds(record.study, alike),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
         ) from error
+
+
+def _passed_over(study: Study, found: Sequence[Mapping[str, Any]]) -> Iterator[PassedOver]:
+    """Yield the better parameter sets that were passed over, from ``summary.json``, if any."""
+    metric = study.metrics[study.objective.metric]
+    sets = tuple(
+        BetterSet(
+            int(item["trial"]), float(item["objective"]), float(item["feasibility"]), item["shown"]
+        )
+        for item in found
+    )
+    if sets:
+        yield PassedOver(metric.title, metric.unit, sets, compromises=len(study.objectives) > 1)
+
+
+def _biases(study: Study, found: Sequence[Mapping[str, Any]]) -> Iterator[Biases]:
+    """Yield how far the machine is from its simulation, from ``summary.json``, if it says so."""
+    biases = tuple(
+        MetricBias(
+            study.metrics[str(item["metric"])].title,
+            study.metrics[str(item["metric"])].unit,
+            float(item["simulated"]),
+            Difference(float(item["difference"]), float(item["low"]), float(item["high"]), 0),
+        )
+        for item in found
+    )
+    if biases:
+        yield Biases(biases)
 
 
 def _drawn(record: RunRecord, parameters: Mapping[str, Value]) -> list[Evaluation]:
@@ -188,62 +228,65 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
 
 def _with_load(record: RunRecord, verdict: Verdict) -> Verdict:
     """Return a verdict with what the load of the computer was in the runs on record."""
-    computing = computing_times(record.study, record.evaluations)
-    remarks = (*verdict.remarks, *computing_in_words(record.study, computing))
+    names = times_by(record.study, record.evaluations, COMPUTING)
+    titles = tuple(record.study.metrics[name].title for name in names)
     high = high_load(record.study, record.evaluations)
-    return replace(verdict, high_load=high, remarks=remarks)
+    verdict = replace(verdict, high_load=high)
+    of_times = [ComputingTimes(titles)] if titles else []
+    return _with(verdict, *of_times, *uneven(record.evaluations))
 
 
 def _certified(
     record: RunRecord, trial: Trial, path: Path, by_validation: Verdict | None
 ) -> Verdict:
-    certificate, remarks = read_certificate(path, record.study), []
+    certificate = read_certificate(path, record.study)
+    remarks: list[Fact] = []
+    rows: Sequence[Row] = []
     try:
         rows = read_evaluations(path)
     except RunRecordError as error:
-        rows, remarks = [], [f"{error}."]
+        remarks.append(Said(str(error)))
     study, same = record.study, is_default(record.study, trial.parameters)
     is_result, passed = record.is_result(trial), certificate.passed
     given = not record.trials
     # There is no run whose result could be applied.
     problem = certificate_problem(record, trial) if passed and not given else ""
     if problem:
-        remarks.append(f"apply still refuses it: {problem}.")
+        remarks.append(ApplyRefuses(problem))
     has_result = record.result is not None
     if passed and not has_result and not given:
-        remarks.append("apply waits for the result of the run, which has not ended.")
-    what = f"values in {record.path}" if given else "this run"
+        remarks.append(ApplyWaits())
     draws, confidence = certificate.drawn, certificate.bound_confidence
     overall = min(certificate.confidence, *_confidences(record))
-    tuned, default, reasons = certificate.tuned, certificate.default, certificate.tuned.reasons
+    tuned, default = certificate.tuned, certificate.default
+    reasons: tuple[Fact, ...] = tuple(map(Said, tuned.reasons))
     of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
     if default is None:
         observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
         default_limits = {} if by_validation is None else _default_limits(by_validation)
     else:
         observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
-        default_reasons = default.reasons
+        default_reasons = tuple(map(Said, default.reasons))
         default_limits = _limits(study, default, draws)
     numbers = quantities(
         study,
         *observed,
         default_limits,
         _limits(study, tuned, draws),
-        {c.name: _remark(study, c, draws, confidence) for c in tuned.constraints},
+        {c.name: _violation(study, c, draws, confidence) for c in tuned.constraints},
     )
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=_evidence(study, draws, default is not None, by_validation, is_result),
+        basis=_basis(draws, default is not None, by_validation, is_result),
         reasons=reasons,
         default_reasons=reasons if same else default_reasons,
         quantities=numbers,
-        choice=by_validation.choice if by_validation is not None and is_result else "",
+        trade_offs=by_validation.trade_offs if by_validation is not None and is_result else (),
         remarks=(
-            *earlier_in_words(certificate),
-            f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
-            f"certify {what} have {100.0 * overall:.4g} % together.",
-            *seen_in_words(study.metrics, certificate.seen),
+            *map(Said, earlier_in_words(certificate)),
+            Confidence(confidence, overall, str(record.path) if given else ""),
+            *map(Said, seen_in_words(study.metrics, certificate.seen)),
             *remarks,
         ),
         observed=observed,
@@ -255,10 +298,9 @@ def _certified(
         given=given,
         at_bounds=() if given else at_bounds(study, trial.parameters),
         default_lost=by_validation.default_lost if by_validation and default is None else 0,
-        effects=by_validation.effects if by_validation is not None else (),
-        of_parameters=by_validation.of_parameters if by_validation is not None else (),
+        effects=by_validation.effects if by_validation is not None else None,
         claim=claimed(study, tuned),
-        default_claim=WITHIN if default is None else claimed(study, default),
+        default_claim=NO_CLAIM if default is None else claimed(study, default),
         standstill=by_validation is not None and by_validation.standstill,
         of_ended=certificate.deaths is not None,
     )
@@ -275,29 +317,17 @@ def _confidences(record: RunRecord) -> Iterator[float]:
             yield read_certificate(path, record.study).confidence
 
 
-def _evidence(
-    study: Study,
-    draws: int,
-    with_default: bool,
-    by_validation: Verdict | None,
-    is_result: bool,
-) -> str:
-    """Return what the verdict rests on, in a few words."""
-    fresh = fresh_draws(study, draws)
-    if with_default:
-        return f"the same {fresh}"
-    if by_validation is None or not by_validation.observed:
-        return f"{fresh}, without the default"
-    draws_of_both = counted(by_validation.observed[0].draws, "draw")
-    validation = f"the {draws_of_both} of the validation"
-    if not is_result:
-        return f"{fresh}, and the default in {validation}"
-    return f"{fresh} (tuned only) and {validation} (both)"
+def _basis(draws: int, with_default: bool, by_validation: Verdict | None, is_result: bool) -> Basis:
+    """Return what the verdict by a certificate rests on."""
+    if with_default or by_validation is None or not by_validation.observed:
+        return Basis(draws, paired=with_default)
+    validation = by_validation.observed[0].draws
+    return Basis(draws, paired=False, validation=validation, tuned_too=is_result)
 
 
 def _beside_validation(
     by_validation: Verdict | None, tuned: Observed, is_result: bool
-) -> tuple[tuple[Observed, Observed], tuple[str, ...] | None]:
+) -> tuple[tuple[Observed, Observed], tuple[Fact, ...] | None]:
     """Return what was observed of both sides if the certificate leaves the default out.
 
     The pairs are those of the validation of `tune`, which only the result has. Also returns why the
@@ -350,18 +380,17 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     ]
 
 
-def _remark(study: Study, verdict: ConstraintVerdict, draws: int, confidence: float) -> str:
-    constraint = study.constraints[verdict.name]
-    where = f"at most {verdict.violation_bound:.3g}"
-    if verdict.worst and constraint.rule.on_runs:
-        worst = max(context.violation_bound for context in verdict.worst)
-        where = (
-            f"of a violation {where}, and {shown_beside(worst, verdict.allowed)} in the worst "
-            f"contexts, allowed {shown(verdict.allowed)},"
-        )
-    return (
-        f"{verdict.violations} of {counted(draws, 'draw')} {constraint.beyond} the limit; "
-        f"probability {where} with {100.0 * confidence:g} % confidence"
+def _violation(
+    study: Study, verdict: ConstraintVerdict, draws: int, confidence: float
+) -> ViolationBound:
+    of_runs = bool(verdict.worst) and study.constraints[verdict.name].rule.on_runs
+    return ViolationBound(
+        verdict.violations,
+        draws,
+        verdict.violation_bound,
+        worst=max(c.violation_bound for c in verdict.worst) if of_runs else nan,
+        allowed=verdict.allowed,
+        confidence=confidence,
     )
 
 

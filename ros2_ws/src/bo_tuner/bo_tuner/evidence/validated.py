@@ -4,6 +4,20 @@ from collections.abc import Mapping, Sequence
 
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.busy import by_the_clock
+from bo_tuner.evidence.facts import (
+    AgainstLimit,
+    AllTrialsFailed,
+    Basis,
+    Doubt,
+    Fact,
+    OnlyTimesOver,
+    Progress,
+    RunsFailed,
+    RunsLost,
+    RunsToRepeat,
+    Said,
+    WorstCaseOver,
+)
 from bo_tuner.evidence.infeasible import Infeasible, infeasible
 from bo_tuner.evidence.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.evidence.observed import Observed
@@ -11,7 +25,7 @@ from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.study.limits import Standing, kept_by, worst_case_holds
 from bo_tuner.study.study import Study
-from bo_tuner.text import capitalized, counted, shown
+from bo_tuner.text import capitalized
 from bo_tuner.trials import (
     DEFAULT,
     SEEKING_WORST,
@@ -25,7 +39,6 @@ from bo_tuner.trials import (
     count_trials,
     evaluations_of,
 )
-from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.prospects import Prospects
 from bo_tuner.tuning.validation import Validation
 
@@ -44,12 +57,10 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
         Why its search could not go on; empty if it can.
     """
     if standstill and not kept_by(study, trials):
-        reasons = (capitalized(standstill),)
         return Verdict(
             state=State.INFEASIBLE,
             trial=None,
-            evidence="",
-            reasons=reasons,
+            reasons=(Said(capitalized(standstill)),),
             standstill=True,
             infeasible=infeasible(study, trials),
         )
@@ -57,21 +68,14 @@ def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") ->
     spent = study.budget.is_spent(done, count_evaluations(trials))
     if spent and all(trial.state is not TrialState.COMPLETE for trial in trials):
         why = {trial.reason for trial in trials}
-        common = f": {why.pop()}" if len(why) == 1 else ""
-        failed = "The only trial" if len(trials) == 1 else f"All {len(trials)} trials"
-        reasons = (f"{failed} failed{common}",)
+        failed = AllTrialsFailed(len(trials), why.pop() if len(why) == 1 else "")
         return Verdict(
             state=State.INFEASIBLE,
             trial=None,
-            evidence="",
-            reasons=reasons,
+            reasons=(failed,),
             infeasible=infeasible(study, trials),
         )
-    evidence = f"{done} of {counted(planned, 'trial')}"
-    if spent:
-        of_all = "the only trial is" if done == 1 else f"all {done} trials are"
-        evidence = f"{of_all} done but not validated"
-    return Verdict(state=State.OPEN, trial=None, evidence=evidence)
+    return Verdict(state=State.OPEN, trial=None, basis=Progress(done, planned, spent))
 
 
 def validated(
@@ -109,14 +113,14 @@ def validated(
         What the models expect elsewhere where nothing was found feasible; None if not asked.
     """
     limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
-    problems = _problems(study, tuned, limits)
-    reasons = (*([doubt] if doubt else []), *problems.values())
+    problems = _problems(tuned, limits)
+    reasons: tuple[Fact, ...] = (*([Doubt(doubt)] if doubt else []), *problems.values())
     lost = _lost(tuned, evaluations)
     state = State.INFEASIBLE if reasons else State.INCOMPLETE if lost else State.VALIDATED
     if doubt and likely and not problems:
         state = State.UNPROVEN
     same = is_default(study, tuned.parameters)
-    of_default = _found_by_search(study, trials) | _problems(study, default, default_limits)
+    of_default = _found_by_search(study, trials) | _problems(default, default_limits)
     known = default.draws > 0 and not default.lost
     default_reasons = tuple(of_default.values()) if of_default or known else None
     if same:
@@ -128,14 +132,14 @@ def validated(
     return Verdict(
         state=state,
         trial=trial,
-        evidence=f"the same {fresh_draws(study, tuned.draws)}",
-        reasons=(lost,) if state is State.INCOMPLETE else reasons,
+        basis=Basis(tuned.draws),
+        reasons=(lost,) if lost is not None and state is State.INCOMPLETE else reasons,
         default_reasons=default_reasons,
         quantities=quantities(study, *sides, default_limits, limits, {}),
-        choice="" if doubt else _choice(study),
+        trade_offs=() if doubt else _trade_offs(study),
         remarks=(
             *_load(study, tuned, evaluations),
-            *_how_to_complete(tuned.lost + default.lost),
+            *((RunsToRepeat(),) if tuned.lost + default.lost else ()),
         ),
         observed=sides,
         is_default=same,
@@ -167,11 +171,6 @@ def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
     """Return whether a parameter set is the hand-tuned one."""
     space = study.search_space()
     return space.key(parameters) == space.key(space.defaults)
-
-
-def fresh_draws(study: Study, count: int) -> str:
-    """Return what a number of draws is of, in a few words."""
-    return f"{counted(count, 'fresh draw')} of {'context and noise' if study.contexts else 'noise'}"
 
 
 def observed(
@@ -226,32 +225,23 @@ def limits_in(
     }
 
 
-def _problems(
-    study: Study, validation: Validation, limits: Mapping[str, LimitVerdict]
-) -> dict[str, str]:
+def _problems(validation: Validation, limits: Mapping[str, LimitVerdict]) -> dict[str, Fact]:
     """Return what speaks against a parameter set in the validation, by the constraint's name."""
-    problems = {
-        name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
+    problems: dict[str, Fact] = {
+        name: AgainstLimit(limit)
         for name, limit in limits.items()
         # All of the test runs may have been lost, or none made, which shows nothing.
         if limit.standing is Standing.VIOLATED
         and (limit.runs or (validation.draws and not validation.lost))
     }
     if validation.failures:
-        problems[FAILURES] = (
-            f"{validation.failures} of {counted(validation.draws, 'test run')} failed"
-        )
+        problems[FAILURES] = RunsFailed(validation.failures, validation.draws)
     return problems
 
 
-def _limit(study: Study, name: str) -> str:
-    constraint = study.constraints[name]
-    return f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
-
-
-def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
+def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, Fact]:
     """Return the worst-case limits that the default breaks where the search of a trial found it."""
-    problems = {}
+    problems: dict[str, Fact] = {}
     for trial in trials:
         for constraint in study.worst_case_constraints:
             worst = trial.worst_cases.get(constraint.name)
@@ -261,9 +251,8 @@ def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
                 and not worst_case_holds(constraint, worst)
             ):
                 unit = study.metrics[constraint.metric].unit
-                problems[constraint.name] = (
-                    f"{constraint.name}: worst case {shown(worst.value)} {unit}".rstrip()
-                    + f" in trial {trial.number}, limit {constraint.limit:g}"
+                problems[constraint.name] = WorstCaseOver(
+                    constraint, study.limit_title(constraint), unit, worst.value, trial.number
                 )
     return problems
 
@@ -274,40 +263,26 @@ def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]
     return any(evaluation.stage in SEEKING_WORST for evaluation in of_set)
 
 
-def _choice(study: Study) -> str:
-    """Return how the result was chosen among those of several objectives; empty for one."""
-    if len(study.objectives) == 1:
-        return ""
-    names = [study.metrics[objective.metric].title for objective in study.objectives]
-    return (
-        f"Of the trade-offs between {', '.join(names[:-1])} and {names[-1]}, the tuned parameter "
-        f"set is {RULE}. For another point of the front use validate and then apply with --trial N."
-    )
+def _trade_offs(study: Study) -> tuple[str, ...]:
+    """Return the titles of several objectives; none for one."""
+    titles = tuple(study.metrics[objective.metric].title for objective in study.objectives)
+    return titles if titles[1:] else ()
 
 
-def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
-    """Return that test runs of the tuned parameter set are unusable; empty if none is."""
+def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> RunsLost | None:
+    """Return that test runs of the tuned parameter set are unusable; None if none is."""
     if not tuned.lost:
-        return ""
+        return None
     why = {
         evaluation.outcome.reason
         for evaluation in evaluations_of(evaluations, tuned.parameters)
         if evaluation.whose == TUNED and evaluation.outcome.unusable
     }
-    cause = f" ({why.pop()})" if len(why) == 1 else ""
-    runs = counted(tuned.draws, "test run")
-    were = "was" if tuned.lost == 1 else "were"
-    how = "lost with the nodes, disturbed by others or not prepared"
-    return f"{tuned.lost} of {runs} {were} {how}{cause}"
+    return RunsLost(tuned.lost, tuned.draws, why.pop() if len(why) == 1 else "")
 
 
-def _how_to_complete(lost: int) -> tuple[str, ...]:
-    """Return a remark if test runs of the validation were lost."""
-    return ("tune --resume runs the lost test runs again, and completes the verdict.",) * bool(lost)
-
-
-def _load(study: Study, tuned: Validation, evaluations: Sequence[Evaluation]) -> tuple[str, ...]:
-    """Return a remark if only measured times exceed limits, and the nodes' load is not known."""
+def _load(study: Study, tuned: Validation, evaluations: Sequence[Evaluation]) -> tuple[Fact, ...]:
+    """Return a fact if only measured times exceed limits, and the nodes' load is not known."""
     runs = [e.outcome for e in evaluations_of(evaluations, tuned.parameters) if e.whose == TUNED]
     complete = [outcome for outcome in runs if outcome.complete]
     times = {name for outcome in complete for name in by_the_clock(study, outcome)}
@@ -316,5 +291,4 @@ def _load(study: Study, tuned: Validation, evaluations: Sequence[Evaluation]) ->
     known = any(o.load is not None and o.load.nodes is not None for o in complete)
     if known or all(sample.agrees for sample in samples) or not times.issuperset(exceeding):
         return ()
-    names = ", ".join(study.metrics[name].title for name in exceeding)
-    return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)
+    return (OnlyTimesOver(tuple(study.metrics[name].title for name in exceeding)),)

@@ -2,7 +2,7 @@
 
 A `Figure` is a grid of panels; a panel has two axes and elements in drawing order. The renderers
 turn a figure into a PNG or SVG file (`matplotlib_renderer`) or into an interactive part of a page
-(`plotly_renderer`). Colours are names, for which each renderer has shades that are readable on
+(`svg_renderer`). Colours are names, for which each renderer has shades that are readable on
 light and dark backgrounds. They can be distinguished with red-green colour blindness, and series
 of different colours also have different markers or dashes.
 
@@ -31,8 +31,8 @@ Grid = NDArray[np.float64]
 class Color(StrEnum):
     """Colours by name, after Okabe and Ito (2008), "Color Universal Design".
 
-    Ink is the text colour, paper the background. Black is the same on light and dark backgrounds,
-    for elements on a heatmap, whose colours are the same as well.
+    Ink is the text colour, paper the background. Black and white are the same on light and dark
+    backgrounds, for elements on a heatmap, whose colours are the same as well.
     """
 
     BLUE = "blue"
@@ -45,6 +45,7 @@ class Color(StrEnum):
     INK = "ink"
     PAPER = "paper"
     BLACK = "black"
+    WHITE = "white"
 
 
 class Marker(StrEnum):

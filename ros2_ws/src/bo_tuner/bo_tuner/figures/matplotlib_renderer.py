@@ -300,7 +300,7 @@ def _contour(ax: Any, contour: Contour, order: int) -> Any:
 def _region(ax: Any, region: Region, order: int) -> Any:
     color = LIGHT[region.color]
     if region.hatched:
-        lines = hatching(region)
+        lines = hatching(region, *map(Scale, (ax.get_xscale(), ax.get_yscale())))
         # With a halo, which keeps it visible on any colour of a field.
         ax.plot(*lines, "-", color=LIGHT[Color.PAPER], linewidth=2.4, alpha=0.6, zorder=order)
         ax.plot(*lines, "-", color=color, linewidth=0.9, zorder=order)

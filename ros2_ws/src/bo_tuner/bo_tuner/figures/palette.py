@@ -1,8 +1,8 @@
 """Shades of the named colours on light and dark backgrounds, and the colour maps.
 
-Each shade but paper and black has a contrast of at least 3:1 against the background of its palette,
-as WCAG 2.2 (1.4.11) requires for graphics. The hues are those of Okabe and Ito (2008), with another
-lightness where the contrast requires it.
+Each shade but paper, black and white has a contrast of at least 3:1 against the background of its
+palette, as WCAG 2.2 (1.4.11) requires for graphics. The hues are those of Okabe and Ito (2008),
+with another lightness where the contrast requires it.
 """
 
 from bo_tuner.figures.figure import Color
@@ -21,6 +21,7 @@ LIGHT = {
     Color.INK: "#1c232b",
     Color.PAPER: LIGHT_GROUND,
     Color.BLACK: "#101418",
+    Color.WHITE: "#ffffff",
 }
 
 DARK = {
@@ -34,6 +35,7 @@ DARK = {
     Color.INK: "#e6eaee",
     Color.PAPER: DARK_GROUND,
     Color.BLACK: "#101418",
+    Color.WHITE: "#ffffff",
 }
 
 SEQUENTIAL = (

@@ -4,15 +4,15 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bo_tuner.metrics.message_rates import fewest, rate_of
+from bo_tuner.metrics.message_rates import fewest
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import SignalSource
 from bo_tuner.metrics.source import MissingMetricError
-from bo_tuner.processor_load import HIGH, Load
+from bo_tuner.processor_load import Load, busy_in_words
+from bo_tuner.run_notes import Rate
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.study import Study
-from bo_tuner.text import percent
 
 OF_ERRORS = ("iae", "ise", "itae", "rms", "steady_state_error")
 """Measures of an error, which differ between a signal that stands still and one that follows."""
@@ -24,6 +24,8 @@ OLD = 10.0
 """Periods of a signal after which a value that is the latest is of a run before."""
 UNLIKE = 0.1
 """Share of a signal's range by which it differs at most at the start of two equal runs."""
+RARE = 0.02
+"""Share of runs with too few messages that may be: such a run is remarked on by itself."""
 NOISES = 4.0
 """The same in standard deviations of its noise, of which a difference of two values has 1.4."""
 
@@ -142,37 +144,38 @@ def from_the_run_before(recordings: Sequence[Recording], heard: Collection[str])
 
 
 def uneven_rates(
-    recordings: Sequence[Recording], loads: Sequence[Load | None], heard: Collection[str]
-) -> Iterator[str]:
-    """Yield the signals that come less often in one of several equal runs, a line each.
+    runs: Sequence[str],
+    rates: Sequence[Mapping[str, Rate | None]],
+    loads: Sequence[Load | None],
+) -> dict[str, str]:
+    """Return by name the signals that come less often in one of several equal runs, in words.
 
     Parameters
     ----------
-    recordings
-        Equal runs, at least one.
+    runs
+        What they are called, such as ``run 1``; at least one.
+    rates
+        How often the signals came in each of them; one of events comes as often as they do.
     loads
         How busy the computer was in each of them; None where nobody has looked.
-    heard
-        Names of the signals that others publish. One of events comes as often as they do.
     """
-    for name in heard:
-        rates = [rate_of(each.signals[name], each.end) for each in recordings]
-        often = [rate.messages / rate.duration for rate in rates if rate is not None and rate.even]
-        if len(often) < len(recordings):
+    uneven = {}
+    for name in rates[0]:
+        seen = [rate for of_run in rates if (rate := of_run.get(name)) is not None and rate.even]
+        if len(seen) < len(runs):
             continue
+        often = [rate.messages / rate.duration for rate in seen]
         least, most = int(np.argmin(often)), int(np.argmax(often))
-        if often[least] * recordings[least].end >= fewest(often[most] * recordings[least].end):
+        too_few = [rate for rate in seen if rate.messages < fewest(often[most] * rate.duration)]
+        if len(too_few) <= RARE * len(seen):
             continue
-        load = loads[least]
-        why = (
-            f"the computer was busy then: processes waited for it {percent(load.share)} of the time"
-            if load is not None and load.share >= HIGH
-            else "a simulator does not wait for its controller, or a publisher leaves some out"
+        busy = busy_in_words(loads[least])
+        why = busy or "a simulator does not wait for its controller, or a publisher leaves some out"
+        uneven[name] = (
+            f"{name} comes {often[least]:.4g} times a second in {runs[least]} and "
+            f"{often[most]:.4g} times in {runs[most]}, which are equal: {why}"
         )
-        yield (
-            f"{name}: comes {often[least]:.4g} times a second in run {least + 1} and "
-            f"{often[most]:.4g} times in run {most + 1}, which are equal: {why}"
-        )
+    return uneven
 
 
 def _noise(seen: RecordedSignal) -> float:

@@ -75,6 +75,7 @@ class MessageRates:
             for name, spec in study.signals.items()
             if spec.largest_gap is None and spec.minimum_messages > 0
         }
+        self._all = list(study.signals)
         self._used = used_signals(study)
         self._runs: list[dict[str, Rate]] = []
 
@@ -88,7 +89,7 @@ class MessageRates:
         """Return the rates of a run; None of a signal with too few messages."""
         return {
             name: rate_of(recording.signals[name], recording.end)
-            for name in self._signals
+            for name in self._all
             if name in recording.signals
         }
 

@@ -25,6 +25,22 @@ class NotFiniteError(FailedRunError):
     """A signal had a value that is not finite."""
 
 
+class GapError(FailedRunError):
+    """A signal had no message for too long.
+
+    Parameters
+    ----------
+    reason
+        The reason.
+    seconds
+        For how long [s].
+    """
+
+    def __init__(self, reason: str, seconds: float) -> None:
+        super().__init__(reason)
+        self.seconds = seconds
+
+
 class CutShortError(FailedRunError):
     """A run was ended early, since its outcome is decided.
 
@@ -312,10 +328,11 @@ def named(name: str, spec: Signal) -> str:
 
 def _gap(
     name: str, spec: Signal, seen: Recorded, length: float, since: float, largest: float
-) -> FailedRunError:
+) -> GapError:
     why = "" if spec.largest_gap else ", as in the first runs; largest_gap of the signal limits it"
     why += f"; {seen.other_clock}" if seen.other_clock else ""
-    return FailedRunError(
+    return GapError(
         f"{named(name, spec)} has no message for {length:.3g} s from {since:.3f} s on, "
-        f"expected one at least every {largest:.3g} s{why}"
+        f"expected one at least every {largest:.3g} s{why}",
+        length,
     )

@@ -9,8 +9,8 @@ from typing import Any, Self
 from rich.console import Console
 from rich.text import Text
 
-from bo_tuner.evidence.table import print_next_steps, print_verdict
 from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.evidence.words.terminal import print_next_steps, print_verdict
 from bo_tuner.monitoring.front import print_front
 from bo_tuner.plans import ON_REQUEST, Event, EventKind, Phase
 from bo_tuner.study.study import Study

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from bo_tuner.codec.writing import to_json
+from bo_tuner.evidence.words.verdict import reasons
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display, Result
 from bo_tuner.monitoring.status import RunStatus
@@ -124,7 +125,7 @@ class JsonLines(Display):
         self._write(
             "result",
             parameters_file=str(result.parameters_file),
-            problem="; ".join(result.verdict.reasons),
+            problem="; ".join(reasons(result.verdict)),
             **result.summary,
         )
 

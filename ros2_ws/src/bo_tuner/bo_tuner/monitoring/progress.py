@@ -15,6 +15,17 @@ from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.monitoring.trial_table import INDENT, TrialTable, ending_in_words
+from bo_tuner.optimizers.base import (
+    ACQUISITION,
+    DEFAULT,
+    EXPANSION,
+    INITIAL,
+    RANDOM,
+    REFINEMENT,
+    REPETITION,
+    SPACE_FILLING,
+    START,
+)
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.limits import WITHIN, outcome_on_screen
 from bo_tuner.study.study import Study
@@ -198,21 +209,48 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
     """Describe the incumbent in a line."""
     if best is None:
         return "no complete trial yet"
-    if not best.believed_feasible:
-        return f"none of the trials is likely within limits (closest: trial {best.trial.number})"
-    return f"{BEST}: {best_within(best, study)}"
+    return f"best within limits: {best_within(best, study)}"
 
 
 def best_within(best: Candidate | None, study: Study) -> str:
-    """Describe the incumbent if it is believed within limits, and else the closest trial."""
+    """Describe the incumbent if it is believed within limits, and else the closest trial.
+
+    What its own test runs showed does not change with the models of the trials to come.
+    """
     if best is None:
         return "none yet"
     likely = f"{percent(best.feasibility)} likely within limits"
     if not best.believed_feasible:
-        return f"none yet; closest: trial {best.trial.number}, {likely}"
+        own = (
+            "kept all limits in its own test runs, "
+            if outcome_on_screen(study, best.trial) == WITHIN
+            else ""
+        )
+        return f"none yet; closest: trial {best.trial.number}, {own}{likely}"
     metric = study.metrics[study.objective.metric]
-    value = f"{best.objective:.4g} {metric.unit}".rstrip()
+    # The same number as in the row of the trial; models have another one, when they smooth.
+    mean = best.trial.mean(metric.name)
+    value = f"{best.objective if mean is None else mean:.4g} {metric.unit}".rstrip()
     return f"trial {best.trial.number}, {metric.title} {value}, {likely}"
+
+
+WHY = {
+    DEFAULT: "the default, to begin with",
+    START: "a set to start from",
+    INITIAL: "one of the initial design",
+    ACQUISITION: "the largest gain is expected there",
+    REFINEMENT: "close to the best, to refine it",
+    RANDOM: "drawn at random",
+    SPACE_FILLING: "far from all that was tried",
+    EXPANSION: "to learn how far the safe sets reach",
+    REPETITION: "the same again, to learn its noise",
+}
+"""Why a parameter set is proposed, by the origin of its trial."""
+
+
+def why(origin: str) -> str:
+    """Say why a parameter set is proposed; methods of others have words of their own."""
+    return WHY.get(origin.partition(" (")[0], origin)
 
 
 def advice_in_words(advice: StopAdvice, study: Study) -> str:

@@ -5,8 +5,11 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.evidence.infeasible_words import blocker_in_words
-from bo_tuner.evidence.verdict import Quantity, Status
+from bo_tuner.evidence.quantity import Quantity
+from bo_tuner.evidence.verdict import Status
+from bo_tuner.evidence.words.limits import in_words as limit_in_words
+from bo_tuner.evidence.words.quantities import gain
+from bo_tuner.evidence.words.verdict import basis
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
@@ -75,18 +78,18 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
     method = method_in_words(record.algorithm)
     headline = verdict.headline
     gains = [
-        f"{q.gain_in_words}, {q.estimates[1].source}" if q.estimates else q.gain_in_words
+        f"{gain(q)}, {q.estimates[1].source}" if q.estimates else gain(q)
         for q in verdict.quantities
         if q.objective
     ]
     if verdict.infeasible is not None:
         # What a set that breaks a limit gains in the objective is no gain.
-        headline, gains = f"{headline}: {blocker_in_words(verdict.infeasible)}", []
+        gains = []
     return {
         "verdict": MARKS[verdict.status] + headline,
         "objective": "; ".join(gains) or "–",
         "trial": "–" if verdict.trial is None else str(verdict.trial),
-        "evidence": verdict.evidence,
+        "evidence": basis(verdict),
         "study": analysis.study.name,
         "how": f"{method}, {record.backend}, seed {record.study.seed}",
         "trials": f"{count_trials(record.trials)} of {analysis.study.budget.trials}",
@@ -152,7 +155,7 @@ def _in_words(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
     text = f"{tuned} ({default})"
     if quantity.limit_verdict is not None:
-        text += f", limit {quantity.limit_in_words}: {quantity.limit_verdict.words}"
+        text += f", limit {quantity.limit_in_words}: {limit_in_words(quantity.limit_verdict)}"
     if quantity.difference is not None:
         text += f", {quantity.change}"
     return text

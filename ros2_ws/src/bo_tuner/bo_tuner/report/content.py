@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bo_tuner.evidence.next_steps import Step
+from bo_tuner.evidence.words.next_steps import Step
 from bo_tuner.figures.figure import Figure
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.text import shown

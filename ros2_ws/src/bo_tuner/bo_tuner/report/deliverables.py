@@ -8,6 +8,7 @@ from pathlib import Path
 from bo_tuner.deploy.bundle import DEPLOY, withdraw_bundle, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import as_summary
 from bo_tuner.report.analysis import Known
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
@@ -75,7 +76,7 @@ def with_verdict(record: RunRecord) -> RunRecord:
     """
     if record.summary is None:
         return record
-    current = run_verdict(record).to_summary()
+    current = as_summary(run_verdict(record))
     if all(record.summary.get(key) == value for key, value in current.items()):
         return record
     summary = {**record.summary, **current}

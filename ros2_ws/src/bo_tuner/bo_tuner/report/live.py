@@ -1,7 +1,8 @@
 """The panels of the page of a run in progress: what trials say by themselves, without models."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +20,15 @@ from bo_tuner.report.sections.convergence import (
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import WITHIN, held_against, outcome_on_screen
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown, with_unit
+from bo_tuner.text import counted, shown, shown_beside, with_unit
 from bo_tuner.trials import Trial, TrialState
+from bo_tuner.tuning.question import Change, Expected
 
 LATEST = 8
 """Trials in the table."""
 PERCENT = "% of the limit"
+MARGIN = 0.08
+"""Of a bar beyond what it shows, as a share of that."""
 
 
 def in_percent(constraint: Constraint) -> bool:
@@ -37,19 +41,32 @@ def of_limit(constraint: Constraint, value: float) -> float:
     return 100.0 * value / constraint.limit if in_percent(constraint) else value
 
 
-def objective_panel(study: Study, trials: Sequence[Trial]) -> Panel:
-    """Return the objective by trial, and the best within limits so far, from the first one on."""
+def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> Panel:
+    """Return the objective by trial, and the best within limits so far, from the first one on.
+
+    Parameters
+    ----------
+    study, trials
+        Of the run.
+    best
+        Which trial the run said that is, by the number of trials known then.
+    """
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
     outcomes = [outcome_by_runs(study, trial) for trial in trials]
     values = np.array([_mean(trial, objective.metric) for trial in trials])
-    best = np.where(_within(outcomes), values, math.nan)
-    best = sign * np.fmin.accumulate(sign * best) if len(best) else best
     places = _places(trials)
     elements: list[Element] = []
-    if np.isfinite(best).any():
+    if best:
+        counts = sorted(best)
         elements.append(
-            Line(x=places, y=best, name="best within limits", color=Color.BLUE, step=True)
+            Line(
+                x=[*(count - 1.0 for count in counts), len(trials) - 0.5],
+                y=[values[best[count]] for count in (*counts, counts[-1])],
+                name="best within limits",
+                color=Color.BLUE,
+                step=True,
+            )
         )
     elements += _points(outcomes, places, values, axis.scale, sign, [])
     return Panel(x=_trials(trials), y=axis, elements=elements)
@@ -73,7 +90,7 @@ def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
             dtype=float,
         )
         line = of_limit(constraint, constraint.limit)
-        title = with_unit(study.titled(constraint, study.limited(constraint)), unit)
+        title = with_unit(study.limit_title(constraint), unit)
         side = "≤" if constraint.sign > 0.0 else "≥"
         limit = with_unit(f"{constraint.limit:g}", metric.unit)
         panels.append(
@@ -100,7 +117,7 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         header.append(with_unit(metric.title, metric.unit))
     for limit in limits:
         unit = PERCENT if in_percent(limit) else study.metrics[limit.metric].unit
-        header.append(f"{study.titled(limit, study.limited(limit))}, {unit}".removesuffix(", "))
+        header.append(f"{study.limit_title(limit)}, {unit}".removesuffix(", "))
     rows = []
     for trial in list(trials)[: -LATEST - 1 : -1]:
         complete = trial.state is TrialState.COMPLETE
@@ -120,13 +137,78 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
                 else f"✗ {outcome}: {trial.reason}",
             ]
         )
-    header += ["runs", "outcome"]
+    header += ["test runs", "outcome"]
     return Table(
         caption=counted(len(trials), "trial"),
         header=header,
         rows=rows,
         numeric=range(1, len(header) - 1),
     )
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A prediction as a row with a bar; places are in percent of the bar's length.
+
+    Attributes
+    ----------
+    title, expected, band, limit_in_words
+        What is predicted, its value, the ends of its band, and the limit.
+    low, value, high
+        Where these are.
+    limit
+        Where the limit is; None without one.
+    is_over
+        Whether the value is beyond it.
+    words
+        The bar for who does not see it.
+    """
+
+    title: str
+    expected: str
+    band: str
+    limit_in_words: str = ""
+    low: float = 0.0
+    value: float = 0.0
+    high: float = 0.0
+    limit: float | None = None
+    is_over: bool = False
+    words: str = ""
+
+
+def bar(expected: Expected) -> Bar:
+    """Return a prediction as a row; a bar begins at 0 where a limit is above that."""
+    limit = expected.limit
+    numbers = [expected.value, expected.low, expected.high]
+    value, low, high = (shown(n) if limit is None else shown_beside(n, limit) for n in numbers)
+    row = Bar(with_unit(expected.what, expected.unit), value, f"{low} to {high}")
+    if limit is None:
+        return row
+    seen = [expected.low, expected.high, limit]
+    begin = min(0.0, *seen) if limit > 0.0 else min(seen)
+    length = (max(seen) - begin) * (1.0 + MARGIN) or 1.0
+    places = [round(100.0 * (each - begin) / length, 1) for each in (*numbers, limit)]
+    over = (expected.value > limit) if expected.is_upper else (expected.value < limit)
+    return replace(
+        row,
+        limit_in_words=f"{'≤' if expected.is_upper else '≥'} {shown(limit)}",
+        value=places[0],
+        low=places[1],
+        high=places[2],
+        limit=places[3],
+        is_over=over,
+        words=f"{expected.words}, {'beyond' if over else 'within'} its limit",
+    )
+
+
+def step_in_words(change: Change) -> str:
+    """Return how a parameter differs from what it is now."""
+    now, then = change.now, change.then
+    if now == then:
+        return "same"
+    if isinstance(now, bool | str) or isinstance(then, bool | str):
+        return "other"
+    return f"{then - now:+.4g}"
 
 
 def _mean(trial: Trial, metric: str) -> float:

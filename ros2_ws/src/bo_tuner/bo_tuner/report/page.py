@@ -4,7 +4,7 @@ import base64
 import hashlib
 import importlib.resources
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -17,12 +17,17 @@ from bo_tuner.evidence.verdict import State
 from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
-from bo_tuner.figures.plotly_renderer import figure_data
-from bo_tuner.figures.svg_renderer import panel_svg
-from bo_tuner.report import library
+from bo_tuner.figures.svg_renderer import hover_texts, panels_svg, symbols
+from bo_tuner.monitoring.progress import why
 from bo_tuner.report.analysis import Analysis, Known
-from bo_tuner.report.content import Chapter, Section, WhatIf
-from bo_tuner.report.live import latest_trials, limit_panels, objective_panel
+from bo_tuner.report.content import Chapter, Section, WhatIf, number
+from bo_tuner.report.live import (
+    bar,
+    latest_trials,
+    limit_panels,
+    objective_panel,
+    step_in_words,
+)
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
@@ -40,14 +45,14 @@ from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
+from bo_tuner.text import capitalized, printable
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.question import Asked
 
-PICTURE_WIDTH, LEAST_PICTURE_WIDTH = 1080, 340
-"""Width of the pictures of a row of panels, and of one at least [px]."""
-
-SCRIPTS = ("library.js", "report.js", "tables.js", "trials.js", "what_if.js")
-"""Of all pages."""
+OF_LISTS = ("tables.js",)
+"""Scripts of a page without figures."""
+OF_REPORTS = ("figures.js", "copy.js", *OF_LISTS, "trials.js", "what_if.js")
+"""Scripts of a page with figures."""
 
 FORMATS = ("png", "svg")
 """Kinds of image files of a figure."""
@@ -143,14 +148,11 @@ def trial_html(
     trial: Trial,
     parts: Sequence[Section],
     template: str = "trial.html",
-    *,
-    served: bool = False,
     **more: Any,
 ) -> str:
     """Return the HTML of the page of a trial; a `template` that extends it may need more."""
     return fill(
         template,
-        served=served,
         study=analysis.study,
         number=trial.number,
         sections=parts,
@@ -196,8 +198,25 @@ def section_html(section: Section) -> str:
     return str(_macros().show_section(section))
 
 
-def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
-    """Return the HTML of what the page of a run in progress has of its trials, by name."""
+def question_html(asked: Asked) -> str:
+    """Return the HTML of what is asked before a parameter set is tried."""
+    return (
+        _environment()
+        .get_template("question.html")
+        .render(
+            asked=asked,
+            reason=capitalized(f"{why(asked.origin)}."),
+            changes=[(change, step_in_words(change)) for change in asked.changes],
+            rows=[bar(expected) for expected in asked.expected],
+        )
+    )
+
+
+def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> dict[str, str]:
+    """Return the HTML of what the page of a run in progress has of its trials, by name.
+
+    `best` is the trial that is the best within limits, by the number of trials known then.
+    """
     macros: Any = _environment().get_template("live_parts.html").module
     panels = limit_panels(study, trials)
     objective = Figure(
@@ -205,7 +224,7 @@ def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
         title="",
         caption="",
         alternative="The objective by trial; the latest ones stand in the table.",
-        panels=[objective_panel(study, trials)],
+        panels=[objective_panel(study, trials, best)],
         panel_height=215,
     )
     limits = replace(
@@ -213,7 +232,7 @@ def live_parts(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
         name="limits",
         alternative="Each limit by trial; the latest ones stand in the table.",
         panels=panels,
-        panel_height=max(80, 160 // max(len(panels), 1)),
+        panel_height=max(80, 172 // max(len(panels), 1)),
     )
     found: dict[str, Any] = {
         "objective": macros.show_objective(objective),
@@ -231,7 +250,9 @@ def answer_html(analysis: Analysis) -> str:
     content = replace(answer(analysis), files=())
     if analysis.verdict.state is State.OPEN:
         content = replace(content, steps=())
-    return str(_macros().show_answer(content, ""))
+    macros = _macros()
+    bar = f"{macros.show_mark(content)}{macros.show_actions(content, '')}"
+    return f'<div class="bar result">{bar}</div>{macros.show_answer(content)}'
 
 
 def list_html(**content: object) -> str:
@@ -244,8 +265,6 @@ def render(
     parts: Sequence[Chapter],
     run: str | None = os.curdir,
     template: str = "report.html",
-    *,
-    served: bool = False,
     **more: Any,
 ) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any.
@@ -255,7 +274,6 @@ def render(
     content = answer(analysis)
     return fill(
         template,
-        served=served,
         sections=[],
         chapters=parts,
         study=analysis.study,
@@ -266,9 +284,7 @@ def render(
     )
 
 
-def fill(
-    template: str, scripts: Sequence[str] = (), *, served: bool = False, **content: object
-) -> str:
+def fill(template: str, scripts: Sequence[str] = OF_REPORTS, **content: object) -> str:
     """Fill a template that extends the base of all pages.
 
     Parameters
@@ -276,16 +292,12 @@ def fill(
     template
         Its name.
     scripts
-        Names of further scripts.
-    served
-        Whether the page is on the server, which has the library for figures at an address; a file
-        has it within itself.
+        Names of its scripts.
     **content
         What the template needs.
     """
-    texts = [_template(name) for name in (*SCRIPTS, *scripts)]
+    texts = [_template(name) for name in scripts]
     allowed = [f"'sha256-{_digest(text)}'" for text in texts]
-    allowed.append("'self'" if served else f"'sha256-{_digest(library.text())}'")
     return (
         _environment()
         .get_template(template)
@@ -295,8 +307,7 @@ def fill(
             light=LIGHT,
             dark=DARK,
             scripts=texts,
-            library="" if served else library.embedded(),
-            library_address=library.address() if served else "",
+            symbols=symbols(),
             policy=" ".join(allowed),
         )
     )
@@ -314,16 +325,11 @@ def _environment() -> Environment:
     )
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
-    environment.filters["figure_data"] = figure_data
-    environment.filters["pictures"] = _pictures
+    environment.filters["hover_texts"] = hover_texts
+    environment.filters["pictures"] = panels_svg
+    environment.filters["value"] = number
     environment.filters["what_if_data"] = _forecasts
     return environment
-
-
-def _pictures(figure: Figure, width: int | None = None) -> list[str]:
-    """Return each panel of a figure as a picture, of a width [px] or that of its place in a row."""
-    width = width or max(PICTURE_WIDTH // figure.columns, LEAST_PICTURE_WIDTH)
-    return [panel_svg(panel, width, figure.panel_height) for panel in figure.panels]
 
 
 def _forecasts(what_if: WhatIf) -> dict[str, object]:

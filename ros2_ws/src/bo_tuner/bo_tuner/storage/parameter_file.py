@@ -45,7 +45,8 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
 def sent_values(study: Study, parameters: Mapping[str, Value]) -> list[str]:
     """Say in a line each where the values of a set stand that no node has."""
     return [
-        f"{name} = {value}: sent by {' and '.join(senders(study.run, name))}; put it there"
+        f"{name} = {value}: stands in {' and '.join(senders(study.run, study.nodes, name))}; put "
+        "it there"
         for name, value in parameters.items()
         if not study.parameters[name].node
     ]

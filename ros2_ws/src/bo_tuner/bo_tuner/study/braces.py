@@ -1,7 +1,7 @@
-"""Names of contexts and parameters in braces, in what a step sends and in conditions on signals.
+"""Names of contexts and parameters in braces: in steps, in conditions, in what starts a node.
 
 ``{x: "{goal_x}"}`` is the number itself, and ``"go to {room}"`` a text with it. ``{{room}}`` is the
-text ``{room}``. In a condition each is a number.
+text ``{room}``, and ``${HOME}`` is left to a shell. In a condition each is a number.
 """
 
 import re
@@ -15,8 +15,8 @@ Values = Mapping[str, Value]
 """Values of contexts and parameters by their names."""
 
 _NAMED = re.compile(
-    rf"\{{\{{(?P<literal>{checks.PARAMETER_NAME.pattern})\}}\}}"
-    rf"|\{{(?P<name>{checks.PARAMETER_NAME.pattern})\}}"
+    rf"(?<!\$)\{{\{{(?P<literal>{checks.PARAMETER_NAME.pattern})\}}\}}"
+    rf"|(?<!\$)\{{(?P<name>{checks.PARAMETER_NAME.pattern})\}}"
 )
 
 
@@ -31,11 +31,16 @@ def filled(content: Any, values: Values) -> Any:
     whole = _NAMED.fullmatch(content)
     if whole is not None and whole["name"]:
         return values[whole["name"]]
+    return filled_text(content, values)
+
+
+def filled_text(text: str, values: Values) -> str:
+    """Return a text with values for names in braces."""
 
     def in_text(match: re.Match[str]) -> str:
         return _text(values[match["name"]]) if match["name"] else f"{{{match['literal']}}}"
 
-    return _NAMED.sub(in_text, content)
+    return _NAMED.sub(in_text, text)
 
 
 def filled_condition(condition: str, values: Values) -> str:
@@ -65,5 +70,10 @@ def names_in(content: Any) -> Iterator[str]:
 
 
 def _text(value: Value) -> str:
-    """Return a value as text: a truth value as ``true`` or ``false``, a number in full."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    """Return a value as text: a truth value as ``true`` or ``false``, a number in full.
+
+    YAML takes ``1e-05`` for a text, and ``1.0e-05`` for a number.
+    """
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    is_whole = isinstance(value, float) and "e" in text and "." not in text
+    return text.replace("e", ".0e") if is_whole else text

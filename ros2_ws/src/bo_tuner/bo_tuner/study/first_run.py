@@ -1,13 +1,13 @@
 """The run of a first study: what moves the system, and how it comes back to rest."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bo_tuner.study.offers import CHECK
+from bo_tuner.study.offers import CHECK, REFERENCE
 from bo_tuner.study.seen import Seen, SeenAction, SeenTopic
-from bo_tuner.study.signal_offers import REFERENCE, TRUTH, SignalOffer, is_sure, signal_offers
+from bo_tuner.study.signal_offers import TRUTH, SignalOffer, is_sure, signal_offers
 from bo_tuner.study.strict_yaml import dump_line
 
 SECONDS = 2.0
@@ -104,6 +104,7 @@ def run_lines(
     names: Mapping[SignalOffer, str],
     wanted: SignalOffer | None,
     measured: SignalOffer | None,
+    references: Sequence[tuple[str, str, float]],
     *,
     is_simulated: bool,
 ) -> Iterator[str]:
@@ -117,13 +118,15 @@ def run_lines(
         The signals of the study, and their names in it.
     wanted, measured
         The reference, and what shall follow it.
+    references
+        Key of a node, name and value of the parameters that are its reference by their names.
     is_simulated
         Whether the nodes are in simulated time.
     """
     step = step_of(wanted, measured)
     yield "run:"
     yield from _before_lines(seen, names, step, measured)
-    yield from _start_lines(seen, step)
+    yield from _start_lines(seen, step, references)
     until = ", or result: until a goal of start is done" if seen.actions else ""
     yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]{until}"
     if step is not None:
@@ -185,8 +188,14 @@ def is_start(service: str) -> bool:
     return START.search(service.rpartition("/")[2]) is not None
 
 
-def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
-    calls = [f"- call: {dump_line({'service': s})}" for s in seen.services if is_start(s)]
+def _start_lines(
+    seen: Seen, step: Step | None, references: Sequence[tuple[str, str, float]]
+) -> Iterator[str]:
+    offers = [
+        f"- set: {dump_line({'node': key, 'parameter': name, 'value': round(value + STEP, 6)})}"
+        for key, name, value in references
+    ]
+    calls = offers + [f"- call: {dump_line({'service': s})}" for s in seen.services if is_start(s)]
     if step is not None:
         stamped = "; its header needs a frame" if "Stamped" in step.wanted.topic.type else ""
         yield f"  # {known(step.wanted.topic)}"
@@ -196,7 +205,7 @@ def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
             yield f"    # {CHECK}: it is published once; many drives stop without more of them."
         yield from (f"    # {line}" for line in (*calls, *_goals(seen.actions)))
         return
-    if len(calls) == 1:
+    if len(calls) == 1 and not offers:
         yield f"  start:  # {CHECK}: by its name this sets it in motion"
         yield f"    {calls[0]}"
         yield from (f"    # {line}" for line in _goals(seen.actions))

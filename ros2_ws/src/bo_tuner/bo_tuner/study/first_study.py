@@ -13,7 +13,14 @@ from typing import Any
 from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.study.first_run import known, run_lines
-from bo_tuner.study.offers import CHECK, ParameterOffer, context_offers, is_seed, parameter_offers
+from bo_tuner.study.offers import (
+    CHECK,
+    ParameterOffer,
+    context_offers,
+    is_seed,
+    parameter_offers,
+    reference_offers,
+)
 from bo_tuner.study.parameter import array_and_item, study_name
 from bo_tuner.study.parameter_kinds import Kind
 from bo_tuner.study.seen import Seen, SeenNode, SeenTopic
@@ -21,7 +28,7 @@ from bo_tuner.study.signal_offers import SignalOffer, is_truth, partner, referen
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.sizing import OF_PARAMETER, first_budget
 from bo_tuner.study.strict_yaml import dump_line
-from bo_tuner.text import one_line
+from bo_tuner.text import listed, one_line
 
 
 def first_study(
@@ -72,6 +79,7 @@ def first_study(
         f"#       {_command('tune', '--study', source, '--attach', *ros_arguments)}",
         f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
         "",
+        *_process_lines(seen, own),
         "nodes:",
         *(_node_line(keys[node.name], node, parameters) for node in tuned),
         *(
@@ -90,7 +98,12 @@ def first_study(
         *_signal_lines(seen.topics, names),
         "",
         *run_lines(
-            seen, names, wanted, measured, is_simulated=any(node.uses_sim_time for node in tuned)
+            seen,
+            names,
+            wanted,
+            measured,
+            [(keys[node.name], *offer) for node in tuned for offer in reference_offers(node)],
+            is_simulated=any(node.uses_sim_time for node in tuned),
         ),
         "",
         *metrics,
@@ -114,6 +127,13 @@ def _measured(
     possible = [offer for offer in signals if offer.topic.publishers] or list(signals)
     of_others = [offer for offer in possible if not set(offer.topic.publishers) & set(tuned)]
     return next(iter(of_others or possible))
+
+
+def _process_lines(seen: Seen, tuned: Collection[str]) -> Iterator[str]:
+    """Yield a line on each process with a tuned node and others."""
+    for names in seen.together:
+        if set(tuned) & set(names):
+            yield f"# {one_line(listed(names))} run in one process: what starts one starts all."
 
 
 def _node_line(key: str, node: SeenNode, parameters: Iterable[ParameterOffer]) -> str:

@@ -281,7 +281,7 @@ def outcome_on_screen(study: Study, trial: Trial) -> str:
         constraint = study.constraints[name]
         value = shown_beside(held_against(constraint, trial), constraint.limit)
         sign = ">" if constraint.sign > 0.0 else "<"
-        title = study.titled(constraint, study.metrics[constraint.metric].title)
+        title = study.limit_title(constraint)
         return f"{title} {value} {sign} {constraint.limit:g}"
 
     return _outcome(study, trial, f"{OVER} ({{}})", f"{MARGIN} ({{}})", beside)

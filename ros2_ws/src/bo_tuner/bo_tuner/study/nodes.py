@@ -2,8 +2,8 @@
 
 import re
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Annotated
 
@@ -11,13 +11,15 @@ from bo_tuner import maxima
 from bo_tuner.codec import checks
 from bo_tuner.codec.reading import Section
 from bo_tuner.codec.rules import KEY, SECONDS, AtMost, Expected, Matching, OneOf, RosValues
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.braces import Values, filled_text, names_in
 from bo_tuner.study.steps import Step
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-PARAMETER_FILE = "{parameter_file}"
+FILE_NAME, WORKER_NAME = "parameter_file", "worker"
+PARAMETER_FILE = f"{{{FILE_NAME}}}"
 """Stands in `command` and `launch` for the file with the values that a node starts with."""
-WORKER = "{worker}"
+WORKER = f"{{{WORKER_NAME}}}"
 """Stands in `command`, `launch` and `env` for the number of the worker that starts it, from 1."""
 CONTROLLER_MANAGER = "controller_manager"
 """Configures the controllers of ros2_control, which have no lifecycle services of their own."""
@@ -59,11 +61,12 @@ class NodeSpec(Section):
     executable : str, optional
         Executable to start. A node that does not run already needs this, `command` or `launch`.
     command : str, optional
-        Program to start, with its arguments, quoted like those of a shell; no shell runs it.
+        Program to start, with its arguments, quoted like those of a shell; no shell runs it. Names
+        of parameters and contexts in braces stand for their values; it starts anew with others.
     launch : str, optional
-        Arguments of ``ros2 launch`` to start.
+        Arguments of ``ros2 launch`` to start, as `command` with names in braces: `kp:={kp}`.
     env : mapping from str to str
-        Environment variables of what is started.
+        Environment variables of what is started, with names in braces as well.
     at_start : bool or tuple of str
         Whether the node takes what the study sets on it only while it starts, or names of what it
         takes so: it starts anew with other values.
@@ -130,14 +133,26 @@ class NodeSpec(Section):
         """Whether the study says how to start it."""
         return bool(self.executable or self.command or self.launch)
 
-    def of_worker(self, number: int) -> "NodeSpec":
-        """Return the node as a worker starts it."""
+    def words(self, values: Values) -> list[str]:
+        """Return its `command`, or what it launches, with values for names in braces."""
+        words = shlex.split(self.command or self.launch or "")
+        return [filled_text(word, values) for word in words]
 
-        def filled(text: str | None) -> str | None:
-            return None if text is None else text.replace(WORKER, str(number))
+    def environment(self, values: Values) -> dict[str, str]:
+        """Return its environment variables, with values for names in braces."""
+        return {name: filled_text(text, values) for name, text in self.env.items()}
 
-        env = {name: text.replace(WORKER, str(number)) for name, text in self.env.items()}
-        return replace(self, command=filled(self.command), launch=filled(self.launch), env=env)
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str]]:
+        """Names of contexts and parameters in braces in what starts it, with their key paths."""
+        for key in ("command", "launch"):
+            for name in names_in(getattr(self, key)):
+                if name not in (FILE_NAME, WORKER_NAME):
+                    yield (key,), name
+        for variable, text in self.env.items():
+            for name in names_in(text):
+                if name != WORKER_NAME:
+                    yield ("env", variable), name
 
     @property
     def passes_file(self) -> bool:

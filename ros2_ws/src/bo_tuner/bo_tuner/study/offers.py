@@ -32,6 +32,12 @@ FAR_BELOW = 20.0
 """Ratio of upper bound to value from which on a range from 0 is nearly all far from the value."""
 VARIATION = 0.2
 """Share by which a property of a plant is guessed to vary in operation."""
+REFERENCE = re.compile(
+    r"set_?point|reference|target|desired|wanted|demand|goal|command|trajectory"
+    r"|(^|[/_])(ref|cmd|sp)([/_]|$)",
+    re.IGNORECASE,
+)
+"""Words in the name of a topic, or a parameter, that carries what another signal shall follow."""
 CHECK = "CHECK"
 """Marks a guess."""
 
@@ -107,6 +113,15 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
         else:
             others[name] = described.type.replace("_", " ") or "not set"
     return offers, others
+
+
+def reference_offers(node: SeenNode) -> Iterator[tuple[str, float]]:
+    """Yield the parameters of a node that are its reference by their names, with values now."""
+    for name, described in node.parameters.items():
+        value = described.value
+        is_free = not described.read_only and name not in node.changing
+        if is_free and REFERENCE.search(name) and isinstance(value, float) and math.isfinite(value):
+            yield name, value
 
 
 def context_offers(node: SeenNode) -> list[ContextOffer]:

@@ -36,7 +36,7 @@ LARGEST_BOUND = 2**53
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Titled):
-    """A parameter of the study: of a node, or a value in the steps of `run`.
+    """A parameter of the study: of a node, or a value in steps of `run` or what starts a node.
 
     A tuned one has `bounds` (a number), `choices` (a string, or a number that takes a few values)
     or only a default (a boolean); any other has `tied_to` or `fixed`.
@@ -47,7 +47,8 @@ class Parameter(Titled):
         Name in the study.
     node : str
         Node of the study that has the parameter. One without a node stands in the steps of `run`,
-        by its name in braces: `request: {kp: "{kp}"}`.
+        or in the `command`, `launch` or `env` of a node, by its name in braces: `request: {kp:
+        "{kp}"}`, `kp:={kp}`.
     type : str
         `double`, `integer`, `boolean` or `string`, as ROS calls the type.
     bounds : tuple of two numbers, optional

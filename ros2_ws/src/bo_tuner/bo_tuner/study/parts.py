@@ -33,7 +33,7 @@ MINIMIZE, MAXIMIZE = "minimize", "maximize"
 
 @dataclass(frozen=True, kw_only=True)
 class ContextVariable(Section):
-    """What varies from evaluation to evaluation: a parameter of a node, or a value in the steps.
+    """What varies from evaluation to evaluation: a parameter of a node, or a value in braces.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class ContextVariable(Section):
         Name in the study.
     node : str
         Node of the study that has the parameter. A variable without one stands in the steps of
-        `run`, by its name in braces: `goal: {x: "{goal_x}"}`.
+        `run`, or in what starts a node, by its name in braces: `goal: {x: "{goal_x}"}`.
     distribution : Distribution
         Distribution of its values in operation.
     type : str

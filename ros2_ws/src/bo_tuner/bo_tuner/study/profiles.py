@@ -17,6 +17,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics import profiles
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study.braces import Values, filled_condition, without_names
 from bo_tuner.study.reference_table import HOLD, Table, read_table
 from bo_tuner.study.signals import TIME, named_expression
 
@@ -278,7 +279,8 @@ class Profile(Section):
     csv : CsvProfile, optional
         Is a column of a file.
     expression : str
-        An expression of `t`, the time [s] since the stream began, and `pi`.
+        An expression of `t`, the time [s] since the stream began, `pi`, and names of contexts and
+        parameters in braces.
     """
 
     step: StepProfile | None = None
@@ -301,7 +303,14 @@ class Profile(Section):
         if len(given) + (self.expression != "") != 1:
             raise StudyError(f"expected one of {', '.join((*_KINDS, 'expression'))}")
         if self.expression != "":
-            named_expression(self.expression, (TIME, PI), "name", "expression")
+            text = without_names(self.expression)
+            named_expression(text, (TIME, PI), "name", "expression")
+
+    def filled(self, values: Values) -> "Profile":
+        """Return it with values for names in braces."""
+        if not self.expression:
+            return self
+        return replace(self, expression=filled_condition(self.expression, values))
 
     @property
     def highest_frequency(self) -> float:

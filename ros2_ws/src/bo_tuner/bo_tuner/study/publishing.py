@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
 from bo_tuner.codec.reading import Section
 from bo_tuner.codec.rules import SECONDS, AtMost, Expected, Matching, Within
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.braces import Values, filled, names_in
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.profiles import Profile, StepProfile
 from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE, OF_MESSAGES
@@ -82,6 +83,20 @@ class Topic(Section):
                     raise StudyError(error.problem) from None
         for name in self.follow:
             checks.reference(name, "field in profile", self.profile, "follow")
+
+    def filled(self, values: Values) -> Self:
+        """Return it with values for names in braces."""
+        profile = {name: item.filled(values) for name, item in self.profile.items()}
+        return dataclasses.replace(self, message=filled(self.message, values), profile=profile)
+
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str, bool]]:
+        """Names of contexts and parameters in braces, with key paths; whether in an expression."""
+        for name in names_in(self.message):
+            yield ("message",), name, False
+        for field_name, item in self.profile.items():
+            for name in names_in(item.expression):
+                yield ("profile", field_name), name, True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +169,18 @@ class Publish(Topic):
             return self.topics
         return (Topic(**{f.name: getattr(self, f.name) for f in dataclasses.fields(Topic)}),)
 
+    def filled(self, values: Values) -> Self:
+        """Return it with values for names in braces, in each of its topics."""
+        topics = tuple(topic.filled(values) for topic in self.topics)
+        return dataclasses.replace(super().filled(values), topics=topics)
+
+    @property
+    def names_in_braces(self) -> Iterator[tuple[KeyPath, str, bool]]:
+        """Names of contexts and parameters in braces, with key paths; whether in an expression."""
+        for path, topic in zip(self.paths, self.published, strict=True):
+            own = topic.names_in_braces
+            yield from (((*path, *below), name, is_number) for below, name, is_number in own)
+
     @property
     def paths(self) -> list[tuple[str | int, ...]]:
         """Key path of each of `published`, from this step."""
@@ -224,6 +251,9 @@ class Publish(Topic):
         return dataclasses.replace(self, profile=topics[0].profile)
 
     def _check_finite(self, profile: Profile, folder: str, longest: float) -> None:
+        if any(names_in(profile.expression)):
+            # What it comes to is known with the values alone.
+            return
         rate = self.rate or 1.0
         count = int(min(self.duration or longest, longest, CHECKED) * rate) + 1
         times = np.arange(count) / rate

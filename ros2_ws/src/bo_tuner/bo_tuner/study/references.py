@@ -206,10 +206,14 @@ def check_names(
     if {"signals", "nodes"} <= names.keys():
         with findings.under():
             check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
-    if {"contexts", "parameters"} <= names.keys() and ("run" in parts or "run" not in names):
+    # A name may stand in a part that was refused itself.
+    nodes = parts.get("nodes", {})
+    has_all = nodes.keys() == set(names.get("nodes", ())) and ("run" in parts or "run" not in names)
+    if {"contexts", "parameters"} <= names.keys() and has_all:
         with findings.under():
             check_braces(
                 parts.get("run"),
+                nodes,
                 dict.fromkeys(names["contexts"]) | named["contexts"],
                 dict.fromkeys(names["parameters"]) | named["parameters"],
             )

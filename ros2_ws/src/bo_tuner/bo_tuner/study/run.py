@@ -11,6 +11,7 @@ from bo_tuner.codec.reading import Section
 from bo_tuner.codec.rules import POSITIVE, SECONDS, Alone, AtMost, OneOf
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.braces import without_names
+from bo_tuner.study.playing import Play
 from bo_tuner.study.resting import RAMP, Rest, WarmUp
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import SetParameter, Step, Steps
@@ -39,22 +40,25 @@ class End(Section):
         Condition on signals.
     result : bool
         The results of all goals that `start` sends.
+    played : bool
+        The end of the bag that `start` plays.
     """
 
     after: Annotated[float, POSITIVE] | None = None
     when: str = ""
     result: bool = False
+    played: bool = False
 
     alone = Alone(
-        Literal["result"],
-        lambda _: {"result": True},
-        "result, or a mapping such as {after: 2.0}",
+        Literal["result", "played"],
+        lambda word: {word: True},
+        "result, played, or a mapping such as {after: 2.0}",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.after is not None) + (self.when != "") + self.result != 1:
-            raise StudyError("expected one of after, when and result")
+        if (self.after is not None) + (self.when != "") + self.result + self.played != 1:
+            raise StudyError("expected one of after, when, result and played")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +79,8 @@ class Run(Section):
     recover : tuple of Step
         Returns the machine to its home position after a failed run, with the safe parameters.
     timeout : float
-        Longest time [s] of a run from its start to its end.
+        Longest time [s] of a run from its start to its end; a run that plays a bag takes what that
+        takes.
     abort_when : str
         Condition on signals at which a run ends at once, as failed.
     clock : str
@@ -111,8 +116,34 @@ class Run(Section):
                 )
         if self.end.result and not any(step.send_goal for step in self.start):
             raise StudyError("start has no send_goal", ("end", "result"))
+        self._check_play()
         self._check_times()
         self._check_streams()
+
+    @property
+    def play(self) -> Play | None:
+        """What it plays, if it plays a bag."""
+        return next((step.play for step in self.start if step.play is not None), None)
+
+    def _check_play(self) -> None:
+        """Refuse a bag that is not all that a run goes by."""
+        plays = [path for path, step in self.steps if step.play is not None]
+        for path in plays:
+            if path[1] != START:
+                raise StudyError("is a run of its own; expected this in start", (*path[1:], "play"))
+        if self.end.played and not plays:
+            raise StudyError("start has no play", ("end", "played"))
+        if not plays:
+            return
+        if len(self.start) > 1:
+            raise StudyError("expected play alone: a run is what its bag is", (START,))
+        if not self.end.played:
+            raise StudyError("expected played, as start plays a bag", ("end",))
+        if self.clock != SIM:
+            raise StudyError("expected sim: the time of a bag is that of the run", ("clock",))
+        for path, step in self.steps:
+            if step.publish is not None and step.publish.streams:
+                raise StudyError("no reference streams beside a bag", (*path[1:], "publish"))
 
     def _check_streams(self) -> None:
         """Refuse an endless stream on the way to rest, and a `stop` of what does not stream."""
@@ -178,7 +209,7 @@ class Run(Section):
     @property
     def needs_folder(self) -> bool:
         """Whether it names files."""
-        return any(
+        return self.play is not None or any(
             profile.csv is not None
             for _, step in self.steps
             if step.publish is not None

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from bo_tuner.codec.checks import holds
 from bo_tuner.study.run import AFTER
 from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
 
 
 def safe_values(study: Study) -> dict[str, dict[str, object]]:
@@ -15,6 +16,12 @@ def safe_values(study: Study) -> dict[str, dict[str, object]]:
     for key, values in _left_by_steps(study).items():
         safe.setdefault(key, {}).update(values)
     return safe
+
+
+def safe_in_braces(study: Study) -> dict[str, Value]:
+    """Return the values that names in braces stand for while no run is performed."""
+    contexts = study.context_space()
+    return {**study.safe_parameters, **contexts.to_dict(contexts.nominal())}
 
 
 def set_by_steps(study: Study) -> dict[str, dict[str, list[object]]]:

@@ -18,6 +18,8 @@ from bo_tuner.codec.reading import Field, classes_in, keys_of
 from bo_tuner.codec.rules import Schema
 from bo_tuner.codec.schema import Schemas, texts_of
 from bo_tuner.study.distributions import DISTRIBUTIONS
+from bo_tuner.study.parts import ContextVariable
+from bo_tuner.study.playing import Bags
 from bo_tuner.study.study import BY_NAME, Study
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -31,8 +33,17 @@ def schema() -> Schema:
     schemas.definitions["Parameter"]["required"].remove("type")
     limits = [{"required": ["upper"]}, {"required": ["lower"]}]
     schemas.definitions["Constraint"]["anyOf"] = limits
+    kinds = schemas.definitions["ContextVariable"]["anyOf"]
+    kinds.append(_with_bags(kinds[0], schemas.of_object(Bags)))
     title = "Study file of bo_tuner"
     return {"$schema": DIALECT, "title": title, **root, "$defs": schemas.definitions}
+
+
+def _with_bags(context: Schema, bags: Schema) -> Schema:
+    """Return the schema of a context of bags, which stand in place of its distribution."""
+    own = [item.name for item in keys_of(ContextVariable) if item.beside is None]
+    properties = {name: context["properties"][name] for name in own} | bags["properties"]
+    return {**context, "properties": properties, "required": ["bags"]}
 
 
 def page() -> str:
@@ -96,6 +107,7 @@ def _sections() -> Iterator[tuple[str, type[Any]]]:
         if item.name == "contexts":
             for kind, cls in DISTRIBUTIONS.items():
                 yield f"`contexts: <name>`, `distribution: {kind}`", cls
+            yield "`contexts: <name>`, bags", Bags
     yield from _below(Study, "", seen)
 
 
@@ -142,7 +154,7 @@ def _kind(schema: Schema) -> str:
         return " or ".join(kind for kind in kinds if kind != "integer" or "number" not in kinds)
     if schema.get("type") == "array":
         items = schema.get("items") or schema["prefixItems"][0]
-        size = f" of {schema['maxItems']}" if "maxItems" in schema else ""
+        size = f" of {schema['minItems']}" if "minItems" in schema else ""
         return f"list{size}: {_kind(items)}"
     words = {"string": "text", "object": "mapping"}
     return str(words.get(schema.get("type", ""), schema.get("type", "any")))

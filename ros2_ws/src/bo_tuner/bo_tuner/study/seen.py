@@ -79,12 +79,16 @@ class SeenAction:
 
 @dataclass(frozen=True)
 class Seen:
-    """What runs: nodes with parameters, topics with numbers, services without request, actions."""
+    """What runs: nodes with parameters, topics with numbers, services without request, actions.
+
+    Those `together` run in one process, such as a container.
+    """
 
     nodes: tuple[SeenNode, ...]
     topics: tuple[SeenTopic, ...]
     services: tuple[str, ...] = ()
     actions: tuple[SeenAction, ...] = ()
+    together: tuple[tuple[str, ...], ...] = ()
 
 
 def with_joints(

@@ -9,19 +9,13 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-from bo_tuner.study.offers import CHECK
+from bo_tuner.study.offers import CHECK, REFERENCE
 from bo_tuner.study.seen import SeenTopic
 
 MOST_SIGNALS = 6
 """Signals that are suggested."""
 MOST_OF_TOPIC = 3
 """Numbers of a message that are suggested if none has one of the names in `USUAL`."""
-REFERENCE = re.compile(
-    r"set_?point|reference|target|desired|wanted|demand|goal|command|trajectory"
-    r"|(^|[/_])(ref|cmd|sp)([/_]|$)",
-    re.IGNORECASE,
-)
-"""Words in the name of a topic that carries what another signal shall follow."""
 TRUTH = re.compile(r"ground_?truth|(^|[/_])(truth|gt)([/_]|$)", re.IGNORECASE)
 """Words in the name of a topic that carries what an estimator should find."""
 USUAL = (

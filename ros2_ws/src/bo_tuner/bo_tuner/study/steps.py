@@ -10,6 +10,7 @@ from bo_tuner.codec.reading import Section
 from bo_tuner.codec.rules import SECONDS, Expected, Matching, OneOf, RosValue, Within
 from bo_tuner.errors import StudyError
 from bo_tuner.study.fields import field_path
+from bo_tuner.study.playing import Play
 from bo_tuner.study.publishing import Message, Publish
 from bo_tuner.study.signals import GRAPH_NAME
 
@@ -144,7 +145,7 @@ class WaitUntil(Section):
             )
 
 
-_KINDS = ("call", "publish", "send_goal", "lifecycle", "set", "wait_until")
+_KINDS = ("call", "publish", "send_goal", "lifecycle", "set", "wait_until", "play")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +171,8 @@ class Step(Section):
         come up together.
     wait_until : WaitUntil, optional
         Waits for a condition on signals.
+    play : Play, optional
+        Plays a bag to the nodes.
     wait : float, optional
         Waits for a time [s].
     """
@@ -182,6 +185,7 @@ class Step(Section):
     set: SetParameter | None = None
     restart: Annotated[str | tuple[str, ...], Expected("a node, or a list of nodes")] = ""
     wait_until: WaitUntil | None = None
+    play: Play | None = None
     wait: Annotated[float, SECONDS] | None = None
 
     @property

@@ -229,7 +229,7 @@ class Study:
                 check_signals(self.run, self.metrics, self.signals, self.nodes)
                 check_kinds(self.run, self.metrics, self.signals)
         with findings.under():
-            check_braces(self.run, self.contexts, self.parameters)
+            check_braces(self.run, self.nodes, self.contexts, self.parameters)
         # Other references are checked by way of the nodes.
         if has_nodes:
             with findings.under():
@@ -537,6 +537,10 @@ class Study:
             if (item.metric, item.sign) == (constraint.metric, constraint.sign)
         ]
         return text if len(same) == 1 else f"{text} ({constraint.name})"
+
+    def limit_title(self, constraint: Constraint) -> str:
+        """Return what screens call a limit."""
+        return self.titled(constraint, self.limited(constraint))
 
     def assignments(
         self, parameters: Mapping[str, Value], context: Context, seed: int

@@ -19,6 +19,7 @@ from bo_tuner.study.function_study import with_function
 from bo_tuner.study.metrics import COMPUTED, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.playing import with_bags
 from bo_tuner.study.references import check_names
 from bo_tuner.study.relative_limits import written_out
 from bo_tuner.study.study import BY_NAME, Study
@@ -92,8 +93,9 @@ def load_study(
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
     text = read_text(Path(name_or_path), source)
-    study = parse_study(text, source, describe, of_function=of_function)
-    return _in_folder(study, Path(name_or_path).resolve().parent, source)
+    folder = Path(name_or_path).resolve().parent
+    study = parse_study(text, source, describe, of_function=of_function, folder=folder)
+    return _in_folder(study, folder, source)
 
 
 def _in_folder(study: Study, folder: Path, source: str) -> Study:
@@ -120,11 +122,12 @@ def parse_study(
     describe: Describe | None = None,
     *,
     of_function: bool = False,
+    folder: Path | None = None,
 ) -> Study:
     """Return the study that a YAML text describes; `source` names it in errors.
 
     `describe` asks nodes for what the text leaves open of their parameters. With `of_function` a
-    text without nodes describes a study of a function.
+    text without nodes describes a study of a function. Bags are looked for in a `folder`.
 
     Raises
     ------
@@ -151,7 +154,7 @@ def parse_study(
             _check_what_is_given(document.value, open_nodes)
             _fill_in(document.value, open_nodes, describe)
         completed = with_function(document.value) if of_function else document.value
-        return study_from_mapping(completed)
+        return study_from_mapping(with_bags(completed, folder))
     except StudyError as error:
         problems = [located(each) for each in (error, *error.others)]
         # An error on a key that is missing has no line, and comes last.

@@ -84,6 +84,11 @@ class TrialTask:
         """The proposed parameter set."""
         return self._proposal.parameters
 
+    @property
+    def origin(self) -> str:
+        """Why it is proposed."""
+        return self._proposal.origin
+
     def ask(self) -> Evaluation | None:
         """Return the next evaluation; None when the trial has ended."""
         done = self._done

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import select
 import subprocess
 import sys
@@ -14,19 +13,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
     advice_in_words,
     best_within,
-    describe,
     duration,
 )
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import LOGS, open_file
 from bo_tuner.study.study import Study
-from bo_tuner.text import JOIN, counted, printable
+from bo_tuner.text import counted, printable
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.question import Given, Question, Reply
@@ -35,15 +34,11 @@ from bo_tuner.web.request import Request
 
 PERIOD = 0.2
 """Shortest time [s] between two messages on evaluations."""
-COLUMNS = re.compile(f"[ {JOIN}]{{2,}}")
-"""Between two columns of a terminal's line."""
 LONGEST_TEXT = 600
 """Characters of a text in a message."""
 LIVE_PAGE = "live page"
-MOST_OF_QUESTION = 3000
-"""Bytes of a question's lines in a message."""
-LONGEST_LINE = 200
-"""Characters of a line of a question, each at most 12 bytes as JSON; longer ones are broken."""
+MOST_OF_QUESTION = 1500
+"""Characters of a question in a message: of its JSON, in which a message escapes few once more."""
 PATIENCE = 25.0
 """Longest time [s] that the page has at the end to show the result, if somebody reads it."""
 
@@ -95,7 +90,6 @@ class LivePage(RunObserver):
         self._pipe = -1
         self._process: subprocess.Popen[bytes] | None = None
         self._sent = 0.0
-        self._trial = ""
         self._running = 0
         self._ended = False
 
@@ -163,7 +157,6 @@ class LivePage(RunObserver):
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Send the recorded trials."""
-        self._trial = describe(trials[-1], self._study)
         self._send_state()
 
     def evaluation(self, evaluation: Evaluation) -> None:
@@ -176,7 +169,6 @@ class LivePage(RunObserver):
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Send a trial."""
         self._forget_what_has_come()
-        self._trial = describe(trial, self._study)
         self._running = 0
         self._send_state()
 
@@ -228,15 +220,16 @@ class LivePage(RunObserver):
 
     def _send_state(self) -> None:
         now, ended = self._status.now, self._ended
-        number, parts = self._question.number, in_parts(self._question.lines)
+        best = now.incumbent
+        asked, number = self._question.asked, self._question.number
+        parts = in_parts("" if asked is None else json.dumps(to_json(asked)))
         texts = {
-            "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
             "running": "" if ended else self._present(),
             "asked": "" if ended else self._asked,
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
         }
         self._sent = time.monotonic()
-        messages = [
+        messages: list[dict[str, object]] = [
             *ahead_of(parts),
             {
                 "phase": now.phase,
@@ -247,14 +240,12 @@ class LivePage(RunObserver):
                 "paused": now.paused,
                 "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
-                "question": {"number": number, "lines": parts[-1]},
-                "best": printable(best_within(now.incumbent, self._study)),
+                "question": {"number": number, "text": parts[-1]},
+                "best": printable(best_within(best, self._study)),
+                "best_trial": best.trial.number if best and best.believed_feasible else None,
                 "verdict": "" if now.verdict is None else printable(now.verdict.headline),
                 "texts": {
-                    # What the terminal aligns in columns is a sentence here.
-                    name: printable(COLUMNS.sub(", ", text).replace(JOIN, " "))[:LONGEST_TEXT]
-                    for name, text in texts.items()
-                    if text
+                    name: printable(text)[:LONGEST_TEXT] for name, text in texts.items() if text
                 },
             },
         ]
@@ -296,26 +287,14 @@ class LivePage(RunObserver):
             self._pipe = -1
 
 
-def in_parts(lines: Sequence[str]) -> list[list[str]]:
-    """Return the lines of a question in parts that each fit into a message; at least one part."""
-    parts: list[list[str]] = [[]]
-    size = 0
-    for line in map(printable, lines):
-        for begin in range(0, max(len(line), 1), LONGEST_LINE):
-            piece = line[begin : begin + LONGEST_LINE]
-            size += len(json.dumps(piece))
-            if size > MOST_OF_QUESTION:
-                parts.append([])
-                size = len(json.dumps(piece))
-            parts[-1].append(piece)
-    return parts
+def in_parts(text: str) -> list[str]:
+    """Return the text of a question in parts that each fit into a message; at least one part."""
+    return [
+        text[begin : begin + MOST_OF_QUESTION]
+        for begin in range(0, max(len(text), 1), MOST_OF_QUESTION)
+    ]
 
 
-def ahead_of(parts: Sequence[Sequence[str]]) -> list[dict[str, object]]:
+def ahead_of(parts: Sequence[str]) -> list[dict[str, object]]:
     """Return the messages with the parts of a question ahead of its last one, and their places."""
-    messages: list[dict[str, object]] = []
-    place = 0
-    for part in parts[:-1]:
-        messages.append({"ahead": part, "place": place})
-        place += len(part)
-    return messages
+    return [{"ahead": part, "place": place} for place, part in enumerate(parts[:-1])]

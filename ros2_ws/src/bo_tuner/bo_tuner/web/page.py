@@ -10,7 +10,6 @@ read the page has.
 import asyncio
 import hmac
 import logging
-import re
 import secrets
 import socket
 from collections.abc import Sequence
@@ -23,7 +22,6 @@ from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bo_tuner.errors import BoTunerError
-from bo_tuner.report import library
 from bo_tuner.text import printable
 from bo_tuner.web.address import TOKEN_BYTES, is_own_host
 
@@ -143,21 +141,6 @@ Route = tuple[str, type[Page], dict[str, Any]]
 """Pattern of a page's address, its handler, and what that shares beside `Access`."""
 
 
-class Library(Page):
-    """The library for figures, which a browser keeps: its address changes with its version."""
-
-    def get(self) -> None:
-        """Answer with the script, compressed if the browser takes that."""
-        self.set_header("Cache-Control", "private, max-age=31536000, immutable")
-        self.set_header("Content-Type", "text/javascript; charset=utf-8")
-        self.set_header("Vary", "Accept-Encoding")
-        if "gzip" in self.request.headers.get("Accept-Encoding", ""):
-            self.set_header("Content-Encoding", "gzip")
-            self.finish(library.compressed())
-        else:
-            self.finish(library.text())
-
-
 class Missing(Page):
     """Any other address."""
 
@@ -211,9 +194,8 @@ def start_server(listening: socket.socket, access: Access, routes: Sequence[Rout
         Where the pages are.
     """
     shared = {"access": access}
-    all_routes: list[Route] = [*routes, (re.escape(library.address()), Library, {})]
     application = Application(
-        [(pattern, handler, shared | settings) for pattern, handler, settings in all_routes],
+        [(pattern, handler, shared | settings) for pattern, handler, settings in routes],
         default_handler_class=Missing,
         default_handler_args=shared,
         # A log of requests would hold the token.

@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from bo_tuner.evidence.certificate.store import certificate_paths
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
 from bo_tuner.report.content import Forecast, Table
-from bo_tuner.report.page import chapters, fill, list_html, render, trial_html
+from bo_tuner.report.page import OF_LISTS, chapters, fill, list_html, render, trial_html
 from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
@@ -33,6 +34,10 @@ from bo_tuner.web.sections import read_as_it_stands
 
 MOST_RUNS = 50
 """Runs on a page of the list; reading all those of a year would take minutes."""
+PATIENCE = 0.5
+"""Time [s] after which a list shows the runs that are not read yet without a verdict."""
+NOT_READ = "…"
+"""What stands there in its place."""
 MOST_COMPARED = 8
 """Runs side by side; more columns and lines cannot be told apart."""
 COLUMNS = ("verdict", "objective", "study", "how", "trials")
@@ -112,8 +117,7 @@ class Runs:
             return None
         return fill(
             "runs.html",
-            ["runs.js"],
-            served=True,
+            [*OF_LISTS, "runs.js"],
             title="Runs",
             folder=self._folder.resolve().name,
             sections=[],
@@ -133,9 +137,18 @@ class Runs:
             return None
         begin = page * MOST_RUNS
         listed = names[begin : begin + MOST_RUNS]
-        known = {name: self._read(name) for name in listed}
         rows, problems = [], []
-        for name, run in known.items():
+        unread, end = 0, time.monotonic() + PATIENCE
+        is_first = True
+        for name in listed:
+            if not self._is_known(name):
+                # One run at least, so that a list that is asked for again becomes complete.
+                if not is_first and time.monotonic() > end:
+                    rows.append([name, *(NOT_READ for _ in COLUMNS)])
+                    unread += 1
+                    continue
+                is_first = False
+            run = self._read(name)
             if run.problem:
                 problems.append(f"{name}: {run.problem}")
                 continue
@@ -147,6 +160,7 @@ class Runs:
             )
         return {
             "present": self._present,
+            "unread": unread,
             "news": news_address(page),
             "table": Table(
                 caption=counted(len(names), "run"),
@@ -188,7 +202,6 @@ class Runs:
             chapters(analysis),
             None,
             template="run.html",
-            served=True,
             frame=frame,
             files=[
                 (file_address(name, path), path, size_in_words(size))
@@ -220,7 +233,7 @@ class Runs:
 
         frame = Frame(self._address(name), name, beside(number - 1), beside(number + 1))
         parts = trial_sections(analysis, trial)
-        return trial_html(analysis, trial, parts, "run_trial.html", served=True, frame=frame)
+        return trial_html(analysis, trial, parts, "run_trial.html", frame=frame)
 
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
         """Return what is predicted for values of a run's parameters; None if there are none such.
@@ -244,7 +257,7 @@ class Runs:
             return None
         parts = comparison({name: self._analysis(name) for name in names})
         title = f"{len(names)} runs side by side"
-        return fill("comparison.html", served=True, sections=parts, title=title, home=RUNS)
+        return fill("comparison.html", sections=parts, title=title, home=RUNS)
 
     def table(self) -> str:
         """Return all runs that can be read, a row each, as CSV: verdicts and values."""
@@ -283,10 +296,14 @@ class Runs:
             self._open.pop(next(iter(self._open)))
         return known[1]
 
+    def _is_known(self, name: str) -> bool:
+        """Return whether nothing of a run has changed since it was read for the list."""
+        return name in self._known and self._known[name].files == self._signatures(name)
+
     def _read(self, name: str) -> _Known:
-        """Read what the list says of a run, unless nothing of it has changed since."""
-        files = self._signatures(name)
-        if name not in self._known or self._known[name].files != files:
+        """Return what the list says of a run."""
+        if not self._is_known(name):
+            files = self._signatures(name)
             try:
                 self._known[name] = _Known(files, in_a_row(self._analysis(name)))
             except BoTunerError as error:

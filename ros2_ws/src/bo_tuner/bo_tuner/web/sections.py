@@ -3,12 +3,13 @@
 They need no models, so that they are quick however long the run is; those of the result do.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import answer_html, fill, live_parts
+from bo_tuner.report.page import OF_LISTS, answer_html, fill, live_parts
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.text import counted
 from bo_tuner.trials import count_trials
@@ -54,11 +55,19 @@ class LiveSections:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def made(self, *, ended: bool) -> Made:
-        """Make all parts as of now; raises `RunRecordError` if the run cannot be read."""
+    def made(self, best: Mapping[int, int], *, ended: bool) -> Made:
+        """Make all parts as of now; raises `RunRecordError` if the run cannot be read.
+
+        Parameters
+        ----------
+        best
+            Which trial is the best within limits, by the number of trials known then.
+        ended
+            Whether the run has.
+        """
         record = read_as_it_stands(self._folder, ended=ended)
         when = datetime.now().astimezone().strftime("%H:%M:%S")
-        made = live_parts(record.study, record.trials)
+        made = live_parts(record.study, record.trials, best)
         if ended:
             made = {ANSWER: answer_html(Analysis(record)), **made}
         stamp = f"As of {counted(count_trials(record.trials), 'trial')}, {when}"
@@ -75,8 +84,7 @@ class LiveSections:
         study = read_run(self._folder).study
         return fill(
             "live.html",
-            scripts=["live.js"],
-            served=True,
+            [*OF_LISTS, "trials.js", "live.js"],
             study=study,
             sections=[],
             control=control,

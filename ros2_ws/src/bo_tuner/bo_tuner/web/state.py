@@ -2,12 +2,16 @@
 
 import asyncio
 import contextlib
+import json
 from collections.abc import Awaitable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import BoTunerError
+from bo_tuner.report.page import question_html
+from bo_tuner.tuning.question import Asked
 from bo_tuner.web.sections import LiveSections, Made, Part
 
 LONGEST_WAIT = 20.0
@@ -37,6 +41,8 @@ class LiveState:
     ----------
     parts
         By the name of a part, in their order, the version of its last change, and the part.
+    best
+        Which trial is the best within limits, by the number of trials known then.
     stamp
         Which state of the run they show, in words.
     making, pages
@@ -47,7 +53,9 @@ class LiveState:
         self.sections = sections
         self.version = 0
         self.now: Mapping[str, Any] = {}
+        self.best: dict[int, int] = {}
         self._ahead: list[str] = []
+        self._shown_question = (0, "", "")
         self.parts: dict[str, tuple[int, Part]] = {}
         self.stamp = ""
         self.problem = ""
@@ -68,20 +76,29 @@ class LiveState:
         return await asyncio.get_running_loop().run_in_executor(thread, function, *arguments)
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Take a state of the run, or lines of a question that go ahead of it."""
+        """Take a state of the run, or a part of a question that goes ahead of it."""
         if "ahead" in message:
-            self._ahead[message["place"] :] = message["ahead"]
+            self._ahead[message["place"] :] = [message["ahead"]]
             return
         now = dict(message)
-        if self._ahead:
-            question = now["question"]
-            now["question"] = {**question, "lines": [*self._ahead, *question["lines"]]}
-            self._ahead = []
+        # A state that is taken once more, with its end, has it as HTML already.
+        if "text" in now.get("question", ()):
+            now["question"] = self._question(**now["question"])
+        if now.get("best_trial") is not None:
+            self.best[now["trials"]] = now["best_trial"]
         self.now = now
         if now.get("ended"):
             self._over.set()
         self._due.set()
         self._publish()
+
+    def _question(self, number: int, text: str) -> dict[str, object]:
+        """Return a question as HTML, which is empty while nothing is asked."""
+        whole, self._ahead = "".join((*self._ahead, text)), []
+        if (number, whole) != self._shown_question[:2]:
+            html = question_html(read(Asked, json.loads(whole), JSON)) if whole else ""
+            self._shown_question = (number, whole, html)
+        return {"number": number, "html": self._shown_question[2]}
 
     def watch(self) -> None:
         """Keep the parts up to date for a while."""
@@ -136,7 +153,8 @@ class LiveState:
     async def _make(self, *, ended: bool) -> None:
         """Make the parts and show them, all at once; after the end only those of the end."""
         try:
-            made = await self.call(self.making, partial(self.sections.made, ended=ended))
+            make = partial(self.sections.made, dict(self.best), ended=ended)
+            made = await self.call(self.making, make)
         except BoTunerError as error:
             self._show_problem(f"The page cannot be brought up to date: {error}")
         except Exception as error:

@@ -49,12 +49,13 @@ from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     CutShortError,
     FailedRunError,
+    GapError,
     NotFiniteError,
     Recording,
 )
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.processor_load import with_children
+from bo_tuner.processor_load import busy_in_words, explains, with_children
 from bo_tuner.run_notes import Death, Notes, Unusable
 from bo_tuner.study.configuring import stays_in_force
 from bo_tuner.study.nodes import FAILURE
@@ -176,6 +177,7 @@ class RosBackend(SequentialBackend):
         self._bringup: Bringup | None = None
         self._held: Values = {}
         self._suspension = Suspension()
+        self._gap: float | None = None
         self._safe_state: SafeState | None = None
         self._previous: PreviousParameters | None = None
         self._started = StartedNodes(study, self._namespace, log_directory, worker)
@@ -363,6 +365,7 @@ class RosBackend(SequentialBackend):
             self._look()
             self._suspension.begin()
             self._taken_over = False
+            self._gap = None
             outcome = self._with_starts(self._attempt(planned))
             self._suspension.look()
             seconds = self._suspension.seconds
@@ -371,6 +374,14 @@ class RosBackend(SequentialBackend):
                 self._rates.note(outcome)
                 return outcome
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
+
+    def weighed(self, outcome: Outcome, seconds: float) -> Outcome:
+        """Return an outcome; a gap that may be the computer's is not the parameters' failure."""
+        failed = outcome.state is EvaluationState.FAILED
+        if self._gap is None or not failed or not explains(outcome.load, self._gap, seconds):
+            return outcome
+        reason = brief(f"{outcome.reason}; {busy_in_words(outcome.load)}")
+        return dataclasses.replace(outcome, reason=reason).noted(unusable=Unusable.DISTURBED)
 
     def start_anew(self) -> None:
         """Have nodes that take values only at their start begin the next evaluation with one."""
@@ -470,6 +481,7 @@ class RosBackend(SequentialBackend):
             # One that has ended before did not do so with these values.
             self._started.check()
             in_force = True
+            client.start_values.fill({**planned.parameters, **planned.context})
             said = client.evaluate(wanted, kept, run, self._park_after_run)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)
@@ -479,6 +491,7 @@ class RosBackend(SequentialBackend):
             ended = cut_short(self._study, planned.beyond, end.seconds, end.so_far)
             return self._counted(ended)
         except (RefusedError, FailedRunError) as refusal:
+            self._gap = refusal.seconds if isinstance(refusal, GapError) else None
             return self._counted(Outcome(EvaluationState.FAILED, {}, brief(str(refusal))))
         except DisturbedError as error:
             disturbed = Notes(unusable=Unusable.DISTURBED)

@@ -67,7 +67,7 @@ class HeardTopic:
         self.cls = cls
         self.publishers = Publishers(node, name)
         self.problem = ""
-        qos = _weakest([info.qos_profile for info in offered])
+        qos = weakest([info.qos_profile for info in offered])
         self.is_latched = (
             qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
             and qos.reliability == QoSReliabilityPolicy.RELIABLE
@@ -117,7 +117,7 @@ class HeardTopic:
         )
 
 
-def _weakest(offered: Sequence[QoSProfile]) -> QoSProfile:
+def weakest(offered: Sequence[QoSProfile]) -> QoSProfile:
     """Return a quality of service that all publishers offer."""
     reliable = all(qos.reliability != QoSReliabilityPolicy.BEST_EFFORT for qos in offered)
     latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)

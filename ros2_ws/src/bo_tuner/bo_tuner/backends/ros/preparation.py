@@ -9,6 +9,8 @@ from bo_tuner.backends.ros.clock import RunClock, SimClock, WallClock
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
+from bo_tuner.backends.ros.play.play_clock import PlayClock
+from bo_tuner.backends.ros.play.player import Player, play_clock
 from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.steps import (
     CONNECT_TIMEOUT,
@@ -24,6 +26,7 @@ from bo_tuner.codec.findings import under
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.publishing import Publish
 from bo_tuner.study.run import AFTER, BEFORE, SIM, START
+from bo_tuner.study.safe_values import safe_in_braces
 from bo_tuner.study.step_values import filled_step
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
@@ -76,7 +79,13 @@ class Preparation:
         self._ticks: Ticks = WallTicks(clock) if ticks is None else ticks
         self.topics: dict[str, OwnTopic] = {}
 
-    def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | Stream | None:
+    def play_clock(self) -> PlayClock:
+        """Make the clock of a run that plays a bag, by which what is prepared next goes."""
+        clock = play_clock(self._tuner, self.topics, self._listener)
+        self._clock, self._ticks = clock, WallTicks(clock)
+        return clock
+
+    def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | Stream | Player | None:
         """Return what a step needs: a goal, a stream, what is performed otherwise, or None.
 
         Raises
@@ -97,6 +106,18 @@ class Preparation:
             if step.send_goal is not None:
                 with under("send_goal"):
                     return Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
+            if step.play is not None and isinstance(self._clock, PlayClock):
+                study = self._study
+                with under("play"):
+                    return Player(
+                        self._tuner,
+                        step.play,
+                        study.folder,
+                        study.signals,
+                        self.topics,
+                        self._clock,
+                        self._listener,
+                    )
             for key in step.restarts:
                 self._check_restart(key)
         return None
@@ -134,7 +155,7 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
     if study.run is None:
         return
     wait = partial(tuner.wait_until, timeout=CONNECT_TIMEOUT)
-    if study.run.clock == SIM:
+    if study.run.clock == SIM and study.run.play is None:
         # A clock takes its messages itself, so its node is in no executor.
         node = Node(f"{NODE_NAME}_clock", context=tuner.context, start_parameter_services=False)
         try:
@@ -144,8 +165,9 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
         finally:
             node.destroy_node()
     preparation = Preparation(study, tuner, WallClock(), attached=attached)
-    contexts = study.context_space()
-    nominal = {**study.safe_parameters, **contexts.to_dict(contexts.nominal())}
+    if study.run.play is not None:
+        preparation.play_clock()
+    nominal = safe_in_braces(study)
     try:
         for path, step in study.run.steps:
             try:
@@ -153,7 +175,7 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
             except StudyError as error:
                 yield error
                 continue
-            if isinstance(prepared, Goal):
+            if isinstance(prepared, (Goal, Player)):
                 prepared.close()
     finally:
         # They would be taken for those of somebody else.

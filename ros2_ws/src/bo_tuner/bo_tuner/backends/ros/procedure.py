@@ -17,6 +17,7 @@ from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.parameters.services import meet
+from bo_tuner.backends.ros.play.player import Player
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.publication import UnheardError
 from bo_tuner.backends.ros.run_watch import OVERLAP, RunWatch
@@ -58,6 +59,11 @@ NOT_SETTLED = (
     "ahead of it"
 )
 """What to do about a machine that does not come to where a run is to start."""
+TOO_SLOW = (
+    "the parameters of the trial may be too slow for it: let the safe ones do it "
+    "(park: {between_runs: true}), reset the machine ahead of it, or give it a longer timeout"
+)
+"""The same where it goes there with the parameters of the run before, and of the next."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -123,6 +129,7 @@ class Procedure:
         self._topics: dict[str, OwnTopic] = {}
         self._prepared_streams: dict[KeyPath, Stream] = {}
         self._streams = Streams(tuner)
+        self._player: Player | None = None
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
@@ -145,6 +152,7 @@ class Procedure:
                 list(self._topics.values()),
                 self._streams,
                 MetricsSoFar(study),
+                self._player,
             )
             self._watch.enter(self._values(), {})
         except BaseException:
@@ -366,6 +374,8 @@ class Procedure:
             topic.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         for goal in self._goals.values():
             goal.close()
+        if self._player is not None:
+            self._player.close()
         self._recorder.close()
 
     def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
@@ -397,6 +407,8 @@ class Procedure:
         finally:
             self._is_recording = False
             self._streams.stop_all()
+            if self._player is not None:
+                self._player.stop()
             self._recorder.end()
             self._clock.end()
             self._since_run = Stopwatch(self._clock)
@@ -481,6 +493,8 @@ class Procedure:
                     self._send(self._goals[path])
                 elif path in self._prepared_streams:
                     self._stream(path, self._prepared_streams[path])
+                elif step.play is not None and self._player is not None:
+                    self._player.begin()
                 else:
                     if step.publish is not None:
                         name = self._tuner.node.resolve_topic_name(step.publish.topic)
@@ -558,7 +572,7 @@ class Procedure:
                 raise LostError(unpublished)
             recording = self._recorder.recording(self._recorder.seconds)
             dead = any(recording.silence(name, spec) for name, spec in used.items())
-            advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
+            advice = f"; {self._advice}" if path[1] == BEFORE and not dead else ""
             how = f"does not hold for {wait.hold:g} s" if wait.hold else "does not hold"
             if wait.rising:
                 how = "does not come to hold" + ("" if edge.was_off else ", as it never ceased to")
@@ -566,6 +580,10 @@ class Procedure:
                 f"{dotted(path)}: {checks.quoted(text)} {how} within {wait.timeout:g} s"
                 f"{latest(used, recording)}{advice}"
             )
+
+    @property
+    def _advice(self) -> str:
+        return NOT_SETTLED if self._study.park.between_runs else TOO_SLOW
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
@@ -592,14 +610,19 @@ class Procedure:
             with under(*path):
                 if path in self._steps:
                     self._steps[path] = self._steps[path].filled(filled)
+                elif path in self._prepared_streams:
+                    self._prepared_streams[path] = self._prepared_streams[path].filled(filled)
                 elif path in self._goals and filled.send_goal is not None:
                     with under("send_goal"):
                         self._goals[path].fill(filled.send_goal)
+                elif filled.play is not None and self._player is not None:
+                    with under("play"):
+                        self._player.fill(filled.play)
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
         ticks: Ticks = WallTicks(self._clock)
-        if self._run.clock == SIM:
+        if self._run.clock == SIM and self._run.play is None:
             clock = SimClock(self._recorder.node)
             with under("run", "clock"):
                 clock.connect(wait)
@@ -616,12 +639,16 @@ class Procedure:
             parameters=self._parameters,
         )
         self._topics = preparation.topics
+        if self._run.play is not None:
+            self._clock = preparation.play_clock()
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, filled_step(step, self._values(path)))
             if isinstance(prepared, Goal):
                 self._goals[path] = prepared
             elif isinstance(prepared, Stream):
                 self._prepared_streams[path] = prepared
+            elif isinstance(prepared, Player):
+                self._player = prepared
             elif prepared is not None:
                 self._steps[path] = prepared
         # That a field cannot hold a value shows at the ends of contexts and parameters.

@@ -132,7 +132,12 @@ class Publication:
         if step.publish is None:
             return self
         (topic,) = step.publish.published
-        with under("publish", "message"):
+        with under("publish"):
+            return self.of(topic)
+
+    def of(self, topic: Topic) -> "Publication":
+        """Return the publication of another message on its topic."""
+        with under("message"):
             make_message(self.kind, topic.message)
         return replace(self, publish=topic)
 

@@ -9,6 +9,7 @@ from bo_tuner.backends.ros.conditions import known, sampled
 from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.play.player import Player
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.streams import Streams
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
@@ -50,6 +51,8 @@ class RunWatch:
         What streams while steps go on.
     so_far
         Computes the metrics that only grow.
+    player
+        Plays the bag of the run; None if it is no bag.
 
     Attributes
     ----------
@@ -68,6 +71,7 @@ class RunWatch:
         topics: Sequence[OwnTopic],
         streams: Streams,
         so_far: MetricsSoFar,
+        player: Player | None = None,
     ) -> None:
         self._run = run
         self._signals = signals
@@ -78,6 +82,7 @@ class RunWatch:
         self._topics = topics
         self._streams = streams
         self._so_far = so_far
+        self._player = player
         self._beyond: Mapping[str, float] = {}
         self._looked = 0.0
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
@@ -146,6 +151,8 @@ class RunWatch:
         if end.after is not None:
             self.wait_until(end.after)
             return end.after
+        if self._player is not None:
+            return self._wait_for_bag(self._player)
         begin, timeout = self._now, self._run.timeout
         while True:
             since = self._since
@@ -156,6 +163,13 @@ class RunWatch:
             if now >= timeout:
                 raise FailedRunError(f"the run does not end: {self._missing} within {timeout:g} s")
             self._tuner.spin_once(min(POLL_PERIOD, timeout - now))
+
+    def _wait_for_bag(self, player: Player) -> float:
+        while not player.is_over:
+            self.judge()
+            self._tuner.spin_once(POLL_PERIOD)
+        self.judge()
+        return player.duration
 
     def judge(self, end: float = np.inf) -> float:
         """See whether the run may go on, which ends at `end` [s] at the latest; returns the time.
@@ -185,8 +199,12 @@ class RunWatch:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
         self._recorder.expect_publishers()
-        recording = self._recorder.recording(seen, since)
-        recording.check_latest(self._signals, OVERLAP, self._largest_gaps)
+        if self._player is None:
+            recording = self._recorder.recording(seen, since)
+            recording.check_latest(self._signals, OVERLAP, self._largest_gaps)
+        else:
+            # How much of its time has come in depends on how fast the bag is played.
+            self._player.check()
         for goal in self._goals:
             goal.check()
         self._judged = seen

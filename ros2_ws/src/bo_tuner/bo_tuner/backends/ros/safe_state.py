@@ -120,7 +120,9 @@ class SafeState:
     def _park(self, start_anew: bool = True, *, at_once: bool = True) -> list[str]:
         parameters, anew = self._client.parameters, self._client.start_values
         safe, held = self._parameters, self._held
-        if not start_anew:
+        if start_anew:
+            anew.fill({})
+        else:
             safe = {key: anew.as_started(key, values) for key, values in safe.items()}
         wanted = {k: {**held.get(k, {}), **safe.get(k, {})} for k in self._study.nodes}
         if not at_once:

@@ -19,8 +19,10 @@ from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.at_start import starter_of
 from bo_tuner.study.configuring import is_named
 from bo_tuner.study.nodes import PARAMETER_FILE
+from bo_tuner.study.safe_values import safe_in_braces
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
+from bo_tuner.trials import Value
 
 FAULTS = (RefusedError, LostError, StudyError, BackendError)
 """Why values may not come into force."""
@@ -86,6 +88,7 @@ class StartValues:
         self._in_force.clear()
         if self._started is None:
             return
+        self.fill({})
         for key in self._names:
             spec = self._study.nodes[key]
             if not spec.reconfigure:
@@ -93,14 +96,26 @@ class StartValues:
             own = {**spec.parameters, **self._safe.get(key, {})}
             self._started.values[key] = self._part(key, own)
 
+    def fill(self, values: Mapping[str, Value]) -> None:
+        """Have names in braces, in what starts nodes, stand for these values or the safe ones."""
+        if self._started is not None:
+            self._started.in_braces = {**safe_in_braces(self._study), **values}
+
     def settle_all(self) -> None:
         """`settle` all nodes, once they are there.
 
         Raises
         ------
         StudyError
-            Also if one is attached, and has no lifecycle.
+            Also if one is attached, and has no lifecycle, or a value in braces in what starts it.
         """
+        if self._started is None:
+            for key, spec in self._study.nodes.items():
+                for path, name in spec.names_in_braces:
+                    raise StudyError(
+                        f"{key} is attached, and is not started with {name}; leave out --attach",
+                        ("nodes", key, *path),
+                    )
         for key in self._names:
             if self._started is not None:
                 self.settle(key)
@@ -158,10 +173,12 @@ class StartValues:
     def forget_all(self) -> None:
         """Forget it of all nodes, so that values come into force anew whatever they are."""
         self._in_force.clear()
+        if self._started is not None:
+            self._started.forget_given()
 
     def due(self, wanted: Values) -> list[str]:
         """Return the keys of nodes on which other values must come into force."""
-        return [key for key in self._names if not self._is_in_force(key, wanted[key])]
+        return [key for key in self._study.nodes if not self._is_in_force(key, wanted.get(key, {}))]
 
     def as_started(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         """Return values for a node that is not to start anew: what is in force stays as it is."""
@@ -188,25 +205,25 @@ class StartValues:
         LostError
             If it does not come back, or does not answer.
         """
-        restarts: dict[str, None] = {}
-        for key in self.due(wanted) if keys is None else keys:
-            began = time.monotonic()
-            if self._reconfigures(key):
-                self._reconfigure(key, wanted[key])
-                self._note(began)
-            else:
-                restarts[self._starter(key)] = None
-        for starter in restarts:
+        due = self.due(wanted) if keys is None else keys
+        restarts = [key for key in due if not (self._reconfigures(key) and self._is_given(key))]
+        for starter in dict.fromkeys(map(self._starter, restarts)):
             began = time.monotonic()
             self._start_anew(starter, wanted)
             self._note(began)
+        for key in due:
+            # One that a start has brought up has its values.
+            if not self._is_in_force(key, wanted.get(key, {})):
+                began = time.monotonic()
+                self._reconfigure(key, wanted[key])
+                self._note(began)
 
     def bring_each(self, wanted: Values, keys: Collection[str]) -> dict[str, Exception]:
         """Bring values into force as far as possible; returns by key why that failed."""
         failed: dict[str, Exception] = {}
         for key in keys:
             # Nodes of one process come together.
-            if self._is_in_force(key, wanted[key]):
+            if self._is_in_force(key, wanted.get(key, {})):
                 continue
             try:
                 self.bring(wanted, [key])
@@ -243,7 +260,15 @@ class StartValues:
     def _part(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         return {name: values[name] for name in sorted(self._names[key]) if name in values}
 
+    def _is_given(self, key: str) -> bool:
+        """Whether a node was started with what names in braces stand for now."""
+        return self._started is None or self._started.is_given(key)
+
     def _is_in_force(self, key: str, wanted: Mapping[str, object]) -> bool:
+        if not self._is_given(key):
+            return False
+        if key not in self._names:
+            return True
         part, in_force = self._part(key, wanted), self._in_force.get(key)
         # Somebody else may have set another value: to set it back would not bring it into force.
         known = self._part(key, self._parameters.known(key))

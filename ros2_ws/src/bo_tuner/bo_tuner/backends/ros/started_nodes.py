@@ -1,7 +1,6 @@
 """The nodes of a study that the tuner starts."""
 
 import os
-import shlex
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,9 +11,11 @@ from bo_tuner.errors import StudyError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import to_yaml
 from bo_tuner.study.at_start import starter_of
-from bo_tuner.study.nodes import PARAMETER_FILE, NodeSpec
+from bo_tuner.study.nodes import FILE_NAME, WORKER_NAME, NodeSpec
+from bo_tuner.study.safe_values import safe_in_braces
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import read_text
+from bo_tuner.trials import Value
 
 
 class StartedNodes:
@@ -37,15 +38,20 @@ class StartedNodes:
         Those that run, by their key in the study.
     values : dict
         By node key what nodes with ``at_start`` are started with from now on.
+    in_braces : mapping
+        What names in braces stand for, in what starts nodes from now on.
     """
 
     def __init__(self, study: Study, namespace: str, log_directory: Path, worker: int = 1) -> None:
         self._study = study
-        self._nodes = {key: spec.of_worker(worker) for key, spec in study.nodes.items()}
+        self._nodes = study.nodes
+        self._worker = worker
         self._namespace = namespace
         self._log_directory = log_directory
         self.processes: dict[str, NodeProcess] = {}
         self.values: dict[str, Mapping[str, object]] = {}
+        self.in_braces: Mapping[str, Value] = safe_in_braces(study)
+        self._given: dict[str, dict[str, Value]] = {}
 
     def start(self) -> None:
         """Start all nodes that do not start along with another one.
@@ -71,6 +77,17 @@ class StartedNodes:
         for key, command in commands.items():
             if command:
                 self._start(key, command)
+
+    def is_given(self, key: str) -> bool:
+        """Whether a node was started with the present values in braces."""
+        return self._given.get(key, {}) == self._in_braces(key)
+
+    def forget_given(self) -> None:
+        """Forget what nodes with values in braces were started with."""
+        self._given = {key: {} for key in self._given}
+
+    def _in_braces(self, key: str) -> dict[str, Value]:
+        return {name: self.in_braces[name] for _, name in self._nodes[key].names_in_braces}
 
     def start_one(self, key: str) -> None:
         """Start a node; raises what `start` raises."""
@@ -112,12 +129,26 @@ class StartedNodes:
     def _start(self, key: str, command: list[str]) -> None:
         spec = self._nodes[key]
         # Nothing else: a node is to run as it will with its result.
-        environment = {"ROS_LOG_DIR": str(self._log_directory), **spec.env}
+        variables = spec.environment(self._values_of(key))
+        environment = {"ROS_LOG_DIR": str(self._log_directory), **variables}
         name = spec.executable or spec.node
         log = self._log_directory / f"{key}.log"
         # What a package has installed finds its files anywhere.
         folder = None if spec.executable else self._study.folder or None
+        self._given[key] = self._in_braces(key)
         self.processes[key] = NodeProcess(name, command, environment, log, folder)
+
+    def _values_of(self, key: str) -> dict[str, Value]:
+        """Return what names in braces stand for in what starts a node."""
+        return {
+            **self._in_braces(key),
+            WORKER_NAME: self._worker,
+            FILE_NAME: str(self._file(key)),
+        }
+
+    def _file(self, key: str) -> Path:
+        """Return the file with its values; the program may run in another folder."""
+        return (self._log_directory / f"{key}.parameters.yaml").absolute()
 
     def _command(self, key: str) -> list[str]:
         """Return the program of a node and its arguments; empty if it has none."""
@@ -129,9 +160,9 @@ class StartedNodes:
                 namespace = spec.node.rpartition("/")[0] or "/"
             command = [program, "--ros-args", "-r", f"__ns:={namespace}"]
         elif spec.launch:
-            command = [*_ros2_launch(spec), *shlex.split(spec.launch)]
+            command = [*_ros2_launch(spec), *spec.words(self._values_of(key))]
         elif spec.command:
-            program, *arguments = shlex.split(spec.command)
+            program, *arguments = spec.words(self._values_of(key))
             # A path is not searched for: it is relative to the study's folder.
             place = str(Path(self._study.folder, program)) if os.sep in program else program
             executable = shutil.which(place, path=search_path())
@@ -150,14 +181,13 @@ class StartedNodes:
         if not started and not passes_file:
             return command
         values = {nodes[other].node.strip("/"): self.values[other] for other in started}
-        # The program may run in another folder.
-        file = (self._log_directory / f"{key}.parameters.yaml").absolute()
+        file = self._file(key)
         own = [path for other in started if (path := self._own_file(other))]
         if passes_file:
             # The last value counts; ROS does not take several YAML documents in one file.
             texts = [read_text(path, str(path)) for path in dict.fromkeys(own)]
             write_atomically(file, "\n".join([*texts, to_yaml(values)]))
-            return [word.replace(PARAMETER_FILE, str(file)) for word in command]
+            return command
         write_atomically(file, to_yaml(values))
         given = [word for path in (*own, file) for word in ("--params-file", str(path))]
         return [*command, "--ros-args", *given]

@@ -26,6 +26,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.run_notes import Published
 from bo_tuner.study.fields import field_path
 from bo_tuner.study.publishing import Publish
+from bo_tuner.study.steps import Step
 
 UNSERVED = 0.5
 """Time [s] after which a stream ends if the tuner's node is not served."""
@@ -165,12 +166,13 @@ class Stream:
         self._tuner = tuner
         self.publish = publish
         self._ticks = ticks
+        self._folder, self._longest = folder, longest
         self._rate = publish.rate or 1.0
         self._last = None if publish.duration is None else int(publish.duration * self._rate + 1e-9)
         self._channels = []
         for path, publication in zip(publish.paths, publications, strict=True):
             with under("publish", *path):
-                self._channels.append(self._channel(publication, folder, longest))
+                self._channels.append(self._channel(publication))
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._over.set()
@@ -179,16 +181,28 @@ class Stream:
         self._active: list[_Channel] = []
         self.jitter = Jitter()
 
-    def _channel(self, publication: Publication, folder: str, longest: float) -> _Channel:
+    def filled(self, step: Step) -> "Stream":
+        """Return the stream of a step's values, on the same topics."""
+        if step.publish is None:
+            return self
+        publications = []
+        topics = zip(step.publish.paths, step.publish.published, self._channels, strict=True)
+        for path, topic, channel in topics:
+            with under("publish", *path):
+                publications.append(channel.publication.of(topic))
+        own = (self._tuner, step.publish, publications, self._ticks, self._folder, self._longest)
+        return Stream(*own)
+
+    def _channel(self, publication: Publication) -> _Channel:
         functions = {}
         for name, profile in publication.publish.profile.items():
             with under("profile", name):
-                functions[name] = profile.function(folder)
+                functions[name] = profile.function(self._folder)
         channel = _Channel(publication, functions)
         times = self._times(0)
         try:
             for time_of, values in zip(times, channel.table(times), strict=True):
-                if time_of <= longest:
+                if time_of <= self._longest:
                     channel.check(values, time_of)
         except _StreamError as error:
             raise StudyError(str(error), ("profile",)) from None

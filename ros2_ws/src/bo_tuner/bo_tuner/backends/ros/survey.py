@@ -3,7 +3,7 @@
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -41,6 +41,10 @@ LISTEN = 1.0
 """Time [s] to hear a message, which has the items of arrays."""
 CHANGES = 2.0
 """Time [s] in which parameters that a node changes by itself are seen to change."""
+EVENTS = "/parameter_events"
+"""Topic that every node with parameters publishes."""
+PREFIX = 12
+"""Bytes of the identifier of a topic's end that are its participant's (DDSI-RTPS 2.5, 9.3.1)."""
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What rmw calls the node of a topic's end while the node is not discovered."""
 GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
@@ -118,7 +122,20 @@ def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, l
     notes += [f"left out: {text}" for text in unknown]
     typed = sorted(tuner.node.get_service_names_and_types())
     services = [n for n, types in typed if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
-    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(_actions(typed))), notes
+    together = tuple(_together(tuner, {node.name for node in nodes}))
+    return Seen(
+        tuple(nodes), tuple(topics), tuple(services), tuple(_actions(typed)), together
+    ), notes
+
+
+def _together(tuner: TunerNode, names: Collection[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the nodes of each process that has several: they share a participant of DDS."""
+    processes: dict[bytes, set[str]] = {}
+    for end in tuner.node.get_publishers_info_by_topic(EVENTS):
+        name = relative(tuner.node, end.node_name, end.node_namespace)
+        if name in names:
+            processes.setdefault(bytes(end.endpoint_gid)[:PREFIX], set()).add(name)
+    yield from sorted(tuple(sorted(own)) for own in processes.values() if len(own) > 1)
 
 
 def _values(tuner: TunerNode, node: SeenNode) -> Mapping[str, object]:

@@ -72,6 +72,8 @@ class Certificate:
         Robustness to steps in the parameters; None if not known.
     deaths
         How often a node died in runs that were made again; None if none is ignored.
+    in_force
+        How it is known that the parameters were in force on nodes of ROS, a line each.
     warnings
         Warnings that do not affect the verdict.
     provenance
@@ -104,6 +106,7 @@ class Certificate:
     context_tolerances: tuple[ContextTolerance, ...]
     parameter_sensitivity: ParameterSensitivity | None
     deaths: Deaths | None
+    in_force: tuple[str, ...]
     warnings: tuple[str, ...]
     provenance: Mapping[str, str]
     finished: str

@@ -62,7 +62,7 @@ from bo_tuner.evidence.certificate.limited_runs import (
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
 from bo_tuner.evidence.estimates import Estimate, Source, of_draws
 from bo_tuner.evidence.limit_proof import ProofByMean, Runs, proof_of
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study

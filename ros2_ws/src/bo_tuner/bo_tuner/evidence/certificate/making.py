@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bo_tuner.codec.checks import same_value
-from bo_tuner.evidence.busy import high_load, load_in_words
+from bo_tuner.evidence.busy import high_load
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
@@ -27,12 +27,15 @@ from bo_tuner.evidence.certificate.store import (
     parameters_sha256,
 )
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
-from bo_tuner.evidence.declarations import drifts, two_kinds
+from bo_tuner.evidence.declarations import drifts, two_kinds, uneven
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.in_force import in_force
 from bo_tuner.study.measured import seen_in
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, Value, evaluations_of
 from bo_tuner.tuning.recorded_method import recorded_method
@@ -91,6 +94,7 @@ def make_certificate(
     deaths = deaths_in(study, tuned.evaluations, others, level)
     made_by = provenance(study, backend, record.algorithm)
     metric = study.metrics[study.objective.metric]
+    drawn = {name: item.drawn for name, item in evidence.items()}
     return Certificate(
         study=study.name,
         study_sha256=made_by["study_sha256"],
@@ -116,13 +120,15 @@ def make_certificate(
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         parameter_sensitivity=sensitivity,
         deaths=deaths,
+        in_force=in_force(study) if backend == ROS else (),
         warnings=(
             *(() if deaths is None else deaths_in_words(deaths, level)),
             *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
             *_busy(study, findings, tuned),
             *_rounded(findings, held),
-            *drifts(study, {name: item.drawn for name, item in evidence.items()}),
-            *two_kinds(study, {name: item.drawn for name, item in evidence.items()}),
+            *map(in_words, drifts(study, drawn)),
+            *map(in_words, two_kinds(study, drawn)),
+            *map(in_words, uneven(tuned.evaluations)),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -163,7 +169,7 @@ def _busy(study: Study, findings: Findings, evidence: Evidence) -> Iterator[str]
     titles = {study.metrics[constraint.metric].title for constraint in open_limits}
     high = high_load(study, evidence.evaluations)
     if high is not None and titles & set(high.metrics):
-        yield load_in_words(high)
+        yield in_words(high)
 
 
 def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:

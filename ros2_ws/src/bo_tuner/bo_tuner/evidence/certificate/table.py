@@ -15,6 +15,8 @@ from bo_tuner.evidence.certificate.findings import (
 )
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.verdict import FAIL, PASS, Verdict
+from bo_tuner.evidence.words.quantities import basis, gain
+from bo_tuner.evidence.words.verdict import of_default
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
@@ -70,8 +72,8 @@ def certificate_lines(
         Largest number of lines; limits that are not proven come first.
     """
     others = [*earlier_in_words(certificate)][:1]
-    others += [f"{q.gain_in_words}; {q.basis}" for q in verdict.quantities if q.objective][:1]
-    others += [verdict.default_in_words] if certificate.default is not None else []
+    others += [f"{gain(q)}; {basis(q)}" for q in verdict.quantities if q.objective][:1]
+    others += [of_default(verdict)] if certificate.default is not None else []
     others += [f"warning: {warning}" for warning in certificate.warnings][:1]
     others += seen_in_words(study.metrics, certificate.seen)
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)

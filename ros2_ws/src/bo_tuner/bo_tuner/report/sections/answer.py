@@ -1,25 +1,38 @@
-"""The first screen of a report: the verdict on the result, its numbers, and what to do next."""
+"""The first screen of a report: what is gained, what to set, each limit, and how it is shown."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite
+
+import numpy as np
 
 from bo_tuner.deploy.bundle import DEPLOY
-from bo_tuner.evidence.differences import CONFIDENCE, Change
-from bo_tuner.evidence.next_steps import Step, next_steps
-from bo_tuner.evidence.verdict import FAIL, PASS, Quantity, State, Status, Verdict
-from bo_tuner.evidence.what_to_set import what_to_set
+from bo_tuner.evidence.verdict import State, Status, Verdict
+from bo_tuner.evidence.words.next_steps import Step, next_steps
+from bo_tuner.evidence.words.quantities import details
+from bo_tuner.evidence.words.verdict import (
+    advice,
+    bases,
+    mark_in_words,
+    of_default,
+    page_title,
+    reasons_and_remarks,
+)
 from bo_tuner.figures.figure import Figure
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Table, number
+from bo_tuner.report.content import number
+from bo_tuner.report.grid import POINTS, parameter_grid
+from bo_tuner.report.sections.front import front_figure
+from bo_tuner.report.sections.limit_rows import Row, rows
 from bo_tuner.report.sections.trajectories import response
+from bo_tuner.report.sections.trust import Trust, trust_lines
 from bo_tuner.storage.parameter_file import node_values, sent_values, to_yaml
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.study.function_study import FUNCTION
-from bo_tuner.study.limits import Standing
-from bo_tuner.text import capitalized, with_unit
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.text import capitalized, counted, with_unit
+from bo_tuner.trials import count_trials
 
 FILES = (
     (BEST, "the values as a parameter file"),
@@ -33,19 +46,36 @@ FILES = (
 DO_NOT_USE = "not within limits: do not use it"
 """What is said of a parameter file, and of values, where nothing was found feasible."""
 NOT_TO_USE = (State.INFEASIBLE, State.REFUSED)
-MOST_LIMITS = 4
-"""Limits that a tile has room for; the table has all."""
+EVEN = 0.5
+"""Probability of being within all limits below which a value is drawn as beyond them."""
 
 
 @dataclass(frozen=True)
-class Tile:
-    """A key figure: the tuned value, remarks with its references, and its status."""
+class Track:
+    """A parameter on its range, from 0 at the lower bound to 1 at the upper one.
 
-    label: str
-    value: str
-    unit: str
-    remarks: Sequence[str]
-    status: Status = Status.OPEN
+    Attributes
+    ----------
+    default, tuned
+        Where the two values are.
+    beyond
+        Ends of the parts in which, by the models, the others as tuned, no set keeps the limits.
+    """
+
+    default: float
+    tuned: float
+    beyond: Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter: its title, its values in words, what else to know, and where it is."""
+
+    title: str
+    default: str
+    tuned: str
+    note: str
+    track: Track | None
 
 
 @dataclass(frozen=True)
@@ -54,44 +84,54 @@ class Answer:
 
     Attributes
     ----------
-    headline
-        What to set, and why, in one line.
-    status
-        How good that is, as a mark.
-    advice
-        What to change where nothing was found feasible.
-    values
-        The parameters of default and result; None before there is any.
+    mark, status
+        The verdict in a word or two, and how good that is.
+    origin
+        Of how many trials it is, of when, and where they were run.
+    headline, below
+        What is gained, and one sentence on the default.
+    name
+        What the parameter set is called beside the default.
+    settings, fixed
+        The tuned parameters, and those that were not tuned, in a line.
     file
         The values as a parameter file, to copy; empty if they are not to be used.
-    tiles
-        Objective, limits and trust.
+    rows
+        Objectives, limits, and what else has changed.
     figure
-        Default and result over time; None if there are no signals.
-    sentences
-        The explanation.
+        Default and result over time, or the front of several objectives.
+    trust
+        What speaks for the result, and what to be careful of.
+    advice
+        What blocks and what to do, where nothing was found feasible.
     remarks
-        What else to know.
-    steps
-        Commands that come next.
+        What else to know, in sentences.
+    steps, compare
+        Commands that come next, and the one that compares runs.
+    certified
+        Whether there is a certificate to look at.
     files
         Names of the files and folders of the run that exist, with their content.
-    table
-        The numbers of default and result, side by side; None before there are any.
     """
 
-    headline: str
+    mark: str
     status: Status
-    advice: Sequence[str]
-    values: Table | None
+    origin: str
+    headline: str
+    below: str
+    name: str
+    settings: Sequence[Setting]
+    fixed: str
     file: str
-    tiles: Sequence[Tile]
+    rows: Sequence[Row]
     figure: Figure | None
-    sentences: Sequence[str]
+    trust: Sequence[Trust]
+    advice: Sequence[str]
     remarks: Sequence[str]
     steps: Sequence[Step]
+    certified: bool
+    compare: str
     files: Sequence[tuple[str, str]]
-    table: Table | None
 
 
 def answer(analysis: Analysis) -> Answer:
@@ -99,177 +139,126 @@ def answer(analysis: Analysis) -> Answer:
     verdict, record, study = analysis.verdict, analysis.record, analysis.study
     result = analysis.answer
     parameters = {} if result is None else result.parameters
-    remarks = set(verdict.remarks)
-    advice = verdict.advice
-    apart = {*remarks, *advice}
-    sentences = [line for line in verdict.sentences if line not in apart]
-    if verdict.quantities:
-        tiles = [*_objectives(verdict), *_limits(analysis), _trust(analysis)]
-    else:
-        tiles = []
-        words = incumbent_in_words(analysis.leader, study)
-        sentences.append(f"{capitalized(words)}.")
     usable = verdict.feasible and result is not None
+    # The page may be opened from any folder. Commands do not reach a function.
+    run = "" if record.backend == FUNCTION else str(record.path.resolve())
     return Answer(
-        headline=what_to_set(study, verdict, parameters),
+        mark=mark_in_words(verdict),
         status=verdict.status,
-        advice=advice,
-        values=_values(analysis),
+        origin=_origin(analysis),
+        headline=page_title(verdict),
+        below=_below(analysis),
+        name=analysis.answer_name,
+        settings=[*_settings(analysis)],
+        fixed=_fixed(analysis),
         file=to_yaml(node_values(study, parameters), sent_values(study, parameters))
         if usable
         else "",
-        tiles=tiles,
-        figure=response(analysis),
-        sentences=sentences,
+        rows=[*rows(analysis)],
+        figure=front_figure(analysis) or response(analysis),
+        trust=trust_lines(analysis),
+        advice=advice(verdict),
         remarks=[
-            *verdict.remarks,
-            *(f"{line}." for line in verdict.draws_in_words),
+            *reasons_and_remarks(verdict),
+            *(f"{capitalized(line)}." for line in bases(verdict)),
             *_details(verdict),
         ],
-        # The page may be opened from any folder. Commands do not reach a function.
-        steps=() if record.backend == FUNCTION else next_steps(verdict, str(record.path.resolve())),
+        steps=next_steps(verdict, run) if run else (),
+        certified=analysis.certificate is not None or bool(analysis.certificate_problem),
+        compare=f"report {run} OTHER_RUN" if run else "",
         files=[
             (name, DO_NOT_USE if name == BEST and verdict.state in NOT_TO_USE else what)
             for name, what in FILES
             if (record.path / name).exists()
         ],
-        table=_comparison(analysis) if verdict.quantities else None,
     )
 
 
-def _objectives(verdict: Verdict) -> Iterator[Tile]:
-    """Yield a tile for each objective, the first one of the study first."""
-    for quantity in verdict.quantities:
-        if quantity.objective:
-            default, tuned = quantity.values_in_words
-            change = str(quantity.change)
-            if quantity.difference is not None:
-                change = f"{change}: {quantity.change_in_words}"
-            remarks = [f"default {default}", change, quantity.basis]
-            marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
-            yield Tile(
-                f"objective: {quantity.label}",
-                tuned,
-                quantity.unit,
-                list(filter(None, remarks)),
-                marks.get(quantity.change, Status.OPEN),
+def _origin(analysis: Analysis) -> str:
+    """Return how many trials there are, when they began, and where they ran."""
+    record = analysis.record
+    made, planned = count_trials(record.trials), analysis.study.budget.trials
+    trials = counted(planned, "trial")
+    parts = [trials if made == planned else f"{made} of {trials}"]
+    if began := record.provenance.get("started", "")[:16].replace("T", " "):
+        parts.append(began)
+    where = {"inprocess": "simulated in process", FUNCTION: "a function"}
+    parts.append(where.get(record.backend, "on ROS nodes"))
+    return " · ".join(parts)
+
+
+def _below(analysis: Analysis) -> str:
+    """Return what the same evidence says of the default; before a result, what is best so far."""
+    verdict = analysis.verdict
+    if verdict.quantities:
+        return "" if verdict.is_default else of_default(verdict)
+    return f"{capitalized(incumbent_in_words(analysis.leader, analysis.study))}."
+
+
+def _settings(analysis: Analysis) -> Iterator[Setting]:
+    """Yield the tuned parameters of default and answer."""
+    result = analysis.answer
+    if result is None:
+        return
+    notes = {each.parameter: f"at its {each.side} bound" for each in analysis.verdict.at_bounds}
+    for name, item in analysis.study.parameters.items():
+        if item.is_tuned:
+            yield Setting(
+                with_unit(item.title_and_name, item.unit),
+                number(analysis.defaults[name]),
+                number(result.parameters[name]),
+                notes.get(name, ""),
+                _track(analysis, item),
             )
 
 
-def _limits(analysis: Analysis) -> list[Tile]:
-    """Return the tile of all limits, the worst of them first; none without limits."""
-    order = (Status.BAD, Status.WARNING, Status.OPEN, Status.GOOD)
-    limited = [q for q in analysis.verdict.quantities if q.limit_verdict is not None]
-    limited.sort(key=lambda quantity: order.index(_status(quantity)))
-    if not limited:
+def _fixed(analysis: Analysis) -> str:
+    """Return the parameters that were not tuned, in a line; empty without any."""
+    result = analysis.answer
+    if result is None:
+        return ""
+    return "; ".join(
+        f"{item.title_and_name} {number(result.parameters[name])} "
+        f"({f'as {item.tied_to}' if item.tied_to else 'not tuned'})"
+        for name, item in analysis.study.parameters.items()
+        if not item.is_tuned
+    )
+
+
+def _track(analysis: Analysis, item: Parameter) -> Track | None:
+    """Return where a number is on its range; None for what is none."""
+    space, result = analysis.study.search_space(), analysis.answer
+    if result is None or item.name not in space.numbers:
+        return None
+    column = space.names.index(item.name)
+    tuned = space.to_cube(analysis.tuned_values(result.parameters))
+    default = space.to_cube(analysis.tuned_values(analysis.defaults))
+    return Track(float(default[column]), float(tuned[column]), _beyond(analysis, item, tuned))
+
+
+def _beyond(analysis: Analysis, item: Parameter, tuned: np.ndarray) -> list[tuple[float, float]]:
+    models, result = analysis.models, analysis.answer
+    if result is None or not models.constraints or models.objective is None:
         return []
-    status = _status(limited[0])
-    if analysis.verdict.standing is Standing.VIOLATED:
-        status = Status.BAD
-    conditional = any(q.limit_verdict.condition for q in limited if q.limit_verdict)
-    value = {
-        Status.BAD: "no",
-        Status.WARNING: "more runs over a limit than permitted",
-        Status.OPEN: "not proven",
-        Status.GOOD: "shown with an assumption" if conditional else "proven",
-    }[status]
-    remarks = [_limit(quantity) for quantity in limited[:MOST_LIMITS]]
-    if len(limited) > MOST_LIMITS:
-        remarks.append(f"{len(limited) - MOST_LIMITS} more are in the table below")
-    return [Tile("within all limits", value, "", remarks, status)]
-
-
-def _limit(quantity: Quantity) -> str:
-    default, tuned = quantity.values_in_words
-    words = "" if quantity.limit_verdict is None else quantity.limit_verdict.words
-    return f"{quantity.label} {tuned} (default {default}), limit {quantity.limit_in_words}: {words}"
+    grid = parameter_grid(
+        analysis.study, item.name, analysis.tuned_values(result.parameters), POINTS
+    )
+    points = np.tile(tuned, (len(grid.cube), 1))
+    points[:, grid.column] = grid.cube
+    over = models.feasibility(points) < EVEN
+    # Each value stands for what is nearer to it than to its neighbours.
+    edges = np.concatenate(([0.0], 0.5 * (grid.cube[1:] + grid.cube[:-1]), [1.0]))
+    parts: list[tuple[float, float]] = []
+    for k in np.flatnonzero(over):
+        begin = edges[k]
+        if parts and parts[-1][1] == begin:
+            begin, _ = parts.pop()
+        parts.append((float(begin), float(edges[k + 1])))
+    return parts
 
 
 def _details(verdict: Verdict) -> Iterator[str]:
     """Yield what else is known of each limit."""
     for quantity in verdict.quantities:
-        if more := "; ".join(filter(None, (quantity.bound_in_words, quantity.remark))):
+        if more := details(quantity):
             yield f"{quantity.label}: {more}."
-
-
-def _status(quantity: Quantity) -> Status:
-    """Return the mark of a limit: good only for one that is proven to be kept."""
-    if (limit := quantity.limit_verdict) is None or limit.standing is Standing.OPEN:
-        return Status.WARNING if limit is not None and limit.exceeds else Status.OPEN
-    return Status.GOOD if limit.standing is Standing.SHOWN else Status.BAD
-
-
-def _trust(analysis: Analysis) -> Tile:
-    """Return the tile of the certificate."""
-    verdict = analysis.verdict
-    certificate, result = analysis.certificate, analysis.answer
-    if certificate is not None and result is not None and certificate.is_of(result):
-        # An objective that got worse is no matter of trust.
-        status = Status.GOOD if verdict.state is State.CERTIFIED else verdict.status
-        return Tile("trust", verdict.certificate, "", [certificate.scope], status)
-    if certificate is not None:
-        scope = f"of trial {certificate.trial}, which is not the result"
-        value = PASS if certificate.passed else FAIL
-        return Tile("trust", value, "", [scope], Status.WARNING)
-    if analysis.certificate_problem:
-        return Tile("trust", "certificate not readable", "", ["run validate again"], Status.WARNING)
-    if verdict.state is State.INFEASIBLE:
-        return Tile("trust", "do not use it", "", [*verdict.reasons, verdict.evidence], Status.BAD)
-    if verdict.state is State.UNPROVEN:
-        return Tile("trust", "not proven", "", [*verdict.reasons, verdict.evidence], Status.WARNING)
-    return Tile("trust", verdict.trust, "", [verdict.evidence, "validate certifies it"])
-
-
-def _values(analysis: Analysis) -> Table | None:
-    """Return the parameters of default and answer, those that are tuned first."""
-    result = analysis.answer
-    if result is None:
-        return None
-    marks = {each.parameter: f"at its {each.side} bound" for each in analysis.verdict.at_bounds}
-    items = sorted(analysis.study.parameters.items(), key=lambda pair: not pair[1].is_tuned)
-    marks |= {
-        name: f"as {item.tied_to}" if item.tied_to else "not tuned"
-        for name, item in items
-        if not item.is_tuned
-    }
-    return Table(
-        caption=f"Values of the {analysis.answer_set}",
-        header=["parameter", analysis.answer_name, "default"],
-        rows=[
-            [
-                with_unit(item.title_and_name, item.unit)
-                + (f" ({marks[name]})" if name in marks else ""),
-                number(result.parameters[name]),
-                number(analysis.defaults[name]),
-            ]
-            for name, item in items
-        ],
-        numeric=[1, 2],
-        marked=[k for k, (_, item) in enumerate(items) if item.is_tuned],
-    )
-
-
-def _comparison(analysis: Analysis) -> Table:
-    verdict = analysis.verdict
-    rows = []
-    for quantity in verdict.quantities:
-        name = f"objective: {quantity.label}" if quantity.objective else quantity.label
-        change = str(quantity.change) if quantity.difference is not None else ""
-        if change and quantity.difference is not None and isfinite(quantity.difference.mean):
-            change += f": {quantity.change_in_words}"
-        rows.append(
-            [
-                with_unit(name, quantity.unit),
-                *quantity.values_in_words,
-                change,
-                quantity.limit_in_words,
-            ]
-        )
-    rows.append(["keeps all limits", *verdict.keeps_in_words, "", ""])
-    return Table(
-        caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
-        f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval (CI)",
-        header=["", "default", "tuned", "difference", "limit"],
-        rows=rows,
-        numeric=[1, 2, 4],
-    )

@@ -16,7 +16,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
+from bo_tuner.text import capitalized, counted
 from bo_tuner.trials import Trial
 
 
@@ -70,6 +70,7 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
             *earlier_in_words(certificate),
             *([f"Search for the worst context: {searched}."] if searched else []),
             *seen_in_words(study.metrics, certificate.seen),
+            *(f"{capitalized(line)}." for line in certificate.in_force),
             *certificate.warnings,
             f"Details are in {path}, the test runs in {path.stem}_evaluations.csv beside it.",
         ],

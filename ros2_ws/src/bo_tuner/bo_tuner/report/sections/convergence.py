@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.figures.figure import (
     Axis,
     Color,

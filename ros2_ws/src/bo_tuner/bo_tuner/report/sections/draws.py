@@ -5,6 +5,9 @@ from math import isfinite, isnan
 
 import numpy as np
 
+from bo_tuner.evidence.words.limits import in_words
+from bo_tuner.evidence.words.quantities import details
+from bo_tuner.evidence.words.verdict import basis
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, Line, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
@@ -20,7 +23,7 @@ def draws(analysis: Analysis) -> Section | None:
         return None
     panels = [_panel(analysis, constraint) for constraint in study.constraints.values()]
     sentences = [
-        f"{q.label}: {'; '.join(filter(None, (q.limit_verdict.words, q.remark)))}"
+        f"{q.label}: {'; '.join(filter(None, (in_words(q.limit_verdict), details(q))))}"
         for q in verdict.quantities
         if q.limit_verdict is not None
     ]
@@ -30,7 +33,7 @@ def draws(analysis: Analysis) -> Section | None:
     return Section(
         name="draws",
         title="How often is each limit kept?",
-        lead=f"Default and tuned parameter set in {verdict.evidence}.",
+        lead=f"Default and tuned parameter set in {basis(verdict)}.",
         figures=[
             Figure(
                 name="draws",

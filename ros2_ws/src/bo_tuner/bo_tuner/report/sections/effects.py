@@ -12,7 +12,8 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     narrow_in_words,
     parameter_sensitivity,
 )
-from bo_tuner.evidence.effects import amount, title_of
+from bo_tuner.evidence.words.effects import amount, title_of
+from bo_tuner.evidence.words.verdict import of_parameters
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.gaussian_process import GaussianProcess
@@ -45,7 +46,7 @@ def effects(analysis: Analysis) -> Section | None:
     study, answer = analysis.study, analysis.answer
     steps = parameter_sensitivity(study, answer.parameters, analysis.models)
     shares = {} if analysis.quick else _shares(analysis)
-    by_parameter = {item.parameter: item for item in analysis.verdict.effects}
+    by_parameter = {item.parameter: item for item in analysis.verdict.parameter_effects}
     if steps is None and not shares and not by_parameter:
         return None
     names = study.search_space().names
@@ -69,7 +70,7 @@ def effects(analysis: Analysis) -> Section | None:
         name="effects",
         title="What does each parameter do?",
         lead=" ".join(
-            [*_lead(study, steps), *_most(analysis, shares), *analysis.verdict.of_parameters]
+            [*_lead(study, steps), *_most(analysis, shares), *of_parameters(analysis.verdict)]
         ),
         tables=[
             Table(
@@ -97,7 +98,7 @@ def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
 
 def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
     """Name the parameter that matters most for each response."""
-    study, parameters = analysis.study, analysis.verdict.effects
+    study, parameters = analysis.study, analysis.verdict.parameter_effects
     titles = [study.parameters[name].title for name in study.search_space().names]
     moved = {e.metric for item in parameters for e in item.effects if e.seen}
     # Where no parameter was seen to move a response, the model has explained noise.

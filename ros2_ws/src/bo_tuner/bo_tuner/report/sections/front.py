@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bo_tuner.evidence.next_steps import to_use
+from bo_tuner.evidence.words.next_steps import to_use
 from bo_tuner.figures.figure import (
     Color,
     Dash,
@@ -24,8 +24,7 @@ from bo_tuner.report.sections.trajectories import response_of
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
-from bo_tuner.study.titles import mean_title
-from bo_tuner.text import counted, with_unit
+from bo_tuner.text import counted, percent, with_unit
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
 
@@ -33,12 +32,21 @@ MOST_RESPONSES = 12
 """Points of the front with a response: each is simulated in several contexts."""
 
 
+def front_figure(analysis: Analysis) -> Figure | None:
+    """Return the front as a figure; None with one objective, or without a point on it."""
+    points = _points(analysis)
+    return _figure(analysis, points) if points else None
+
+
+def _points(analysis: Analysis) -> Sequence[Point]:
+    if len(analysis.study.objectives) == 1:
+        return ()
+    return pareto_front(analysis.study, analysis.ranked)
+
+
 def front(analysis: Analysis) -> Section | None:
-    """Show the front; None with one objective, or without a point on it."""
-    objectives = analysis.study.objectives
-    if len(objectives) == 1:
-        return None
-    points = pareto_front(analysis.study, analysis.ranked)
+    """Show the points of the front, each of which opens; None without any."""
+    points = _points(analysis)
     if not points:
         return None
     answer = analysis.answer
@@ -51,8 +59,6 @@ def front(analysis: Analysis) -> Section | None:
         title="Which compromises are there?",
         lead=f"The front has {counted(len(points), 'parameter set')} likely within limits: no "
         f"other such trial is as good in every objective, and better in one.{rule}",
-        figures=[_figure(analysis, points)],
-        tables=[_table(analysis, points, result)],
         notes=[f"Only the result was validated on fresh draws; {_of_others(points)}."],
         choices=_choices(analysis, points, result),
     )
@@ -86,7 +92,8 @@ def _in_a_line(study: Study, point: Point, *, is_result: bool) -> str:
         f"{metric.title} {_in_words(point.means[metric.name])} {metric.unit}".rstrip()
         for metric in (study.metrics[item.metric] for item in study.objectives)
     )
-    return f"Trial {point.trial}{', the result' if is_result else ''}: {means}"
+    likely = f"{percent(point.feasibility)} likely within limits"
+    return f"Trial {point.trial}{', the result' if is_result else ''}: {means}; {likely}"
 
 
 def _values(analysis: Analysis, trial: Trial) -> Table:
@@ -143,6 +150,7 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
         ),
         panels=[_panel(analysis, points, pair) for pair in combinations(objectives, 2)],
         columns=1 if len(objectives) == 2 else 2,
+        panel_height=280,
     )
 
 
@@ -207,34 +215,6 @@ def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
     return (
         [x.value - x.error, x.value + x.error, gap, x.value, x.value, gap],
         [y.value, y.value, gap, y.value - y.error, y.value + y.error, gap],
-    )
-
-
-def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> Table:
-    study = analysis.study
-    names = list(study.search_space().names)
-    by_number = {trial.number: trial for trial in analysis.trials}
-    header = ["trial"]
-    for metric in (study.metrics[item.metric] for item in study.objectives):
-        header += [with_unit(mean_title(metric.title), metric.unit), f"± of {metric.title}"]
-    header += ["test runs", "likely within limits [%]"]
-    header += [study.parameters[name].title for name in names]
-    return Table(
-        caption="The front, by the first objective",
-        header=header,
-        rows=[
-            [
-                str(point.trial),
-                *(number(v) for mean in point.means.values() for v in (mean.value, mean.error)),
-                str(next(iter(point.means.values())).count),
-                f"{100.0 * point.feasibility:.0f}",
-                *(number(by_number[point.trial].parameters[name]) for name in names),
-            ]
-            for point in points
-        ],
-        numeric=list(range(len(header))),
-        sortable=True,
-        marked=[k for k, point in enumerate(points) if point.trial == result],
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bo_tuner.evidence.limit_words import words_of
+from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.figures.figure import (
     Axis,
     Band,

@@ -39,7 +39,7 @@ def tolerance(analysis: Analysis) -> Section | None:
 
 def _limited(study: Study, item: ContextTolerance) -> str:
     constraint = study.constraints[item.constraint]
-    return study.titled(constraint, study.limited(constraint))
+    return study.limit_title(constraint)
 
 
 def _lead(item: ContextTolerance, limited: str) -> str:

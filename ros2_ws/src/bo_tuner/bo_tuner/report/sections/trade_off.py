@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bo_tuner.evidence.estimates import Estimate
+from bo_tuner.evidence.words.verdict import basis
 from bo_tuner.figures.figure import (
     Axis,
     Color,
@@ -245,7 +246,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
             marker=Marker.SQUARE,
             size=10,
             hover=[
-                f"default, in {analysis.verdict.evidence}\n"
+                f"default, in {basis(analysis.verdict)}\n"
                 f"{mean_title(metric.title)} {quantity(means[0], metric.unit)}\n"
                 f"{largest[0].label} {quantity(largest[0].default, largest[0].unit)}"
             ],

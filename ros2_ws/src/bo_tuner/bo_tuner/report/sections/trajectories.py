@@ -9,7 +9,7 @@ which a metric is 0, the limits on that metric are drawn.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -136,7 +136,7 @@ def _response(signals: Responses, of: str, name: str) -> Figure | None:
     if not signals.panels:
         return None
     label = _main(signals.panels)
-    panels = [panel for panel in signals.panels if panel.y.label == label][:2]
+    panels = on_one_scale([panel for panel in signals.panels if panel.y.label == label][:2])
     # A reference and what follows it share a panel, such as "setpoint and angle".
     verb = "do" if " and " in label else "does"
     return Figure(
@@ -146,8 +146,20 @@ def _response(signals: Responses, of: str, name: str) -> Figure | None:
         alternative=f"{label} over time of both parameter sets. {signals.lead}",
         panels=panels,
         columns=len(panels),
-        panel_height=280,
+        panel_height=240,
     )
+
+
+def on_one_scale(panels: Sequence[Panel]) -> list[Panel]:
+    """Return panels with the same vertical axis, so that they compare."""
+    lines = [e.y for panel in panels for e in panel.elements if isinstance(e, Line)]
+    known = np.concatenate([np.asarray(y, dtype=np.float64) for y in lines] or [np.empty(0)])
+    known = known[np.isfinite(known)]
+    if len(panels) < 2 or not len(known):
+        return list(panels)
+    room = 0.05 * (float(np.ptp(known)) or 1.0)
+    limits = (float(known.min()) - room, float(known.max()) + room)
+    return [replace(panel, y=replace(panel.y, limits=limits)) for panel in panels]
 
 
 def _main(panels: Sequence[Panel]) -> str:

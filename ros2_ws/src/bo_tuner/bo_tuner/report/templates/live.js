@@ -8,7 +8,7 @@
   const now = of("now");
   const line = of("state");
   const name = document.querySelector("h1").textContent;
-  const question = now.querySelector(".question");
+  const question = of("question");
   const control = document.querySelector(".control");
   let asked = 0; // when the question came up [ms]
   let said = "";
@@ -22,18 +22,20 @@
     const counted = state.total ? `: ${state.done} of ${state.total}` : "";
     const left = state.time_left ? `, ${state.time_left} left` : "";
     const phase = state.phase || "starting";
-    return `${phase[0].toUpperCase()}${phase.slice(1)}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
+    return `${phase[0].toUpperCase()}${phase.slice(1)}${counted}${left}${state.paused && question.hidden ? ", PAUSED" : ""}`;
   }
 
+  // Who listens is told of the question, and not of each second.
   function showState() {
-    const waited = question.hidden ? "" : `Waiting for you, ${Math.round((Date.now() - asked) / 1000)} s. `;
-    document.title = `${waited ? "Waiting for you" : said} - ${name}`;
-    // Who listens is told once, not each second.
-    set(of("now-title"), waited ? `May it be tried? ${waited}` : "Now");
+    const seconds = Math.round((Date.now() - asked) / 1000);
+    of("waiting").hidden = question.hidden;
+    set(of("waiting"), `Waiting for you · ${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`);
+    document.title = `${question.hidden ? said : "Waiting for you"} - ${name}`;
   }
   setInterval(() => { if (!question.hidden) showState(); }, 1000);
 
   function showNow({ now: state, problem }) {
+    showQuestion(state.question || { html: "" });
     said = inWords(state);
     set(line, said);
     const bar = document.querySelector("progress");
@@ -42,7 +44,6 @@
     complain(problem);
     set(of("best"), state.best || "none yet");
     if (control) showControl(state);
-    showQuestion(state.question || { lines: [] });
     showState();
     now.querySelector("dl").replaceChildren(
       ...Object.entries(state.texts || {}).map(([name, text]) => {
@@ -57,12 +58,13 @@
   }
 
   // An answer is one to the question that stands here, by its number.
-  function showQuestion({ number, lines }) {
-    if (lines.length && question.dataset.number !== String(number)) asked = Date.now();
-    question.hidden = !lines.length;
-    now.classList.toggle("asking", !question.hidden);
+  function showQuestion({ number, html }) {
+    question.hidden = !html;
+    now.hidden = Boolean(html);
+    if (!html || question.dataset.number === String(number)) return;
+    asked = Date.now();
     question.dataset.number = number;
-    set(question.querySelector("pre"), lines.join("\n"));
+    of("asked").innerHTML = html;
   }
 
   const button = (request) => control.querySelector(`[data-request=${request}]`);
@@ -71,7 +73,7 @@
   function showControl(state) {
     control.hidden = Boolean(state.ended);
     const focused = control.querySelector("[data-request]:focus");
-    button("pause").hidden = state.pausing;
+    button("pause").hidden = state.pausing || !question.hidden;
     button("continue").hidden = !state.pausing;
     if (focused && focused.hidden) button(state.pausing ? "continue" : "pause").focus();
   }

@@ -33,13 +33,16 @@
     table.closest(".scroll").setAttribute("aria-label", region.getAttribute("aria-label"));
     change(table.caption, list.querySelector("caption"));
     change(section.querySelector(".listed"), list.querySelector(".listed"));
+    section.toggleAttribute("data-unread", list.querySelector("#runs").hasAttribute("data-unread"));
     table.dispatchEvent(new CustomEvent("changed"));
   }
 
   async function follow() {
     let last = "";
     for (;;) {
-      await new Promise((done) => setTimeout(done, PERIOD));
+      // A list that is not complete comes after the runs that were read meanwhile.
+      const wait = section.hasAttribute("data-unread") && trouble.hidden ? 0 : PERIOD;
+      await new Promise((done) => setTimeout(done, wait));
       if (document.hidden) continue;
       try {
         const answer = await fetch(section.dataset.news, { cache: "no-store" });

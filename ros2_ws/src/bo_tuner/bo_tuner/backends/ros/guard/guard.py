@@ -45,6 +45,7 @@ from bo_tuner.codec.findings import under
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.storage.guard_record import Act, add_act
 from bo_tuner.study.run import SIM
+from bo_tuner.text import listed
 
 LOOK_AROUND = 0.5
 """Time [s] to hear of another guard."""
@@ -373,7 +374,7 @@ class Guard:
         outcome += (
             "; ".join(problems)
             if problems
-            else f"safe values set and read back after {safe * 1e3:.0f} ms"
+            else f"safe values set and read back after {safe * 1e3:.0f} ms{self._in_force}"
         )
         self._state = replace(self._state, outcome=outcome)
         self._publish_state()
@@ -401,6 +402,12 @@ class Guard:
         self._parameters.forget_all()
         failed = self._parameters.assign_side_by_side(self._plan.safe, ANSWER)
         return [f"{self._plan.nodes[key]} is not safe: {why}" for key, why in failed.items()]
+
+    @property
+    def _in_force(self) -> str:
+        """Say which nodes were configured anew, without which the values would do nothing."""
+        names = [self._plan.nodes[key] for key in self._plan.configured]
+        return f", and in force: {listed(names)} configured anew" if names else ""
 
     def _configure_anew(self) -> list[str]:
         """Let nodes take the safe values that act only so; returns what went wrong, in lines."""

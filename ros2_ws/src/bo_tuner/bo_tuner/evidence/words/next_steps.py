@@ -4,8 +4,8 @@ import shlex
 from dataclasses import dataclass
 
 from bo_tuner.evidence.at_bounds import wider_options
-from bo_tuner.evidence.infeasible_words import half_as_many_again, promising
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.infeasible import half_as_many_again, promising
 from bo_tuner.storage.run_folder import STUDY
 
 LOOSER = "go on by a study with a looser limit, in a new run"

@@ -1,10 +1,10 @@
 """What screens and files say of a run without a feasible parameter set, from the facts."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import ceil, floor, isnan, log10
 
 from bo_tuner.evidence.infeasible import Blocker, Infeasible, LimitReached, Loosened
-from bo_tuner.text import counted, percent, shown_beside
+from bo_tuner.text import counted, listed, percent, shown_beside
 
 SMALL = 0.05
 """Chance below which more trials are not the first thing to try."""
@@ -14,27 +14,32 @@ LITTLE = 0.2
 
 def blocker_in_words(facts: Infeasible) -> str:
     """Return what stands in the way, without a full stop."""
-    names = " and ".join(facts.of(name).title for name in facts.blocking)
+    titles = [facts.of(name).title for name in facts.blocking]
     match facts.blocker:
         case Blocker.DEATHS:
             return f"{facts.died} of {counted(facts.trials, 'trial')} failed: {facts.death}"
         case Blocker.LIMITS:
-            limits = "limit of" if len(facts.blocking) == 1 else "limits of"
-            return f"no trial keeps the {limits} {names}"
+            return f"no trial keeps {limits_of(titles)}"
         case Blocker.CONFLICT:
-            return f"the limits of {names} are in conflict: trials keep each, but none all of them"
+            conflict = f"{limits_of(titles)} are in conflict"
+            return f"{conflict}: trials keep each, but none keeps all of them"
         case Blocker.MARGIN:
             why = "the models are not sure enough of any"
-            if names:
-                why = f"fresh runs broke that of {names}"
+            if titles:
+                why = f"fresh test runs broke {limits_of(titles)}"
             if facts.fresh_deaths:
-                why = f"{facts.fresh_deaths} of the fresh runs failed"
+                why = f"{facts.fresh_deaths} of the fresh test runs failed"
             return f"trials kept all limits in their own runs, but {why}"
 
 
+def limits_of(titles: Sequence[str]) -> str:
+    """Return limits by what they are called; empty without any."""
+    return f"the limit{'s' * (len(titles) > 1)} of {listed(titles)}" if titles else ""
+
+
 def reasons_in_words(facts: Infeasible) -> tuple[str, ...]:
-    """Return sentences on what blocks, on each limit of which trials tell, and on the nearest."""
-    blocks = [f"What blocks: {blocker_in_words(facts)}."]
+    """Return sentences on each limit of which trials tell, and on the nearest trial."""
+    blocks = []
     if facts.died and facts.blocker is not Blocker.DEATHS:
         blocks.append(f"{facts.died} of {counted(facts.trials, 'trial')} failed: {facts.death}.")
     known = (_of_limit(item) for item in facts.limits if item.trials)

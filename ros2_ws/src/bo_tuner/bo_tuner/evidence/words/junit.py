@@ -3,6 +3,9 @@
 from xml.etree import ElementTree
 
 from bo_tuner.evidence.verdict import PASS, Verdict
+from bo_tuner.evidence.words.limits import in_words
+from bo_tuner.evidence.words.quantities import details
+from bo_tuner.evidence.words.verdict import headline, reasons, sentences
 from bo_tuner.study.limits import Standing
 from bo_tuner.study.study import Study
 from bo_tuner.text import printable, with_unit
@@ -27,12 +30,12 @@ def verdict_in_junit(study: Study, verdict: Verdict) -> bytes:
             continue
         label = with_unit(quantity.label, quantity.unit)
         number = f"{label} {quantity.values_in_words[1]}, limit {quantity.limit_in_words}"
-        details = "; ".join(filter(None, (number, quantity.bound_in_words, quantity.remark)))
-        _mark(suite, quantity.constraint, "failure", quantity.limit_verdict.words, details)
+        text = "; ".join(filter(None, (number, details(quantity))))
+        _mark(suite, quantity.constraint, "failure", in_words(quantity.limit_verdict), text)
     if verdict.certificate != PASS:
-        _mark(suite, ALL, "failure", verdict.headline, "\n".join(verdict.reasons))
-    sentences = "\n".join([verdict.headline, *verdict.sentences])
-    ElementTree.SubElement(suite, "system-out").text = printable(sentences)
+        _mark(suite, ALL, "failure", headline(verdict), "\n".join(reasons(verdict)))
+    said = "\n".join([headline(verdict), *sentences(verdict)])
+    ElementTree.SubElement(suite, "system-out").text = printable(said)
     return _xml(suite)
 
 

@@ -10,8 +10,12 @@ from rich.table import Table
 
 from bo_tuner import text
 from bo_tuner.evidence.differences import CONFIDENCE
-from bo_tuner.evidence.next_steps import next_steps
-from bo_tuner.evidence.verdict import Quantity, Verdict
+from bo_tuner.evidence.quantity import Quantity
+from bo_tuner.evidence.verdict import Verdict
+from bo_tuner.evidence.words.limits import in_words
+from bo_tuner.evidence.words.next_steps import next_steps
+from bo_tuner.evidence.words.quantities import details
+from bo_tuner.evidence.words.verdict import bases, headline, keeps, sentences
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import from_here, print_line, print_table
 from bo_tuner.trials import Value
@@ -31,8 +35,8 @@ def print_verdict(
     tuned
         The tuned parameter set.
     """
-    console.print(verdict.headline)
-    for sentence in verdict.sentences:
+    console.print(headline(verdict))
+    for sentence in sentences(verdict):
         print_line(console, f"  {sentence}", "  ")
     print_table(console, verdict_table(study, verdict, tuned))
     for line in verdict_notes(verdict):
@@ -76,18 +80,18 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
             quantity.limit_in_words,
         )
     table.add_section()
-    table.add_row("keeps all limits", *verdict.keeps_in_words, "", "")
+    table.add_row("keeps all limits", *keeps(verdict), "", "")
     return table
 
 
 def verdict_notes(verdict: Verdict) -> Iterator[str]:
     """Yield what the table needs to be read: the limits in detail, and what ± means."""
-    yield from verdict.draws_in_words
+    yield from bases(verdict)
     for quantity in verdict.quantities:
         limit = quantity.limit_verdict
-        parts = ("" if limit is None else limit.words, quantity.bound_in_words, quantity.remark)
-        if any(parts):
-            yield f"{quantity.label}: {'; '.join(filter(None, parts))}"
+        if limit is not None:
+            parts = filter(None, (in_words(limit), details(quantity)))
+            yield f"{quantity.label}: {'; '.join(parts)}"
     yield (
         f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "
         "confidence interval"

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from math import isinf
 
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.text import listed, shown
 from bo_tuner.tuning.effects import FAILURES, Effect, ParameterEffects
 
 NAMED = 3
@@ -119,8 +119,3 @@ def _is_set_at_start(study: Study, name: str) -> bool:
     """Return whether the tuner starts the node of a parameter with its value."""
     item = study.parameters[name]
     return item.parameter in study.start_names.get(item.node, ())
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return names in a list such as ``a, b and c``."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

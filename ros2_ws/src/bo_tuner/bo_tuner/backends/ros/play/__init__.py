@@ -1,0 +1,1 @@
+"""Plays bags to nodes, in lockstep."""
