@@ -114,7 +114,7 @@ class TestRefusedValues:
             (
                 "parameters/window/bounds",
                 None,
-                "missing; expected [lower, upper] (or tied_to or fixed instead)",
+                "missing; expected [lower, upper] (or choices, tied_to or fixed instead)",
             ),
             ("parameters/window/default", None, "missing; expected the hand-tuned value"),
             ("parameters/window/default", 10, "10 lies outside the bounds [1, 9]"),

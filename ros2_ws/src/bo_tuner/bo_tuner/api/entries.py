@@ -80,13 +80,31 @@ class Boolean(Entry):
 
 @dataclass(frozen=True)
 class Choice(Entry):
-    """One of several texts, which have no order, with the hand-tuned one."""
+    """One of several texts or numbers, with the hand-tuned one.
 
-    choices: Sequence[str]
+    Attributes
+    ----------
+    choices
+        The values.
+    default
+        Hand-tuned value, with which all is compared.
+    ordered
+        Whether they have the order in which they are listed; that of numbers unless given, and
+        none of texts.
+    """
+
+    choices: Sequence[str | int | float]
     _: dataclasses.KW_ONLY
-    default: str
+    default: str | int | float
+    ordered: bool | None = None
 
-    given: ClassVar[Mapping[str, str]] = {"type": "string"}
+    @property
+    def mapping(self) -> dict[str, object]:
+        """What a study file has for it: of the type that all values have."""
+        values = [*self.choices, self.default]
+        kinds = {str: "string", int: "integer"}
+        kind = next((kinds[k] for k in kinds if all(type(v) is k for v in values)), "double")
+        return {"type": kind, **super().mapping}
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 import argparse
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import TypeVar
 
 from bo_tuner.backends.ros.graph import describe_nodes
 from bo_tuner.cli.common import Group, whole_number
@@ -12,8 +13,12 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.trust import trust
 from bo_tuner.study.parameter import Number
+from bo_tuner.study.strict_yaml import plain_scalar
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Value
+
+T = TypeVar("T")
 
 
 def add_budget_arguments(group: Group) -> None:
@@ -40,13 +45,20 @@ def add_budget_arguments(group: Group) -> None:
 
 
 def add_bounds_argument(group: Group) -> None:
-    """Add the option that changes the bounds of parameters."""
+    """Add the options that change the bounds of parameters, or take them out of the search."""
     group.add_argument(
         "--bounds",
         type=_bounds,
         action="append",
         metavar="NAME=LOWER:UPPER",
         help="other bounds of a tuned number than the study has, such as kp=0.1:20; once for each",
+    )
+    group.add_argument(
+        "--fix",
+        type=_fixed,
+        action="append",
+        metavar="NAME=VALUE",
+        help="keep a tuned parameter at a value, such as kp=2.0; once for each",
     )
 
 
@@ -106,7 +118,13 @@ def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -
         If an option does not fit the study.
     """
     if arguments.bounds:
-        study = _with_bounds(study, arguments.bounds)
+        bounds = _each_once("--bounds", arguments.bounds)
+        with _in_option("--bounds"):
+            study = study.with_bounds(bounds)
+    if arguments.fix:
+        values = _each_once("--fix", arguments.fix)
+        with _in_option("--fix"):
+            study = study.with_fixed(values)
     sets = [
         read_parameter_set(path, study, namespace)
         for path in getattr(arguments, "start", None) or ()
@@ -132,15 +150,29 @@ def trust_given(study: Study) -> None:
         trust(study)
 
 
-def _with_bounds(study: Study, given: Sequence[tuple[str, tuple[Number, Number]]]) -> Study:
-    bounds = dict(given)
-    if len(bounds) < len(given):
-        twice = next(name for name, _ in given if [n for n, _ in given].count(name) > 1)
-        raise StudyError(f"--bounds: {twice} has more than one; leave all but one out")
+def _each_once(option: str, given: Sequence[tuple[str, T]]) -> dict[str, T]:
+    """Return what an option says by name, which it may say once for each."""
+    names = [name for name, _ in given]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise StudyError(f"{option}: {twice[0]} has more than one; leave all but one out")
+    return dict(given)
+
+
+@contextlib.contextmanager
+def _in_option(option: str) -> Iterator[None]:
     try:
-        return study.with_bounds(bounds)
+        yield
     except StudyError as error:
-        raise StudyError(f"--bounds: {error}") from error
+        raise StudyError(f"{option}: {error}") from error
+
+
+def _fixed(text: str) -> tuple[str, Value]:
+    """Read the name of a parameter, and its value."""
+    name, _, value = text.partition("=")
+    found = plain_scalar(value)
+    if not name or found is None:
+        raise argparse.ArgumentTypeError(f"{text}: expected NAME=VALUE, such as kp=2.0")
+    return name, found
 
 
 def _bounds(text: str) -> tuple[str, tuple[Number, Number]]:

@@ -231,6 +231,8 @@ def _refuse_beside_resume(arguments: argparse.Namespace, parser: Parser) -> None
         parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
     if arguments.bounds:
         parser.error("--resume goes on with the bounds of the run; --from begins a new run")
+    if arguments.fix:
+        parser.error("--resume goes on with the parameters of the run; --from begins a new run")
 
 
 def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -> Plan:

@@ -269,7 +269,8 @@ def _reader(hint: Any, form: Form, expected: str = "") -> Read:
     if origin in (Union, types.UnionType):
         return _union(parts, form, expected)
     if origin is tuple:
-        return partial(_tuple, parts, form, expected or "a list")
+        size = "" if parts[-1] is Ellipsis else f" of {len(parts)}"
+        return partial(_tuple, parts, form, expected or f"a list{size}")
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return partial(_mapping, _reader(parts[1], form), expected or "a mapping")
     if dataclasses.is_dataclass(hint):

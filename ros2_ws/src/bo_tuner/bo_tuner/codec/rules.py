@@ -128,6 +128,11 @@ class AtMost:
         checks.at_most(value, self.most, *path)
         return value
 
+    @property
+    def schema(self) -> Schema:
+        """Its words of JSON Schema, of which either one is looked at."""
+        return {"maxItems": self.most, "maxProperties": self.most}
+
 
 @dataclass(frozen=True)
 class Expected:

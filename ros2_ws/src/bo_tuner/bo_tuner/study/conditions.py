@@ -182,7 +182,7 @@ def _levels(item: Parameter, parameters: Mapping[str, Parameter]) -> tuple[str, 
     if item.type != "string":
         return ()
     leader = item if item.tied_to is None else parameters[item.tied_to]
-    return leader.choices or (str(leader.fixed),)
+    return tuple(map(str, leader.choices or (leader.fixed,)))
 
 
 def _shown(value: Value) -> str:

@@ -9,6 +9,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.parameter import Parameter, array_and_item
 from bo_tuner.study.steps import SetParameter
 from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
 
 ROS_TYPES = {bool: "boolean", int: "integer", float: "double", str: "string"}
 """What ROS calls the types of values."""
@@ -76,7 +77,7 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
         is_constant = "fixed" in item or "tied_to" in item
         is_number = item.get("type") in (None, "double", "integer")
         needed = {"type", *(() if is_constant else ("default",))}
-        needed |= {"bounds"} if is_number and not is_constant else set()
+        needed |= {"bounds"} if is_number and not is_constant and "choices" not in item else set()
         array, _ = array_and_item(str(item.get("parameter", name)))
         has_array = not array or array in _constants(mapping, item["node"])
         if needed - item.keys() or not has_array:
@@ -127,13 +128,13 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
             if item["type"] not in ("double", "integer"):
                 continue
             kind = int if item["type"] == "integer" else float
-            if "bounds" not in item:
+            if "bounds" not in item and "choices" not in item:
                 if not described.has_range or array:
                     raise StudyError(
                         f"missing; node {key} gives no range for it", (*path, "bounds")
                     )
                 item["bounds"] = [kind(described.lower), kind(described.upper)]
-            if described.has_steps and not array:
+            if described.has_steps and not array and "choices" not in item:
                 item.setdefault("step", kind(described.step))
 
 
@@ -241,10 +242,10 @@ def problem(
         return _undeclared(name, known)
     if text := _unsettable(name, described, f"{item.type}_array" if item.array else item.type):
         return text
-    if not item.is_number or item.array:
+    if item.type not in ("double", "integer") or item.array:
         return ""
     source = item if leader is None else leader
-    given = [*(source.bounds or ()), *([] if source.fixed is None else [source.fixed])]
+    given = [*(source.bounds or ()), *_constants_of(source)]
     values = [float(value) for value in given]
     return _outside(values, name, described) or _off_steps(source, name, described)
 
@@ -258,6 +259,11 @@ def _unsettable(name: str, described: Described, expected: str) -> str:
     return ""
 
 
+def _constants_of(item: Parameter) -> tuple[Value, ...]:
+    """Return the single values that a parameter may have: a fixed one, or its choices."""
+    return (item.choices or ()) if item.fixed is None else (item.fixed,)
+
+
 def _off_steps(item: Parameter, name: str, described: Described) -> str:
     """Return in a line that a study has values between a node's steps; empty if it has none."""
     if not described.step or not math.isfinite(described.lower):
@@ -268,8 +274,8 @@ def _off_steps(item: Parameter, name: str, described: Described) -> str:
         return math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
 
     # A node takes the ends of a range even if they are between steps.
-    fixed = [] if item.fixed is None else [float(item.fixed)]
-    offsets = [value - described.lower for value in fixed if value < described.upper]
+    values = map(float, _constants_of(item))
+    offsets = [value - described.lower for value in values if value < described.upper]
     if item.bounds is not None:
         step = 1.0 if item.is_integer and item.step is None else item.step
         # A double of the study without a step can have any value.

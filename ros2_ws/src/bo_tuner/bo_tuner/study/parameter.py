@@ -2,12 +2,16 @@
 
 import math
 import re
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Annotated, Any
 
 from bo_tuner import maxima
 from bo_tuner.codec import checks
-from bo_tuner.codec.rules import FRACTION, KEY, LATER, AtMost, Expected, OneOf
+from bo_tuner.codec.findings import under
+from bo_tuner.codec.reading import read
+from bo_tuner.codec.rules import FRACTION, KEY, LATER, AtMost, Expected, OneOf, Written
 from bo_tuner.errors import StudyError
 from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
 from bo_tuner.study.titles import Label, Titled
@@ -15,9 +19,17 @@ from bo_tuner.trials import Value
 
 Number = int | float
 
-CHOICES = "a list of two or more different texts (or tied_to or fixed instead)"
+CHOICES = "a list of two or more different values (or tied_to or fixed instead)"
+FACTOR = re.compile(r"([0-9]+(?:\.[0-9]*)?)\s?x")
 TYPES = ("double", "integer", "boolean", "string")
-_TUNED_ONLY = ("bounds", "step", "choices", "minimum_correlation", "travel")
+_TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel")
+Bounds = Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")]
+_CHECKS: dict[str, Callable[..., Any]] = {
+    "integer": checks.integer,
+    "double": checks.number,
+    "boolean": checks.boolean,
+    "string": checks.text,
+}
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
@@ -26,8 +38,8 @@ LARGEST_BOUND = 2**53
 class Parameter(Titled):
     """A parameter of the study: of a node, or a value in steps of `run` or what starts a node.
 
-    A tuned one has `bounds` (a number), `choices` (a string) or only a default (a boolean); any
-    other has `tied_to` or `fixed`.
+    A tuned one has `bounds` (a number), `choices` (a string, or a number that takes a few values)
+    or only a default (a boolean); any other has `tied_to` or `fixed`.
 
     Attributes
     ----------
@@ -41,10 +53,15 @@ class Parameter(Titled):
         `double`, `integer`, `boolean` or `string`, as ROS calls the type.
     bounds : tuple of two numbers, optional
         Smallest and largest value of a tuned number.
-    step : int or float, optional
+    step : int, float or str, optional
         A tuned number is the lower bound plus a multiple of this; 1 for an integer unless given.
-    choices : tuple of str, optional
-        The values of a tuned text, which have no order.
+        With a factor such as ``2x`` it is the lower bound times a power of it: short for these
+        `choices`.
+    choices : tuple of bool, int, float or str, optional
+        The values of a tuned text, or of a number that takes only these.
+    ordered : bool, optional
+        Whether `choices` have the order in which they are listed, so that neighbours are alike.
+        Numbers have it unless told otherwise, and increase then; texts have none.
     tied_to : str, optional
         Tuned or fixed parameter that this one takes its value from.
     fixed : bool, int, float or str, optional
@@ -74,9 +91,10 @@ class Parameter(Titled):
     name: Annotated[str, KEY, checks.parameter_or_item]
     node: str = ""
     type: Annotated[str, OneOf(TYPES)]
-    bounds: Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")] | None = None
-    step: Number | None = None
-    choices: Annotated[tuple[str, ...], Expected(CHOICES), AtMost(maxima.CHOICES)] | None = None
+    bounds: Bounds | None = None
+    step: Annotated[Number | None, Written(str)] = None
+    choices: Annotated[tuple[Value, ...], Expected(CHOICES), AtMost(maxima.CHOICES)] | None = None
+    ordered: bool | None = None
     tied_to: str | None = None
     fixed: Annotated[Value | None, LATER] = None
     default: Annotated[Value | None, LATER] = None
@@ -89,6 +107,8 @@ class Parameter(Titled):
 
     def __post_init__(self) -> None:
         """Check the fields; references to other parts of a study are checked there."""
+        if isinstance(self.step, str):
+            self._write_powers_out(self.step)
         super().__post_init__()
         if not self.node and self.parameter:
             raise StudyError("without a node there is no parameter; add node", ("parameter",))
@@ -115,15 +135,26 @@ class Parameter(Titled):
 
     @property
     def is_number(self) -> bool:
-        """Whether the value is a number, with bounds where it is tuned."""
-        return self.type in ("double", "integer")
+        """Whether the value is a number, with bounds where it is tuned, and none of few choices."""
+        return self.type in ("double", "integer") and self.choices is None
 
     @property
     def levels(self) -> tuple[Value, ...]:
-        """The values of a tuned parameter that is no number; empty for one that is."""
+        """The values of a tuned parameter between which there is nothing; empty for a number."""
         if self.is_number:
             return ()
         return (False, True) if self.type == "boolean" else (self.choices or ())
+
+    @property
+    def has_order(self) -> bool:
+        """Whether its `levels` are in an order, so that neighbours are alike."""
+        return bool(self.ordered)
+
+    def fixed_at(self, value: Value) -> "Parameter":
+        """Return it with this value in every trial."""
+        left_out = dict.fromkeys((*_TUNED_ONLY, "default"))
+        changed: Parameter = replace(self, fixed=value, scale=LINEAR, **left_out)  # type: ignore[arg-type]
+        return changed
 
     @property
     def array(self) -> str:
@@ -143,15 +174,13 @@ class Parameter(Titled):
         StudyError
             If it has another one, or is no choice.
         """
-        if self.type == "integer":
-            return checks.integer(value, *path)
-        if self.type == "double":
-            return checks.number(value, *path)
-        if self.type == "boolean":
-            return checks.boolean(value, *path)
-        if self.choices is not None:
-            return checks.choice(value, self.choices, *path)
-        return checks.text(value, *path)
+        if self.type == "string" and self.choices is not None:
+            return checks.choice(value, [str(choice) for choice in self.choices], *path)
+        checked: Value = _CHECKS[self.type](value, *path)
+        if self.choices is not None and checked not in self.choices:
+            known = ", ".join(map(checks.show, self.choices))
+            raise StudyError(f"expected one of {known}, found {checks.show(value)}", path)
+        return checked
 
     def _check_fixed(self) -> None:
         self._refuse("a fixed parameter", *_TUNED_ONLY, "tied_to")
@@ -170,8 +199,8 @@ class Parameter(Titled):
 
     def _check_tuned(self) -> None:
         if self.is_number:
-            if self.choices is not None:
-                raise StudyError("a number has no choices; leave it out", ("choices",))
+            if self.ordered is not None:
+                raise StudyError("belongs to choices; leave it out", ("ordered",))
             self._check_range()
         else:
             self._check_levels()
@@ -179,22 +208,63 @@ class Parameter(Titled):
             raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
 
     def _check_levels(self) -> None:
-        self._refuse(f"a {self.type}", "bounds", "step", "minimum_correlation", "travel")
-        if self.type == "boolean":
-            self._refuse("a boolean", "choices")
-        else:
-            if self.choices is None:
+        of_choices = self.type in ("double", "integer")
+        kind = "a parameter with choices" if of_choices else f"a {self.type}"
+        self._refuse(kind, "bounds", "step", "minimum_correlation", "travel")
+        if self.choices is None:
+            if self.type != "boolean":
                 raise StudyError(f"missing; expected {CHOICES}", ("choices",))
-            if len(self.choices) < 2 or len(set(self.choices)) < len(self.choices):
-                raise StudyError(f"expected {CHOICES}", ("choices",))
+        else:
+            self._check_choices(self.choices)
         if self.default is None:
             raise StudyError("missing; expected the hand-tuned value", ("default",))
         object.__setattr__(self, "default", self.checked(self.default, "default"))
 
+    def _check_choices(self, given: tuple[Value, ...]) -> None:
+        """Settle the choices: of one type, all different, and numbers in order if they have one."""
+        check = _CHECKS[self.type]
+        choices = tuple(check(item, "choices", index) for index, item in enumerate(given))
+        if len(choices) < 2 or len(set(choices)) < len(choices):
+            raise StudyError(f"expected {CHOICES}", ("choices",))
+        object.__setattr__(self, "choices", choices)
+        if self.type not in ("double", "integer"):
+            return
+        increase = all(a < b for a, b in pairwise(choices))
+        if self.ordered is None:
+            object.__setattr__(self, "ordered", increase)
+        elif self.ordered and not increase:
+            raise StudyError("expected numbers that increase, or ordered: false", ("choices",))
+
+    def _write_powers_out(self, step: str) -> None:
+        """Put the powers of a factor, times the lower bound, into the place of bounds and step."""
+        match = FACTOR.fullmatch(step)
+        if match is None or not float(match[1]) > 1.0:
+            expected = "a number, or a factor above 1 such as 2x"
+            raise StudyError(f"expected {expected}, found {checks.show(step)}", ("step",))
+        if self.choices is not None or self.type not in ("double", "integer"):
+            raise StudyError("belongs to a number with bounds; leave it out", ("step",))
+        with under("bounds"):
+            lower, upper = read(Bounds | None, self.bounds) or (0, 0)
+        if not 0 < lower < upper:
+            raise StudyError(f"a factor needs bounds above 0; {step} times 0 is 0", ("bounds",))
+        factor, powers = float(match[1]), [float(lower)]
+        while (following := powers[-1] * factor) <= upper * (1.0 + 1e-9):
+            if len(powers) == maxima.CHOICES:
+                raise StudyError(f"gives more than {maxima.CHOICES} values", ("step",))
+            powers.append(float(f"{following:.12g}"))
+        if self.is_integer:
+            if wrong := [power for power in powers if power != round(power)]:
+                found = f"found {wrong[0]:g}, a power of {step} times {lower}"
+                raise StudyError(f"expected integers only, {found}", ("step",))
+            powers = [int(power) for power in powers]
+        for key, value in (("choices", tuple(powers)), ("bounds", None), ("step", None)):
+            object.__setattr__(self, key, value)
+
     def _check_range(self) -> None:
         if self.bounds is None:
             raise StudyError(
-                "missing; expected [lower, upper] (or tied_to or fixed instead)", ("bounds",)
+                "missing; expected [lower, upper] (or choices, tied_to or fixed instead)",
+                ("bounds",),
             )
         lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(self.bounds))
         if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:

@@ -193,6 +193,9 @@ class ParameterSpace:
         column = self._column.get(self._leader(item.name).name)
         if column is not None:
             tuned: Array = values[:, column]
+            leader = self.tuned[column]
+            if leader.levels and item.type in ("double", "integer"):
+                tuned = np.asarray(leader.levels, dtype=np.float64)[np.rint(tuned).astype(int)]
             return tuned
         fixed = self.defaults[item.name]
         # A fixed text has one level only, at position 0.
@@ -215,7 +218,7 @@ class ParameterSpace:
             if leader.type != item.type:
                 raise StudyError(f"'{leader.name}' is of type {leader.type}, not {item.type}", path)
             if leader.choices is not None and item.default is not None:
-                checks.choice(item.default, leader.choices, "parameters", item.name, "default")
+                leader.checked(item.default, "parameters", item.name, "default")
             if item.default is not None and item.default != leader.default:
                 raise StudyError(
                     f"{item.default} differs from {leader.default}, the default of "
@@ -235,7 +238,8 @@ class ParameterSpace:
             raise StudyError(f"'{names[0]}' and '{names[1]}' are of different types", path)
         for name, item in zip(names, leaders, strict=True):
             if not item.is_number:
-                raise StudyError(f"'{name}' is a {item.type}, which has no order", path)
+                what = "has choices" if item.choices else f"is a {item.type}"
+                raise StudyError(f"'{name}' {what}, and is compared with no other", path)
             if item.step is not None:
                 raise StudyError(f"'{name}' has a step; a parameter with an order has none", path)
         lower, upper = (bounds.copy() for bounds in self.permitted)

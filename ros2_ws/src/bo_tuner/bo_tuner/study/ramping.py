@@ -11,7 +11,7 @@ import numpy as np
 
 from bo_tuner.codec import checks
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.straight_lines import between, line_of
+from bo_tuner.study.straight_lines import between, has_line, line_of
 from bo_tuner.study.study import Study
 
 PERIOD = 0.1
@@ -44,7 +44,9 @@ class Ramp:
         self._parameters = [
             item
             for item in study.parameters.values()
-            if item.type == "double" and _in_node(item) not in at_start.get(item.node, ())
+            if item.type == "double"
+            and has_line(study.parameters, item)
+            and _in_node(item) not in at_start.get(item.node, ())
         ]
         self._lines = {item.name: line_of(study.parameters, item) for item in self._parameters}
 

@@ -154,7 +154,7 @@ def _kind(schema: Schema) -> str:
         return " or ".join(kind for kind in kinds if kind != "integer" or "number" not in kinds)
     if schema.get("type") == "array":
         items = schema.get("items") or schema["prefixItems"][0]
-        size = f" of {schema['maxItems']}" if "maxItems" in schema else ""
+        size = f" of {schema['minItems']}" if "minItems" in schema else ""
         return f"list{size}: {_kind(items)}"
     words = {"string": "text", "object": "mapping"}
     return str(words.get(schema.get("type", ""), schema.get("type", "any")))

@@ -97,8 +97,9 @@ class SearchSpace:
         self.lower = self._space.lower
         self.upper = self._space.upper
         self._tuned = self._space.tuned
-        self.integer = np.array([item.is_integer for item in self._tuned])
+        self.integer = np.array([item.is_integer and item.is_number for item in self._tuned])
         self.discrete = np.array([not item.is_number or item.is_integer for item in self._tuned])
+        self._in_steps = self.integer | np.array([item.has_order for item in self._tuned])
         self._stepped = [c for c, item in enumerate(self._tuned) if item.step is not None]
         self._on_scale = {
             scale: np.array([item.scale == scale for item in self._tuned])
@@ -127,7 +128,7 @@ class SearchSpace:
     def levels(self) -> tuple[int, ...]:
         """Number of values without an order, for each column; 0 for one with an order."""
         # With two values one column suffices: there is only one distance.
-        counts = (len(item.levels) for item in self._tuned)
+        counts = (0 if item.has_order else len(item.levels) for item in self._tuned)
         return tuple(count if count > 2 else 0 for count in counts)
 
     @property
@@ -314,7 +315,8 @@ class SearchSpace:
         """Return the permitted parameter sets one integer step away.
 
         For each tuned integer, one step below and one above where bounds, order and conditions
-        permit it; for each boolean or choice, every other value. Doubles keep their values, tied
+        permit it, likewise for choices in an order; for each boolean or other choice, every other
+        value. Doubles keep their values, tied
         parameters follow.
         """
         row = self._space.row(parameters)
@@ -324,10 +326,10 @@ class SearchSpace:
     def integer_neighbour_points(self, parameters: Mapping[str, Value]) -> Array:
         """Return the points (m, d) of the unit cube one step of an integer away.
 
-        They are the points of `integer_neighbours`, except those that differ in a choice: it has no
-        steps.
+        They are the points of `integer_neighbours`, except those that differ in a choice without an
+        order: it has no steps.
         """
-        return self._to_unit(self._steps(self._space.row(parameters), self.integer))
+        return self._to_unit(self._steps(self._space.row(parameters), self._in_steps))
 
     def _steps(self, row: Array, which: NDArray[np.bool_]) -> Array:
         """Return the tuned values (m, d) one step from a row (d,), in `which` discrete columns."""
@@ -336,7 +338,7 @@ class SearchSpace:
             item = self._tuned[column]
             size = float(item.step or 1.0)
             away = np.array([-size, size])
-            if item.levels:
+            if item.levels and not item.has_order:
                 away = np.arange(len(item.levels)) - row[column]
             moved = np.tile(row, (len(away), 1))
             moved[:, column] += away

@@ -52,7 +52,7 @@ def broken_on_lines(space: SearchSpace) -> str:
         ends = {
             item.name: (float(first[item.name]), float(last[item.name]))
             for item in space.parameters
-            if item.type == "double" and item.is_tuned
+            if item.type == "double" and item.is_tuned and item.is_number
         }
         lines = {
             name: between(*line_of(parameters, parameters[name]), *pair, SHARES).tolist()
@@ -65,6 +65,11 @@ def broken_on_lines(space: SearchSpace) -> str:
             except ParameterError as error:
                 return str(error)
     return ""
+
+
+def has_line(parameters: Mapping[str, Parameter], item: Parameter) -> bool:
+    """Return whether there are values between those of a double, itself or by a tie."""
+    return (item if item.tied_to is None else parameters[item.tied_to]).is_number
 
 
 def line_of(parameters: Mapping[str, Parameter], item: Parameter) -> tuple[str, float]:

@@ -672,6 +672,34 @@ class Study:
                 parameters[name] = dataclasses.replace(item, bounds=pair)
         return dataclasses.replace(self, parameters=parameters)
 
+    def with_fixed(self, values: Mapping[str, Value]) -> "Study":
+        """Return the study with some tuned parameters kept at a value, checked again.
+
+        What `start` and `park` say of these is left out.
+
+        Raises
+        ------
+        StudyError
+            If there is no such tuned parameter, or it cannot have the value.
+        """
+        parameters = dict(self.parameters)
+        for name in values:
+            checks.reference(name, "parameter", parameters)
+            if not parameters[name].is_tuned:
+                raise StudyError("is not tuned", (name,))
+        complete = self.complete_set(values)
+        for name in values:
+            parameters[name] = parameters[name].fixed_at(complete[name])
+        start = tuple(
+            given
+            if isinstance(given, str)
+            else {name: value for name, value in given.items() if name not in values}
+            for given in self.start
+        )
+        kept = {k: value for k, value in self.park.parameters.items() if k not in values}
+        park = dataclasses.replace(self.park, parameters=kept)
+        return dataclasses.replace(self, parameters=parameters, start=start, park=park)
+
     def _check_park(self) -> None:
         """Refuse safe parameters that the study cannot set."""
         path = ("park", "parameters")

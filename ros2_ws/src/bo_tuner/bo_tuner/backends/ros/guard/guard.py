@@ -166,8 +166,8 @@ class Guard:
             self._name,
             plan.digest,
             plan.name,
-            plan.full_names(self._tuner.node.get_namespace()),
-            sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
+            tuple(plan.full_names(self._tuner.node.get_namespace())),
+            tuple(sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop})),
             stands=isinstance(beats, TopicBeats),
         )
         self._listener: Node | None = None
@@ -177,7 +177,7 @@ class Guard:
         self._ways: dict[str, tuple[Reconfiguration | None, str]] = {}
 
     @property
-    def nodes(self) -> list[str]:
+    def nodes(self) -> tuple[str, ...]:
         """Full names of the nodes that it guards."""
         return self._state.nodes
 

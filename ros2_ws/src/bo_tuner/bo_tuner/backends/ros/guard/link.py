@@ -281,10 +281,10 @@ class GuardLink:
         self._is_begun = True
 
     @property
-    def topics(self) -> list[str]:
+    def topics(self) -> tuple[str, ...]:
         """Topics that the guard would publish, and is known as a publisher of."""
         state = self._states.get(self._name)
-        return [] if state is None else state.topics
+        return () if state is None else state.topics
 
     @contextlib.contextmanager
     def run(self) -> Iterator[None]:

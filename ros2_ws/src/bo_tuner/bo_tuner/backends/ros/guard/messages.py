@@ -1,10 +1,13 @@
 """The messages of tuner and guard, as lines of JSON in a pipe or a ``std_msgs/String``."""
 
 import json
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 
 GUARD = "bo_tuner_guard"
 """Name of a guard's node; it begins like all those of the tuner."""
@@ -27,22 +30,14 @@ class _Message:
     def read(cls, text: str | bytes) -> Self | None:
         """Return the message in a text; None if it is another one."""
         try:
-            content: Any = json.loads(text)
-            values = {item.name: content[item.name] for item in fields(cls)}
-        except (ValueError, TypeError, KeyError, RecursionError):
+            message: Self = read(cls, json.loads(text), JSON)
+        except (ValueError, RecursionError):
+            # Anybody may publish anything.
             return None
-        kinds = {item.name: item.type for item in fields(cls)}
-        return cls(**values) if all(_is_of(values[n], kinds[n]) for n in kinds) else None
+        return message
 
     def __str__(self) -> str:
-        return json.dumps(asdict(self))
-
-
-def _is_of(value: object, kind: object) -> bool:
-    """Whether a value is of the type of a field: anybody may publish anything."""
-    if kind == list[str]:
-        return isinstance(value, list) and all(isinstance(item, str) for item in value)
-    return type(value) is kind
+        return json.dumps(to_json(self))
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ class State(_Message):
         A random name of the process.
     digest, study : str
         Of its plan.
-    nodes, topics : list of str
+    nodes, topics : tuple of str
         Full names of the nodes that it guards, and of the topics that it would publish.
     acts : int
         How often it has acted.
@@ -102,8 +97,8 @@ class State(_Message):
     guard: str
     digest: str
     study: str
-    nodes: list[str]
-    topics: list[str]
+    nodes: tuple[str, ...]
+    topics: tuple[str, ...]
     acts: int = 0
     reason: str = ""
     outcome: str = ""
