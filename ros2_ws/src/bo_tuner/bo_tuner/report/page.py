@@ -167,7 +167,9 @@ def write_trial(analysis: Analysis, trial: Trial, parts: Sequence[Section], path
 
 def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     """Write the page that compares runs to `path` and return it; raises as `write_atomically`."""
-    return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
+    return _write(
+        path, fill("comparison.html", sections=parts, title=title, home="", of="tuning runs")
+    )
 
 
 def write_single_run(title: str, parts: Sequence[Section], path: Path) -> Path:
@@ -336,7 +338,8 @@ def _forecasts(what_if: WhatIf) -> dict[str, object]:
         {"name": each.name, "values": each.values, "words": each.words, "place": each.place}
         for each in what_if.sliders
     ]
-    return {"sliders": sliders, "along": [[asdict(f) for f in each] for each in what_if.along]}
+    along = [[asdict(f) for f in each] for each in what_if.along]
+    return {"sliders": sliders, "along": along, "command": what_if.command}
 
 
 def _shown(value: Any) -> Any:

@@ -5,12 +5,13 @@ from dataclasses import replace
 from itertools import cycle
 
 from bo_tuner.evidence.single_run import BEYOND, SingleRun
-from bo_tuner.figures.figure import Color, Figure, Line, Panel
+from bo_tuner.figures.figure import Color, Dash, Figure, Line, Panel
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.recorded_signals import signal_panels
 from bo_tuner.report.sections.trajectories import STYLES, Trace, panels
+from bo_tuner.study.signal_offers import REFERENCE
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED
@@ -34,15 +35,21 @@ def traced_response(study: Study, trace: Trace) -> list[Panel]:
 
 
 def _told_apart(drawn: Sequence[Panel]) -> list[Panel]:
-    """Give several signals in one panel, which are all of this run, a colour each."""
-    color, dash = STYLES[TUNED]
+    """Give several signals in one panel, which are all of this run, a colour each.
+
+    What the others are to follow is drawn as in all figures; a single run shows it by its name.
+    """
+    own_style = STYLES[TUNED]
     told_apart = []
     for panel in drawn:
         colors = cycle(COLORS)
+        own = [e for e in panel.elements if isinstance(e, Line) and (e.color, e.dash) == own_style]
         elements = [
-            replace(item, color=next(colors))
-            if isinstance(item, Line) and (item.color, item.dash) == (color, dash)
-            else item
+            item
+            if not any(item is line for line in own)
+            else replace(item, color=Color.INK, dash=Dash.DOTTED)
+            if len(own) > 1 and REFERENCE.search(item.name)
+            else replace(item, color=next(colors))
             for item in panel.elements
         ]
         told_apart.append(replace(panel, elements=elements))
