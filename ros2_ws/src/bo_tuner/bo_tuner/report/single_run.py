@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import cycle
 
 from bo_tuner.evidence.single_run import BEYOND, SingleRun
-from bo_tuner.figures.figure import Color, Dash, Figure, Line, Panel
+from bo_tuner.figures.figure import Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report.content import Section, Table, number
@@ -39,21 +39,24 @@ def _told_apart(drawn: Sequence[Panel]) -> list[Panel]:
 
     What the others are to follow is drawn as in all figures; a single run shows it by its name.
     """
-    own_style = STYLES[TUNED]
     told_apart = []
     for panel in drawn:
         colors = cycle(COLORS)
-        own = [e for e in panel.elements if isinstance(e, Line) and (e.color, e.dash) == own_style]
-        elements = [
-            item
-            if not any(item is line for line in own)
-            else replace(item, color=Color.INK, dash=Dash.DOTTED)
-            if len(own) > 1 and REFERENCE.search(item.name)
-            else replace(item, color=next(colors))
-            for item in panel.elements
-        ]
+        count = sum(_is_own(element) for element in panel.elements)
+        elements: list[Element] = []
+        for element in panel.elements:
+            if not isinstance(element, Line) or not _is_own(element):
+                elements.append(element)
+            elif count > 1 and REFERENCE.search(element.name):
+                elements.append(replace(element, color=Color.INK, dash=Dash.DOTTED))
+            else:
+                elements.append(replace(element, color=next(colors)))
         told_apart.append(replace(panel, elements=elements))
     return told_apart
+
+
+def _is_own(element: Element) -> bool:
+    return isinstance(element, Line) and (element.color, element.dash) == STYLES[TUNED]
 
 
 def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Figure:
