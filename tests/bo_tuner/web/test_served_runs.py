@@ -79,7 +79,7 @@ class TestServed:
 
     def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
         """Which the page asks for from time to time."""
-        page = served.ask("/runs")[2]
+        page = served.listing()
         (address,) = re.findall(r'data-news="([^"]+)"', page)
         status, _, news = served.ask(address)
         assert status == 200

@@ -44,7 +44,7 @@ def of_limit(constraint: Constraint, value: float) -> float:
     return 100.0 * value / constraint.limit if in_percent(constraint) else value
 
 
-def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> Panel:
+def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int | None]) -> Panel:
     """Return the objective by trial, and the best within limits so far, from the first one on.
 
     Parameters
@@ -52,7 +52,7 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
     study, trials
         Of the run.
     best
-        Which trial the run said that is, by the number of trials known then.
+        Which trial the run said that is, by the number of trials known then; None if none is.
     """
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
@@ -60,12 +60,13 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
     values = np.array([_mean(trial, objective.metric) for trial in trials])
     places = _places(trials)
     elements: list[Element] = []
-    if best:
+    if any(number is not None for number in best.values()):
         counts = sorted(best)
+        numbers = [best[count] for count in (*counts, counts[-1])]
         elements.append(
             Line(
                 x=[*(count - 1.0 for count in counts), len(trials) - 0.5],
-                y=[values[best[count]] for count in (*counts, counts[-1])],
+                y=[math.nan if number is None else values[number] for number in numbers],
                 name="best within limits",
                 color=RESULT[0],
                 step=True,
@@ -142,6 +143,25 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         header=header,
         rows=rows,
         numeric=range(1, len(header) - 1),
+    )
+
+
+def best_values(study: Study, trial: Trial) -> Table:
+    """Return the tuned parameters of the best trial, beside the default."""
+    default = study.search_space().defaults
+    return Table(
+        caption=f"Values of trial {trial.number}, the best within limits",
+        header=["parameter", "value", "default"],
+        rows=[
+            [
+                with_unit(item.title, item.unit),
+                shown(trial.parameters[item.name]),
+                shown(default[item.name]),
+            ]
+            for item in study.parameters.values()
+            if item.is_tuned
+        ],
+        numeric=[1, 2],
     )
 
 

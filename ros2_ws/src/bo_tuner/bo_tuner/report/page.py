@@ -23,6 +23,7 @@ from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Chapter, Section, WhatIf, number
 from bo_tuner.report.live import (
     bar,
+    best_values,
     latest_trials,
     limit_panels,
     objective_panel,
@@ -214,10 +215,12 @@ def question_html(asked: Asked) -> str:
     )
 
 
-def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> dict[str, str]:
+def live_parts(
+    study: Study, trials: Sequence[Trial], best: Mapping[int, int | None]
+) -> dict[str, str]:
     """Return the HTML of what the page of a run in progress has of its trials, by name.
 
-    `best` is the trial that is the best within limits, by the number of trials known then.
+    `best` is as in `objective_panel`.
     """
     macros: Any = _environment().get_template("live_parts.html").module
     panels = limit_panels(study, trials)
@@ -236,10 +239,12 @@ def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -
         panels=panels,
         panel_height=max(80, 172 // max(len(panels), 1)),
     )
+    number = best[max(best)] if best else None
     found: dict[str, Any] = {
         "objective": macros.show_objective(objective),
         "limits": macros.show_limits(limits) if panels else "The study has no limits.",
         "trials": macros.show_trials(latest_trials(study, trials)),
+        "values": "" if number is None else macros.show_values(best_values(study, trials[number])),
     }
     return {name: str(html) for name, html in found.items()}
 

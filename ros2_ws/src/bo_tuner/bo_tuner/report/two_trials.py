@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
-from bo_tuner.figures.figure import Dash, Figure, Panel
+from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.comparison import Cell, Row, side_by_side
+from bo_tuner.report.comparison import LINES, Cell, Row, side_by_side
 from bo_tuner.report.content import Section, number
-from bo_tuner.report.marks import DEFAULT, RESULT
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import NoTraceError, panels, simulate
 from bo_tuner.report.trial_page import worst_run
@@ -16,9 +15,6 @@ from bo_tuner.study.limits import outcome_on_screen
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import capitalized, values
 from bo_tuner.trials import Trial
-
-COLORS = (DEFAULT[0], RESULT[0])
-"""Of the first trial and the second one."""
 
 
 def two_trials(analysis: Analysis, one: Trial, other: Trial) -> list[Section]:
@@ -94,7 +90,7 @@ def _signals(analysis: Analysis, trials: Mapping[str, Trial]) -> Section:
 
 
 def _drawn(analysis: Analysis, trials: Mapping[str, Trial]) -> tuple[list[Panel], str]:
-    styles = {name: (color, Dash.SOLID) for name, color in zip(trials, COLORS, strict=True)}
+    styles = {name: (color, dash) for name, (dash, color) in zip(trials, LINES, strict=False)}
     worst = {name: worst_run(analysis, trial) for name, trial in trials.items()}
     found = {name: run for name, run in worst.items() if run is not None}
     if len(found) < len(trials):
