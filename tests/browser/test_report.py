@@ -397,6 +397,9 @@ def test_a_slider_shows_what_is_predicted(chromium, front_page):
         "input.dispatchEvent(new Event('input')); })()"
     )
     assert browser.evaluate(cells) == along[2]["cells"] != before
+    command = browser.evaluate(f"{sliders}.querySelector('code').textContent")
+    name, value = command.rpartition(" --set ")[2].split("=")
+    assert (name, float(value)) == (slider["name"], slider["values"][2])
     said = f"[{sliders}.querySelector('output').textContent, {sliders}.querySelector('input')"
     assert browser.evaluate(f"{said}.getAttribute('aria-valuetext')]") == [slider["words"][2]] * 2
     browser.evaluate(f"{sliders}.querySelector('button').click()")

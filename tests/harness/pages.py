@@ -34,6 +34,12 @@ class Pages:
         connection.close()
         return answer.status, answer.headers, text
 
+    def listing(self):
+        """The list of runs, once all of them are read."""
+        while " data-unread=" in (page := self.ask("/runs")[2]):
+            pass
+        return page
+
     def control_token(self, path="/"):
         return re.search(r'data-token="([\w-]+)"', self.ask(path)[2]).group(1)
 

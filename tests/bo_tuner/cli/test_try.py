@@ -1,6 +1,5 @@
 """One run of one parameter set, with its response."""
 
-import json
 import re
 from functools import partial
 
@@ -65,6 +64,11 @@ def test_within_all_limits(here, place):
     assert "0.875" in (place / "runs" / "axis-try" / "response.html").read_text()
 
 
+def test_values_of_the_command_line_count_more_than_those_of_a_file(here):
+    _, out, _ = here("--parameters", "values.yaml", "--set", "gain=0.25")
+    assert "parameters: gain 0.25\n" in out
+
+
 def test_beyond_a_limit(here):
     code, out, _ = here("--parameters", "values.yaml", "--context", "load=1.5")
     assert code == 3
@@ -108,7 +112,11 @@ def test_the_response(here, place, make_study):
     assert (place / "shown" / "response.png").read_bytes().startswith(b"\x89PNG")
     page = (place / "shown" / "response.html").read_text()
     # 0.7 times 0, 1 and 2 s.
-    assert json.dumps([0.0, 0.7, 1.4]).replace(" ", "") in page.replace(" ", "")
+    low, high = map(float, re.search(r'data-y="(\S+) (\S+) linear"', page).groups())
+    path = re.search(r'<path d="([^"]+)"[^>]* class="traced"/>', page)[1]
+    shares = [float(point) / 1000.0 for point in re.findall(r",([-\d.]+)", path)]
+    shown = [high - share * (high - low) for share in shares]
+    assert shown == pytest.approx([0.0, 0.7, 1.4], abs=0.001)
     assert "response: shown/response.png" in out
     assert "page: shown/response.html" in out
 
@@ -129,6 +137,15 @@ def test_the_response(here, place, make_study):
         (
             ["axis.yaml", "--context", "load=1", "--context", "load=2"],
             "--context: load has more than one value",
+        ),
+        (
+            ["axis.yaml", "--set", "gein=1"],
+            "--set: there is no parameter 'gein'; did you mean 'gain'?",
+        ),
+        (["axis.yaml", "--set", "gain=7"], "--set: "),
+        (
+            ["axis.yaml", "--set", "gain=1", "--set", "gain=0"],
+            "--set: gain has more than one value",
         ),
         (["axis.yaml", "--attach"], "--attach needs --backend ros"),
     ],

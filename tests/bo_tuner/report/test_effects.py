@@ -32,11 +32,10 @@ def section_of(tmp_path):
 
 def indices(section):
     """The shares of each response, in the order of the parameters."""
-    (table,) = section.tables
     return {
-        title.removeprefix("share of "): [float(row[k]) for row in table.rows]
-        for k, title in enumerate(table.header)
-        if title.startswith("share of ")
+        panel.title: [float(y) for bars in panel.elements for y in bars.y]
+        for figure in section.figures
+        for panel in figure.panels
     }
 
 
@@ -57,7 +56,7 @@ def test_an_interaction_counts_for_both(section_of):
     )
     found = indices(section)
     np.testing.assert_allclose(found["mean error"], [1.0, 1.0, 0.0], atol=0.1)
-    # A constant has no variance to explain, and no column.
+    # A constant has no variance to explain, and no panel.
     assert list(found) == ["mean error"]
 
 

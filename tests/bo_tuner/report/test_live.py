@@ -1,6 +1,7 @@
 """The page of a run in progress, from trials and a question that are made by hand."""
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -69,6 +70,13 @@ def test_the_line_is_the_best_within_limits_and_begins_with_the_first(study, tri
     assert list(zip(line.x, line.y, strict=True)) == [(1, 2.0), (2, 2.0), (3, 1.5), (3.5, 1.5)]
 
 
+def test_the_line_has_a_gap_where_the_run_takes_none_for_within_limits(study, trials):
+    best = {1: None, 2: 1, 3: None, 4: 3}
+    (line,) = [e for e in objective_panel(study, trials, best).elements if isinstance(e, Line)]
+    assert line.y == pytest.approx([math.nan, 2.0, math.nan, 1.5, 1.5], nan_ok=True)
+    assert live_parts(study, trials[:3], {1: None, 2: 1, 3: None})["values"] == ""
+
+
 def test_limits_stand_in_percent_of_themselves(study, trials):
     (panel,) = limit_panels(study, trials)
     assert [e.value for e in panel.elements if isinstance(e, Limit)] == [100.0]
@@ -88,13 +96,21 @@ def test_the_latest_trials_come_first(study, trials, make_trial):
     assert (last["gain"], last["test runs"], last["outcome"]) == ("0.4", "1", "✓ within limits")
     assert last["peak, % of the limit"] == "75"
     assert failed["outcome"].startswith("✗ failed")
-    assert over["outcome"].startswith("✗ over the limit")
+    # As in the terminal.
+    assert over["outcome"].startswith("! over the limit")
 
 
 def test_a_page_before_the_first_trial(study):
     html = live_parts(study, [], {})
-    assert html.keys() == {"objective", "limits", "trials"}
+    assert html.keys() == {"objective", "limits", "trials", "values"}
     assert "0 trials" in html["trials"]
+    assert html["values"] == ""
+
+
+def test_the_values_of_the_best(study, trials):
+    html = live_parts(study, trials, {2: 1, 4: 3})["values"]
+    assert "Values of trial 3, the best within limits" in html
+    assert re.findall(r'<td class="number">([^<]+)</td>', html) == ["0.4", "0.5"]
 
 
 UPPER = Expected("peak", "N", 0.6, 0.4, 0.8, limit=1.0, words="worst peak")

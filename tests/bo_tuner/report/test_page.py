@@ -16,8 +16,10 @@ import pytest
 from report_runs import with_ends
 
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.figures.figure import Points
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import chapters, render, write_report
+from bo_tuner.report.marks import DEFAULT, OVER_LIMIT, RESULT
+from bo_tuner.report.page import chapters, render, report_figures, write_report
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Stage
@@ -226,6 +228,23 @@ def test_the_commands_of_the_report_work_from_any_folder(tuned):
     assert steps
     for step in steps:
         assert str(tuned.path.resolve()) in shlex.split(step.command)
+
+
+def test_what_is_the_result_the_default_or_over_the_limit_looks_the_same_in_all_figures(tuned):
+    analysis = Analysis(tuned)
+    elements = [
+        element
+        for figure in report_figures(analysis, chapters(analysis))
+        for panel in figure.panels
+        for element in panel.elements
+    ]
+    expected = {"tuned": RESULT, "default": DEFAULT, "over the limit": OVER_LIMIT}
+    for name, (color, marker) in expected.items():
+        named = [e for e in elements if getattr(e, "name", "") == name]
+        assert {e.color for e in named} == {color}, name
+        marks = {e.marker for e in named if isinstance(e, Points)}
+        assert marks <= {marker}, name
+    assert {e.marker for e in elements if isinstance(e, Points) and e.name == "tuned"}
 
 
 def test_headings_go_down_step_by_step(page):

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from bo_tuner.figures.figure import Line
-from bo_tuner.report.sections.trajectories import Signal
+from bo_tuner.figures.figure import Color, Dash, Line
+from bo_tuner.report.sections.trajectories import STYLES, Signal
 from bo_tuner.report.single_run import traced_response
+from bo_tuner.trials import TUNED
 
 
 def test_signals_in_one_panel_can_be_told_apart(make_study):
@@ -17,4 +18,6 @@ def test_signals_in_one_panel_can_be_told_apart(make_study):
     (panel,) = traced_response(make_study(), trace)
     lines = {item.name: item for item in panel.elements if isinstance(item, Line)}
     assert list(lines) == ["this run, reference", "this run, measured"]
-    assert len({line.color for line in lines.values()}) == 2
+    # The reference as in all figures, and unlike what follows it.
+    styles = [(line.color, line.dash) for line in lines.values()]
+    assert styles == [(Color.INK, Dash.DOTTED), STYLES[TUNED]]

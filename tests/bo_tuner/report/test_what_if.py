@@ -1,5 +1,7 @@
 """Sliders over the predictions: what they say is what the models say, and where it says nothing."""
 
+import shlex
+
 import numpy as np
 import pytest
 from functions import NODE
@@ -30,6 +32,11 @@ def numbers(text):
     """Mean and both ends of a prediction, such as ``1.2 (1.1 to 1.4)``."""
     mean, _, band = text.partition(" (")
     return [float(mean), *map(float, band.rstrip(")").split(" to "))]
+
+
+def test_a_set_can_be_tried_by_a_command(axis):
+    command = what_if(axis).command
+    assert shlex.split(command)[:2] == ["try", str(axis.record.path.resolve() / "study.yaml")]
 
 
 def test_along_a_slider_it_says_what_the_models_say(axis):

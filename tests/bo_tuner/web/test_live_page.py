@@ -31,7 +31,7 @@ class TestWhatItShows:
         sections = run.state_when(lambda state, made: "trials" in made)
         assert ">2 trials<" in sections["trials"]
         # No report: it is a page of its own, one click away.
-        assert set(sections) == {"objective", "limits", "trials"}
+        assert set(sections) == {"objective", "limits", "trials", "values"}
         status, _, report = run.ask(f"/runs/{run.name}")
         assert status == 200
         assert "No result yet: 2 of 5 trials" in report

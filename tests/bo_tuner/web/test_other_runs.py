@@ -18,8 +18,7 @@ from bo_tuner.web.runs import Runs
 
 class TestOtherRuns:
     def test_they_are_listed_with_their_verdicts(self, beside):
-        status, _, page = beside.ask("/runs")
-        assert status == 200
+        page = beside.listing()
         rows = re.findall(r'<input type="checkbox" name="run" value="([^"]+)"', page)
         assert rows == [beside.name, beside.finished_one]
         assert "No limit broken" in page
@@ -53,13 +52,13 @@ class TestOtherRuns:
         assert beside.ask(f"/runs/{name}")[0] == 404
 
     def test_a_run_is_read_again_once_it_has_changed(self, beside):
-        before = beside.ask("/runs")[2]
-        assert beside.ask("/runs")[2] == before
+        before = beside.listing()
+        assert beside.listing() == before
         path = beside.folder.parent / beside.finished_one / "study.yaml"
         content = path.read_text()
         path.write_text("no study")
         try:
-            assert "No limit broken" not in beside.ask("/runs")[2]
+            assert "No limit broken" not in beside.listing()
         finally:
             path.write_text(content)
 

@@ -1,12 +1,14 @@
 """The runs in a folder, served after their end: list, trials, files, and who may do what."""
 
 import csv
+import gzip
 import io
 import json
 import os
 import re
 import shutil
 import socket
+import urllib.request
 from dataclasses import asdict
 
 import pytest
@@ -66,10 +68,18 @@ class TestServed:
             page = served.ask(path)[2]
             assert len(page.encode()) < most
             assert "<script src=" not in page
+            packed = urllib.request.Request(
+                f"http://127.0.0.1:{served.port}{path}?token={served.token}",
+                headers={"Accept-Encoding": "gzip"},
+            )
+            with urllib.request.urlopen(packed) as answer:
+                assert answer.headers["Content-Encoding"] == "gzip"
+                text = gzip.decompress(answer.read()).decode()
+            assert len(text) > 0.9 * len(page)
 
     def test_the_list_tells_what_is_new_without_what_is_around_it(self, served, folder):
         """Which the page asks for from time to time."""
-        page = served.ask("/runs")[2]
+        page = served.listing()
         (address,) = re.findall(r'data-news="([^"]+)"', page)
         status, _, news = served.ask(address)
         assert status == 200
@@ -249,3 +259,42 @@ def test_a_list_of_many_runs_stands_there_before_all_of_them_are_read(folder, mo
     assert [sorted(found) for found in names] == [["first", "second", "third"]] * 3
     assert [page.count("<td>…</td>") for page in listed] == [8, 4, 0]
     assert "7 of 7" in listed[0]
+
+
+class TestTwoTrials:
+    def test_side_by_side(self, folder, finished):
+        page = Runs(folder).two_trials("first", [1, 2])
+        one, other = read_run(finished).trials[1:3]
+        difference = other.parameters["gain"] - one.parameters["gain"]
+        (row,) = re.findall(r"<tr>\s*<th scope=\"row\">gain[^<]*</th>(.*?)</tr>", page, re.DOTALL)
+        cells = [cell.strip() for cell in re.findall(r"<td[^>]*>([^<]*)</td>", row)]
+        shown = [float(cell.split()[0]) for cell in cells]
+        expected = [one.parameters["gain"], other.parameters["gain"], difference]
+        assert shown == pytest.approx(expected, rel=1e-3)
+        # In one context with one noise.
+        assert {"trial 1", "trial 2"} <= set(re.findall(r'data-name="([^"]+)"', page))
+
+    def test_on_the_server(self, served):
+        trial = served.ask("/runs/first/trials/1")[2]
+        (form,) = re.findall(r'<form action="([^"]+)"', trial)
+        assert "form-action &#39;self&#39;" in trial or "form-action 'self'" in trial
+        status, _, page = served.ask(f"{form}?trial=1&trial=2")
+        assert status == 200
+        assert "trials 1 and 2" in page
+        assert served.ask(f"{form}?trial=1&trial=99")[0] == 404
+        for query in ("", "?trial=1", "?trial=1&trial=x", "?trial=1&trial=2&trial=3"):
+            assert served.ask(form + query)[0] == 400, query
+
+
+def test_a_trial_offers_its_bags(folder):
+    bag = folder / "first" / "bags" / "trial_0001"
+    bag.mkdir(parents=True)
+    (bag / "trial_0001_0.mcap").write_bytes(b"recorded")
+    (folder / "first" / "bags" / "trial_0002").mkdir()
+    (folder / "first" / "bags" / "trial_0002" / "trial_0002_0.mcap").write_bytes(b"other")
+    runs = Runs(folder)
+    page = runs.trial("first", 1)
+    assert re.findall(r'<a href="([^"]+mcap)" download>', page) == [
+        "/runs/first/files/bags/trial_0001/trial_0001_0.mcap"
+    ]
+    assert runs.file("first", "bags/trial_0001/trial_0001_0.mcap").read_bytes() == b"recorded"

@@ -31,7 +31,7 @@ from bo_tuner.report.single_run import (
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import strict_yaml
+from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.parts import BACKENDS, IN_PROCESS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
@@ -58,6 +58,7 @@ exit codes:
 examples:
   try my_study.yaml                                the default, on the nodes
   try my_study.yaml --parameters my_params.yaml    other values
+  try my_study.yaml --set kp=2.5                   the default but for one value
   try my_study.yaml --context load=2 --context wind=3.5
   try my_study.yaml --no-attach                    on nodes that it starts
   try benchmark --backend inprocess                without ROS
@@ -79,6 +80,14 @@ def make_parser() -> Parser:
         metavar="FILE",
         help="values by name, or a parameter file of nodes; values missing from it take their "
         "defaults (default: all defaults)",
+    )
+    what.add_argument(
+        "--set",
+        type=_named_value,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="value of a parameter, once for each, also in place of that of the file",
     )
     what.add_argument(
         "--context",
@@ -119,9 +128,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     study = read_study(arguments.study, ask_nodes, ros_arguments, interruption)
     if attach is None:
         attach = name == ROS and is_running(study, ros_arguments, interruption)
-    planned = _planned(
-        study, arguments.parameters, _context(study, arguments.context), ros_arguments
-    )
+    given = _parameters(study, arguments.parameters, arguments.set, ros_arguments)
+    planned = _planned(study, given, _context(study, arguments.context))
     trust_given(study)
     path = arguments.output or RUNS / f"{study.name}-try"
     with writing(path):
@@ -158,25 +166,43 @@ def _exit_code(result: SingleRun) -> int:
     return EXIT_FAULT if result.evaluation.outcome.unusable else EXIT_INFEASIBLE
 
 
-def _planned(
-    study: Study, parameters: Path | None, context: Context, ros_arguments: Sequence[str]
-) -> Evaluation:
+def _planned(study: Study, parameters: Mapping[str, Value], context: Context) -> Evaluation:
     """Return the run, with the noise of the first evaluation of the study's first trial."""
-    given: Mapping[str, Value] = {}
-    if parameters is not None:
-        given = read_parameter_set(parameters, study, named_namespace(ros_arguments))
     seed = noise_seed(study.seed, Stream.NOISE, 0, 0)
-    return Evaluation(0, 0, Stage.NOMINAL, study.complete_set(given), context, seed)
+    return Evaluation(0, 0, Stage.NOMINAL, parameters, context, seed)
 
 
-def _context(study: Study, given: Sequence[tuple[str, Value]]) -> Context:
+def _parameters(
+    study: Study,
+    file: Path | None,
+    given: Sequence[tuple[str, Value]],
+    ros_arguments: Sequence[str],
+) -> Mapping[str, Value]:
+    """Return all parameters: those that are given, else those of a file, else the defaults."""
+    of_file: Mapping[str, Value] = {}
+    if file is not None:
+        of_file = read_parameter_set(file, study, named_namespace(ros_arguments))
+    try:
+        by_name = _once_each(given)
+        for name in by_name:
+            checks.reference(name, "parameter", study.parameters)
+        return study.complete_set({**of_file, **by_name})
+    except StudyError as error:
+        raise StudyError(f"--set: {error}") from None
+
+
+def _once_each(given: Sequence[tuple[str, Value]]) -> dict[str, Value]:
     by_name = dict(given)
     if len(by_name) < len(given):
         twice = next(name for name, _ in given if [n for n, _ in given].count(name) > 1)
-        raise StudyError(f"--context: {twice} has more than one value; leave all but one out")
+        raise StudyError(f"{twice} has more than one value; leave all but one out")
+    return by_name
+
+
+def _context(study: Study, given: Sequence[tuple[str, Value]]) -> Context:
     try:
-        return study.context_space().completed(by_name)
-    except ParameterError as error:
+        return study.context_space().completed(_once_each(given))
+    except (ParameterError, StudyError) as error:
         raise StudyError(f"--context: {error}") from None
 
 
@@ -233,7 +259,7 @@ def _write(result: SingleRun, drawn: Sequence[Panel], remark: str, folder: Path)
 
 
 def _named_value(text: str) -> tuple[str, Value]:
-    """Read the name of a context variable, and its value."""
+    """Read the name of a parameter or a context variable, and its value."""
     name, _, value = text.partition("=")
     try:
         parsed = strict_yaml.parse(value).value

@@ -112,7 +112,7 @@ def _parameters(runs: Mapping[str, Analysis]) -> Section:
         name="parameters",
         title="Parameters",
         lead="The result of each run, or its best so far; the default is in brackets.",
-        tables=[_side_by_side("Parameter sets", {n: _parameter_set(a) for n, a in runs.items()})],
+        tables=[side_by_side("Parameter sets", {n: _parameter_set(a) for n, a in runs.items()})],
     )
 
 
@@ -141,7 +141,7 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
         title="Numbers",
         lead="The tuned value of each run, and what its verdict says of it against the run's "
         "own default, which is in brackets.",
-        tables=[_side_by_side("Numbers of the verdicts", cells)],
+        tables=[side_by_side("Numbers of the verdicts", cells)],
         notes=[
             "Runs with different seeds, budgets or studies draw different contexts and noise, so "
             "part of the difference between two columns is chance. Only differences from the "
@@ -161,7 +161,7 @@ def _in_words(quantity: Quantity) -> str:
     return text
 
 
-def _side_by_side(caption: str, cells: Mapping[str, Mapping[Row, Cell]]) -> Table:
+def side_by_side(caption: str, cells: Mapping[str, Mapping[Row, Cell]]) -> Table:
     """Return a table with a column for each run, and a row for each name with its unit."""
     names = dict.fromkeys(row for of_run in cells.values() for row in of_run)
     rows = []

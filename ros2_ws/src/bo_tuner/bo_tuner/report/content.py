@@ -116,11 +116,14 @@ class WhatIf:
         What is predicted, and its limit in words, which is empty without one.
     along
         For each slider the forecasts (n,) at its values, the others being those of the answer.
+    command
+        Runs such a set once, with the values of the sliders behind it; empty where none can.
     """
 
     sliders: Sequence[Slider]
     rows: Sequence[tuple[str, str]]
     along: Sequence[Sequence[Forecast]]
+    command: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

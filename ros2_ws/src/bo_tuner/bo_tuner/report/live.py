@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.figures.figure import Axis, Color, Element, Limit, Line, Marker, Panel, Points, Scale
+from bo_tuner.figures.figure import Axis, Element, Limit, Line, Panel, Points, Scale
+from bo_tuner.monitoring.trial_table import MARGIN as MARGIN_SIGN
+from bo_tuner.monitoring.trial_table import OVER as OVER_SIGN
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import TrialOutcome, outcome_by_runs
 from bo_tuner.report.content import Table
+from bo_tuner.report.marks import OFF_SCALE, RESULT
 from bo_tuner.report.sections.convergence import (
     beyond,
     mean_axis,
@@ -18,7 +21,7 @@ from bo_tuner.report.sections.convergence import (
     scale_end,
 )
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limits import WITHIN, held_against, outcome_on_screen
+from bo_tuner.study.limits import held_against, outcome_on_screen
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside, with_unit
 from bo_tuner.trials import Trial, TrialState
@@ -41,7 +44,7 @@ def of_limit(constraint: Constraint, value: float) -> float:
     return 100.0 * value / constraint.limit if in_percent(constraint) else value
 
 
-def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> Panel:
+def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int | None]) -> Panel:
     """Return the objective by trial, and the best within limits so far, from the first one on.
 
     Parameters
@@ -49,7 +52,7 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
     study, trials
         Of the run.
     best
-        Which trial the run said that is, by the number of trials known then.
+        Which trial the run said that is, by the number of trials known then; None if none is.
     """
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
@@ -57,14 +60,15 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
     values = np.array([_mean(trial, objective.metric) for trial in trials])
     places = _places(trials)
     elements: list[Element] = []
-    if best:
+    if any(number is not None for number in best.values()):
         counts = sorted(best)
+        numbers = [best[count] for count in (*counts, counts[-1])]
         elements.append(
             Line(
                 x=[*(count - 1.0 for count in counts), len(trials) - 0.5],
-                y=[values[best[count]] for count in (*counts, counts[-1])],
+                y=[math.nan if number is None else values[number] for number in numbers],
                 name="best within limits",
-                color=Color.BLUE,
+                color=RESULT[0],
                 step=True,
             )
         )
@@ -130,11 +134,7 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
                 *(_shown(_mean(trial, objective.metric)) for objective in study.objectives),
                 *(_shown(value, 3) for value in against),
                 str(len(trial.evaluations)),
-                f"✓ {WITHIN}"
-                if outcome == WITHIN
-                else f"✗ {outcome}"
-                if complete
-                else f"✗ {outcome}: {trial.reason}",
+                f"{_sign(trial, study)} {outcome}" + ("" if complete else f": {trial.reason}"),
             ]
         )
     header += ["test runs", "outcome"]
@@ -143,6 +143,25 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         header=header,
         rows=rows,
         numeric=range(1, len(header) - 1),
+    )
+
+
+def best_values(study: Study, trial: Trial) -> Table:
+    """Return the tuned parameters of the best trial, beside the default."""
+    default = study.search_space().defaults
+    return Table(
+        caption=f"Values of trial {trial.number}, the best within limits",
+        header=["parameter", "value", "default"],
+        rows=[
+            [
+                with_unit(item.title, item.unit),
+                shown(trial.parameters[item.name]),
+                shown(default[item.name]),
+            ]
+            for item in study.parameters.values()
+            if item.is_tuned
+        ],
+        numeric=[1, 2],
     )
 
 
@@ -211,6 +230,16 @@ def step_in_words(change: Change) -> str:
     return f"{then - now:+.4g}"
 
 
+def _sign(trial: Trial, study: Study) -> str:
+    """Return the sign of an outcome, for one with values as in the terminal."""
+    signs = {
+        TrialOutcome.WITHIN: "✓",
+        TrialOutcome.UNCERTAIN: MARGIN_SIGN,
+        TrialOutcome.VIOLATES: OVER_SIGN,
+    }
+    return signs.get(outcome_by_runs(study, trial), "✗")
+
+
 def _mean(trial: Trial, metric: str) -> float:
     mean = trial.mean(metric) if trial.state is TrialState.COMPLETE else None
     return math.nan if mean is None else mean
@@ -255,8 +284,8 @@ def _points(
                 x=places[far],
                 y=np.full(far.sum(), end),
                 name="off the scale",
-                color=Color.PURPLE,
-                marker=Marker.TRIANGLE,
+                color=OFF_SCALE[0],
+                marker=OFF_SCALE[1],
                 size=8.0,
             )
         )

@@ -23,6 +23,7 @@ from bo_tuner.report.analysis import Analysis, Known
 from bo_tuner.report.content import Chapter, Section, WhatIf, number
 from bo_tuner.report.live import (
     bar,
+    best_values,
     latest_trials,
     limit_panels,
     objective_panel,
@@ -167,7 +168,9 @@ def write_trial(analysis: Analysis, trial: Trial, parts: Sequence[Section], path
 
 def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     """Write the page that compares runs to `path` and return it; raises as `write_atomically`."""
-    return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
+    return _write(
+        path, fill("comparison.html", sections=parts, title=title, home="", of="tuning runs")
+    )
 
 
 def write_single_run(title: str, parts: Sequence[Section], path: Path) -> Path:
@@ -212,10 +215,12 @@ def question_html(asked: Asked) -> str:
     )
 
 
-def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -> dict[str, str]:
+def live_parts(
+    study: Study, trials: Sequence[Trial], best: Mapping[int, int | None]
+) -> dict[str, str]:
     """Return the HTML of what the page of a run in progress has of its trials, by name.
 
-    `best` is the trial that is the best within limits, by the number of trials known then.
+    `best` is as in `objective_panel`.
     """
     macros: Any = _environment().get_template("live_parts.html").module
     panels = limit_panels(study, trials)
@@ -234,10 +239,12 @@ def live_parts(study: Study, trials: Sequence[Trial], best: Mapping[int, int]) -
         panels=panels,
         panel_height=max(80, 172 // max(len(panels), 1)),
     )
+    number = best[max(best)] if best else None
     found: dict[str, Any] = {
         "objective": macros.show_objective(objective),
         "limits": macros.show_limits(limits) if panels else "The study has no limits.",
         "trials": macros.show_trials(latest_trials(study, trials)),
+        "values": "" if number is None else macros.show_values(best_values(study, trials[number])),
     }
     return {name: str(html) for name, html in found.items()}
 
@@ -338,7 +345,8 @@ def _forecasts(what_if: WhatIf) -> dict[str, object]:
         {"name": each.name, "values": each.values, "words": each.words, "place": each.place}
         for each in what_if.sliders
     ]
-    return {"sliders": sliders, "along": [[asdict(f) for f in each] for each in what_if.along]}
+    along = [[asdict(f) for f in each] for each in what_if.along]
+    return {"sliders": sliders, "along": along, "command": what_if.command}
 
 
 def _shown(value: Any) -> Any:

@@ -5,12 +5,13 @@ from dataclasses import replace
 from itertools import cycle
 
 from bo_tuner.evidence.single_run import BEYOND, SingleRun
-from bo_tuner.figures.figure import Color, Figure, Line, Panel
+from bo_tuner.figures.figure import Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.recorded_signals import signal_panels
 from bo_tuner.report.sections.trajectories import STYLES, Trace, panels
+from bo_tuner.study.signal_offers import REFERENCE
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED
@@ -34,19 +35,28 @@ def traced_response(study: Study, trace: Trace) -> list[Panel]:
 
 
 def _told_apart(drawn: Sequence[Panel]) -> list[Panel]:
-    """Give several signals in one panel, which are all of this run, a colour each."""
-    color, dash = STYLES[TUNED]
+    """Give several signals in one panel, which are all of this run, a colour each.
+
+    What the others are to follow is drawn as in all figures; a single run shows it by its name.
+    """
     told_apart = []
     for panel in drawn:
         colors = cycle(COLORS)
-        elements = [
-            replace(item, color=next(colors))
-            if isinstance(item, Line) and (item.color, item.dash) == (color, dash)
-            else item
-            for item in panel.elements
-        ]
+        count = sum(_is_own(element) for element in panel.elements)
+        elements: list[Element] = []
+        for element in panel.elements:
+            if not isinstance(element, Line) or not _is_own(element):
+                elements.append(element)
+            elif count > 1 and REFERENCE.search(element.name):
+                elements.append(replace(element, color=Color.INK, dash=Dash.DOTTED))
+            else:
+                elements.append(replace(element, color=next(colors)))
         told_apart.append(replace(panel, elements=elements))
     return told_apart
+
+
+def _is_own(element: Element) -> bool:
+    return isinstance(element, Line) and (element.color, element.dash) == STYLES[TUNED]
 
 
 def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Figure:

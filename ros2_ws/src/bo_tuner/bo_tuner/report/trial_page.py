@@ -120,7 +120,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
         ]
         for item in trial.evaluations
     ]
-    worst = _worst(analysis, trial)
+    worst = worst_run(analysis, trial)
     return Section(
         name="test-runs",
         title="Test runs",
@@ -144,14 +144,15 @@ def _state(item: Evaluation) -> str:
     return f"{state}: {remark}" if remark else state
 
 
-def _worst(analysis: Analysis, trial: Trial) -> Evaluation | None:
+def worst_run(analysis: Analysis, trial: Trial) -> Evaluation | None:
+    """Return the worst test run of a trial; None without any."""
     badness = partial(evaluation_badness, analysis.study)
     return max(trial.evaluations, key=badness, default=None)
 
 
 def _signals(analysis: Analysis, trial: Trial) -> Section:
     """Show the signals of the worst evaluation: from its bag, or else simulated again."""
-    worst = _worst(analysis, trial)
+    worst = worst_run(analysis, trial)
     if worst is None:
         return Section(name="signals", title="Signals", lead="The trial has no test run.")
     where = f"test run {worst.index}, the worst one ({values(worst.context) or 'no context'})"

@@ -11,8 +11,10 @@ MOST_FILES = 500
 """Files that are listed of a run; one that records each trial has thousands."""
 
 
-def files_of(run: Path) -> list[tuple[str, int]]:
+def files_of(run: Path, *beginnings: str) -> list[tuple[str, int]]:
     """Return path and size [byte] of the files in a run folder; links are none.
+
+    With `beginnings`, only those whose paths begin with one of them.
 
     What matters most comes first: that in the folder itself. What nodes have printed is last.
     """
@@ -23,6 +25,8 @@ def files_of(run: Path) -> list[tuple[str, int]]:
                 # Of the programs that work in it.
                 continue
             path = Path(folder, name)
+            if not str(path.relative_to(run)).startswith(beginnings or ""):
+                continue
             try:
                 kind = path.lstat()
             except OSError:

@@ -198,6 +198,7 @@ def start_server(listening: socket.socket, access: Access, routes: Sequence[Rout
         [(pattern, handler, shared | settings) for pattern, handler, settings in routes],
         default_handler_class=Missing,
         default_handler_args=shared,
+        compress_response=True,
         # A log of requests would hold the token.
         log_function=lambda handler: None,
     )

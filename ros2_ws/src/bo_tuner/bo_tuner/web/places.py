@@ -7,6 +7,8 @@ HOME = "/"
 RUNS = "/runs"
 NEWS = "/news"
 """What changes in the list of runs; a run may have any name below `RUNS`."""
+COMPARED = "compared"
+"""Behind `trials_address`, two trials side by side; their numbers are a query."""
 
 
 def list_address(page: int) -> str:

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -23,7 +24,7 @@ from bo_tuner.report.content import Forecast
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.web.address import Address
 from bo_tuner.web.page import Access, Page, Route, start_server
-from bo_tuner.web.places import NEWS, RUNS
+from bo_tuner.web.places import COMPARED, NEWS, RUNS
 from bo_tuner.web.runs import MOST_COMPARED, Runs
 
 NO_RUN = "there is no such run here"
@@ -107,6 +108,19 @@ class TrialPage(RunsHandler):
         self.finish(page)
 
 
+class TwoTrials(RunsHandler):
+    """Two trials of a run side by side."""
+
+    async def get(self, name: str) -> None:
+        """Answer with the comparison."""
+        given = self.get_query_arguments("trial")
+        if len(given) != 2 or not all(re.fullmatch(r"[0-9]{1,9}", number) for number in given):
+            raise HTTPError(400, "trial: expected the numbers of two trials; go back")
+        numbers = [int(number) for number in given]
+        page = await self.made(NO_TRIAL, self.thread, self.runs.two_trials, name, numbers)
+        self.finish(page)
+
+
 class ForecastOf(RunsHandler):
     """What the models predict for values of a run's parameters."""
 
@@ -163,6 +177,7 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
         (r"/runs\.csv", RunsTable),
         (r"/runs/([^/]+)", RunPage),
         (r"/runs/([^/]+)/trials/([0-9]{1,9})", TrialPage),
+        (rf"/runs/([^/]+)/trials/{COMPARED}", TwoTrials),
         (r"/runs/([^/]+)/forecast", ForecastOf),
         (r"/runs/([^/]+)/files/(.+)", RunFile),
         (r"/compare", ComparisonPage),

@@ -16,11 +16,14 @@ from bo_tuner.report.content import Forecast, Table
 from bo_tuner.report.page import OF_LISTS, chapters, fill, list_html, render, trial_html
 from bo_tuner.report.sections.what_if import forecast
 from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.report.two_trials import two_trials
+from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.text import counted, csv_cell, with_unit
 from bo_tuner.trials import Value
 from bo_tuner.web.files import files_of, size_in_words
 from bo_tuner.web.places import (
+    COMPARED,
     HOME,
     RUNS,
     file_address,
@@ -203,10 +206,7 @@ class Runs:
             None,
             template="run.html",
             frame=frame,
-            files=[
-                (file_address(name, path), path, size_in_words(size))
-                for path, size in files_of(self._folder / name)
-            ],
+            files=self._files(name),
             trials=trials_address(name),
             forecasts=forecasts_address(name),
         )
@@ -232,8 +232,39 @@ class Runs:
             return f"{trials_address(name)}{other}", f"trial {other}"
 
         frame = Frame(self._address(name), name, beside(number - 1), beside(number + 1))
-        parts = trial_sections(analysis, trial)
-        return trial_html(analysis, trial, parts, "run_trial.html", frame=frame)
+        bags = {f"{BAGS}/{bag_name(evaluation)}/" for evaluation in trial.evaluations}
+        return trial_html(
+            analysis,
+            trial,
+            trial_sections(analysis, trial),
+            "run_trial.html",
+            frame=frame,
+            compare=trials_address(name) + COMPARED,
+            latest=len(analysis.trials) - 1,
+            files=self._files(name, *bags) if bags else [],
+        )
+
+    def two_trials(self, name: str, numbers: Sequence[int]) -> str | None:
+        """Return the page that compares two trials of a run; None if one does not exist.
+
+        Raises
+        ------
+        BoTunerError
+            If the run cannot be read.
+        """
+        if name not in self.names():
+            return None
+        analysis = self._analysis(name)
+        if not all(number < len(analysis.trials) for number in numbers):
+            return None
+        one, other = (analysis.trials[number] for number in numbers)
+        return fill(
+            "comparison.html",
+            sections=two_trials(analysis, one, other),
+            title=f"{analysis.study.name}: trials {one.number} and {other.number}",
+            home=self._address(name),
+            of=f"trials of {name}",
+        )
 
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
         """Return what is predicted for values of a run's parameters; None if there are none such.
@@ -257,7 +288,7 @@ class Runs:
             return None
         parts = comparison({name: self._analysis(name) for name in names})
         title = f"{len(names)} runs side by side"
-        return fill("comparison.html", sections=parts, title=title, home=RUNS)
+        return fill("comparison.html", sections=parts, title=title, home=RUNS, of="tuning runs")
 
     def table(self) -> str:
         """Return all runs that can be read, a row each, as CSV: verdicts and values."""
@@ -276,9 +307,16 @@ class Runs:
 
     def file(self, name: str, path: str) -> Path | None:
         """Return a file of a run by its path in the run folder; None if there is none to give."""
-        if name not in self.names() or path not in dict(files_of(self._folder / name)):
+        if name not in self.names() or path not in dict(files_of(self._folder / name, path)):
             return None
         return self._folder / name / path
+
+    def _files(self, name: str, *beginnings: str) -> list[tuple[str, str, str]]:
+        """Return address, path and size in words of the files of a run."""
+        return [
+            (file_address(name, path), path, size_in_words(size))
+            for path, size in files_of(self._folder / name, *beginnings)
+        ]
 
     def _address(self, name: str) -> str:
         """Return the address of the page of a run."""

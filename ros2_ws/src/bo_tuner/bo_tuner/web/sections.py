@@ -55,13 +55,14 @@ class LiveSections:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def made(self, best: Mapping[int, int], *, ended: bool) -> Made:
+    def made(self, best: Mapping[int, int | None], *, ended: bool) -> Made:
         """Make all parts as of now; raises `RunRecordError` if the run cannot be read.
 
         Parameters
         ----------
         best
-            Which trial is the best within limits, by the number of trials known then.
+            Which trial is the best within limits, by the number of trials known then;
+            None if none is.
         ended
             Whether the run has.
         """

@@ -42,7 +42,7 @@ class LiveState:
     parts
         By the name of a part, in their order, the version of its last change, and the part.
     best
-        Which trial is the best within limits, by the number of trials known then.
+        Which trial is the best within limits, by the number of trials known then; None if none is.
     stamp
         Which state of the run they show, in words.
     making, pages
@@ -53,7 +53,7 @@ class LiveState:
         self.sections = sections
         self.version = 0
         self.now: Mapping[str, Any] = {}
-        self.best: dict[int, int] = {}
+        self.best: dict[int, int | None] = {}
         self._ahead: list[str] = []
         self._shown_question = (0, "", "")
         self.parts: dict[str, tuple[int, Part]] = {}
@@ -84,8 +84,8 @@ class LiveState:
         # A state that is taken once more, with its end, has it as HTML already.
         if "text" in now.get("question", ()):
             now["question"] = self._question(**now["question"])
-        if now.get("best_trial") is not None:
-            self.best[now["trials"]] = now["best_trial"]
+        if now.get("trials"):
+            self.best[now["trials"]] = now.get("best_trial")
         self.now = now
         if now.get("ended"):
             self._over.set()

@@ -13,7 +13,6 @@ from bo_tuner.figures.figure import (
     Element,
     Figure,
     Heatmap,
-    Marker,
     Panel,
     Points,
     Region,
@@ -23,6 +22,7 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted
+from bo_tuner.report.marks import DEFAULT, RESULT
 from bo_tuner.report.sections.convergence import outcome_points, predicted_axis
 from bo_tuner.trials import Trial
 
@@ -122,9 +122,9 @@ def _contour_panel(
         )  # fmt: skip
     of_a, of_b = (np.array([float(t.parameters[g.name]) for t in analysis.trials]) for g in grids)
     elements += outcome_points(analysis, analysis.trials, of_a, of_b, size=5)
-    for name, parameters, marker, color in (
-        ("default", analysis.defaults, Marker.SQUARE, Color.INK),
-        (analysis.answer_name, answer.parameters, Marker.STAR, Color.VERMILION),
+    for name, parameters, (color, marker) in (
+        ("default", analysis.defaults, DEFAULT),
+        (analysis.answer_name, answer.parameters, RESULT),
     ):
         elements.append(
             Points(

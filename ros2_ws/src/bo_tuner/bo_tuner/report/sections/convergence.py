@@ -27,6 +27,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
 from bo_tuner.report.content import Section, number, numbered, quantity
+from bo_tuner.report.marks import DEFAULT, OFF_SCALE, OVER_LIMIT, RESULT
 from bo_tuner.storage.provenance import (
     CARRIED,
     CARRIED_FROM,
@@ -61,9 +62,9 @@ At even distances, the models of hundreds of trials would take most of the time 
 STYLES = {
     TrialOutcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
     TrialOutcome.UNCERTAIN: (Color.SKY, Marker.CIRCLE, False),
-    TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
+    TrialOutcome.VIOLATES: (*OVER_LIMIT, False),
     TrialOutcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
-    TrialOutcome.CUT_SHORT: (Color.ORANGE, Marker.TRIANGLE, True),
+    TrialOutcome.CUT_SHORT: (*OVER_LIMIT, True),
     TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
     TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
     TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
@@ -277,8 +278,8 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
                     x=[x[k]],
                     y=[y[k]],
                     name=analysis.answer_name,
-                    color=Color.BLUE,
-                    marker=Marker.STAR,
+                    color=RESULT[0],
+                    marker=RESULT[1],
                     size=11,
                     hover=[describe(analysis, trial)],
                     trials=[trial.number],
@@ -355,7 +356,7 @@ def _incumbent_lines(
     lines: list[Element] = []
     places = [x[k] for k, _ in best_by_trial]
     for feasible, name, color, dash in (
-        (True, "best so far", Color.BLUE, Dash.SOLID),
+        (True, "best so far", RESULT[0], Dash.SOLID),
         (False, "best so far, not likely within limits", Color.GRAY, Dash.DOTTED),
     ):
         y = [
@@ -384,7 +385,7 @@ def _default_line(analysis: Analysis) -> list[Limit]:
     values = [q.default for q in quantities if q.objective and q.metric == metric]
     if not values or math.isnan(values[0]):
         return []
-    return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
+    return [Limit(value=values[0], name="default", color=DEFAULT[0], dash=Dash.DASH_DOT)]
 
 
 def _good(analysis: Analysis) -> list[bool]:
@@ -456,8 +457,8 @@ def _off_scale(
             x=places[far],
             y=np.full(len(far), edge),
             name=f"off the scale, to {number(float(farthest))}",
-            color=Color.PURPLE,
-            marker=Marker.TRIANGLE,
+            color=OFF_SCALE[0],
+            marker=OFF_SCALE[1],
             size=9,
             hover=[
                 f"off the scale: {number(float(values[k]))}\n"

@@ -8,9 +8,10 @@ import numpy as np
 from bo_tuner.evidence.words.limits import in_words
 from bo_tuner.evidence.words.quantities import details
 from bo_tuner.evidence.words.verdict import basis
-from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, Line, Panel
+from bo_tuner.figures.figure import Axis, Dash, Element, Figure, Limit, Line, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
+from bo_tuner.report.marks import RESULT
 from bo_tuner.report.sections.trajectories import STYLES
 from bo_tuner.study.constraint import Constraint
 
@@ -60,7 +61,7 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
                     value=q.bound,
                     name="bound of the tuned worst case",
                     vertical=True,
-                    color=Color.BLUE,
+                    color=RESULT[0],
                     dash=Dash.DOTTED,
                 )
             )

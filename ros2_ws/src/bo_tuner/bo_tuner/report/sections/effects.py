@@ -14,6 +14,7 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
 )
 from bo_tuner.evidence.words.effects import amount, title_of
 from bo_tuner.evidence.words.verdict import of_parameters
+from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.models.categories import Coding, coded_fit
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.gaussian_process import GaussianProcess
@@ -53,31 +54,29 @@ def effects(analysis: Analysis) -> Section | None:
     header = ["parameter", analysis.answer_name]
     if steps is not None:
         header += ["one step down", "one step up"]
-    header += [f"share of {response}" for response in shares]
     if by_parameter:
         header.append("seen to move")
     rows = []
-    for k, name in enumerate(names):
+    for name in names:
         row = [study.parameters[name].title, number(answer.parameters[name])]
         if steps is not None:
             row += _steps(analysis, steps, name)
-        row += [_share(totals[k]) for totals in shares.values()]
         if by_parameter:
             row.append(_moved(study, by_parameter.get(name)))
         rows.append(row)
-    count = 0 if steps is None else 2
     return Section(
         name="effects",
         title="What does each parameter do?",
         lead=" ".join(
             [*_lead(study, steps), *_most(analysis, shares), *of_parameters(analysis.verdict)]
         ),
+        figures=[_importance(study, shares)] if shares else [],
         tables=[
             Table(
                 caption=f"The tuned parameters, around the {analysis.answer_set}",
                 header=header,
                 rows=rows,
-                numeric=[1, *range(2 + count, 2 + count + len(shares))],
+                numeric=[1],
             )
         ],
         notes=_notes(analysis, steps, shares, bool(by_parameter)),
@@ -221,8 +220,36 @@ def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
     return total_indices(lambda cube: model.predict_mean(space.repair(cube)), space.dimension)
 
 
-def _share(value: float) -> str:
-    return f"{max(value, 0.0):.2f}"
+def _importance(study: Study, shares: Mapping[str, Array]) -> Figure:
+    """Show the share of each parameter as a bar, in a panel for each response."""
+    titles = [study.parameters[name].title for name in study.search_space().names]
+    places = list(range(len(titles)))
+    panels = [
+        Panel(
+            title=response,
+            x=Axis(label="", ticks=list(zip(places, titles, strict=True))),
+            y=Axis(label="share", limits=(0.0, 1.0)),
+            elements=[Bars(x=places, y=np.clip(totals, 0.0, 1.0), color=Color.BLUE, width=0.6)],
+        )
+        for response, totals in shares.items()
+    ]
+    return Figure(
+        name="importance",
+        title="Which parameter matters for what?",
+        caption="Share of the variance over the search space that remains while the others are "
+        "fixed.",
+        alternative="; ".join(
+            f"{response}: "
+            + ", ".join(
+                f"{title} {max(value, 0.0):.2f}"
+                for title, value in zip(titles, totals, strict=True)
+            )
+            for response, totals in shares.items()
+        ),
+        panels=panels,
+        columns=min(3, len(panels)),
+        panel_height=190,
+    )
 
 
 def _notes(

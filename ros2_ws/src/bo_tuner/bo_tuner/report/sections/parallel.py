@@ -5,6 +5,7 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section
+from bo_tuner.report.marks import OVER_LIMIT, RESULT
 from bo_tuner.text import shown
 from bo_tuner.trials import Trial
 
@@ -12,7 +13,7 @@ FEWEST = 4
 """Number of tuned parameters from which on two at a time no longer show a run."""
 
 STYLES = {
-    TrialOutcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
+    TrialOutcome.VIOLATES: (OVER_LIMIT[0], Dash.DOTTED, 1.0),
     TrialOutcome.UNCERTAIN: (Color.SKY, Dash.DOTTED, 1.2),
     TrialOutcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
 }
@@ -31,7 +32,7 @@ def parallel(analysis: Analysis) -> Section | None:
             elements.append(_lines(analysis, chosen, kind, color, dash, width))
     if analysis.answer is not None:
         elements.append(
-            _lines(analysis, [analysis.answer], analysis.answer_name, Color.BLUE, Dash.SOLID, 3.0)
+            _lines(analysis, [analysis.answer], analysis.answer_name, RESULT[0], Dash.SOLID, 3.0)
         )
     ticks = [(float(k), _ends(analysis, name)) for k, name in enumerate(space.names)]
     return Section(

@@ -23,6 +23,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
+from bo_tuner.report.marks import DEFAULT, RESULT
 from bo_tuner.report.sections.convergence import describe, predicted_axis
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import Metric
@@ -179,11 +180,11 @@ def _markers(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Ele
     return [
         Limit(
             value=float(analysis.defaults[grid.name]), name="default", vertical=True,
-            color=Color.INK, dash=Dash.DASH_DOT,
+            color=DEFAULT[0], dash=Dash.DASH_DOT,
         ),
         Limit(
             value=float(answer.parameters[grid.name]), name=analysis.answer_name, vertical=True,
-            color=Color.BLUE, dash=Dash.SOLID,
+            color=RESULT[0], dash=Dash.SOLID,
         ),
     ]  # fmt: skip
 

@@ -16,7 +16,6 @@ from bo_tuner.figures.figure import (
     Figure,
     Limit,
     Line,
-    Marker,
     Panel,
     Points,
 )
@@ -24,6 +23,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
+from bo_tuner.report.marks import DEFAULT
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.limited import UPPER
@@ -242,8 +242,8 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
             x=[largest[0].default],
             y=[means[0]],
             name="default",
-            color=Color.INK,
-            marker=Marker.SQUARE,
+            color=DEFAULT[0],
+            marker=DEFAULT[1],
             size=10,
             hover=[
                 f"default, in {basis(analysis.verdict)}\n"

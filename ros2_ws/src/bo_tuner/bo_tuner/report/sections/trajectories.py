@@ -19,6 +19,7 @@ from bo_tuner.backends.inprocess import InProcessBackend, triggered
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Axis, Band, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.report import marks
 from bo_tuner.report.analysis import Analysis, remembered
 from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
@@ -32,7 +33,7 @@ from bo_tuner.trials import DEFAULT, TUNED, Context, Evaluation, Stage, Trial, V
 
 TIME = "time"
 Style = tuple[Color, Dash]
-STYLES = {DEFAULT: (Color.ORANGE, Dash.SOLID), TUNED: (Color.BLUE, Dash.SOLID)}
+STYLES = {DEFAULT: (marks.DEFAULT[0], Dash.SOLID), TUNED: (marks.RESULT[0], Dash.SOLID)}
 MOST_SAMPLES = 2000
 """Largest number of samples of a signal in the page; longer signals are decimated."""
 

@@ -5,6 +5,7 @@ predictions are part of the page; those of several at once need the models, whic
 """
 
 import math
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -18,7 +19,10 @@ from bo_tuner.report.content import Forecast, Slider, WhatIf, number
 from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted
 from bo_tuner.report.sections.convergence import mean_axis, predicted_axis
 from bo_tuner.report.sections.slices import TWO_SIGMA, predicted_title
-from bo_tuner.text import percent, shown_beside, with_unit
+from bo_tuner.storage.run_folder import STUDY
+from bo_tuner.study.function_study import FUNCTION
+from bo_tuner.study.parts import IN_PROCESS
+from bo_tuner.text import percent, shown, shown_beside, with_unit
 
 FromCost = Callable[[Array], Array]
 """Returns an objective by its cost, in the unit of its metric."""
@@ -50,7 +54,22 @@ def what_if(analysis: Analysis) -> WhatIf | None:
         )
         for grid in grids
     ]
-    return WhatIf(sliders, _rows(analysis), along)
+    return WhatIf(sliders, _rows(analysis), along, _command(analysis))
+
+
+def _command(analysis: Analysis) -> str:
+    """Return how to run a set once, up to the values of the sliders."""
+    record, answer = analysis.record, analysis.answer
+    if record.backend == FUNCTION or answer is None:
+        return ""
+    space = analysis.study.search_space()
+    words = ["try", str(record.path.resolve() / STUDY)]
+    if record.backend == IN_PROCESS:
+        words += ["--backend", IN_PROCESS]
+    for name in space.names:
+        if name not in space.numbers:
+            words += ["--set", f"{name}={shown(answer.parameters[name])}"]
+    return shlex.join(words)
 
 
 def forecast(analysis: Analysis, values: Mapping[str, float]) -> Forecast | None:

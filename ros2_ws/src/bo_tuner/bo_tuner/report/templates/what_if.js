@@ -7,11 +7,12 @@
   const ALONE = "One slider at a time: the others are reset.";
 
   function adopt(element) {
-    const { sliders, along } = JSON.parse(element.querySelector("script").textContent);
+    const { sliders, along, command } = JSON.parse(element.querySelector("script").textContent);
     const inputs = [...element.querySelectorAll("input[type=range]")];
     const cells = [...element.querySelectorAll("tbody tr")].map((row) => row.cells[1]);
     const remark = element.querySelector(".damage");
     const back = element.querySelector("button");
+    const code = element.querySelector("code");
     let latest = 0;
     element.hidden = false;
     element.querySelector(".together").textContent = forecasts ? TOGETHER : ALONE;
@@ -21,6 +22,13 @@
       inputs[k].parentElement.querySelector("output").textContent = sliders[k].words[at];
       inputs[k].setAttribute("aria-valuetext", sliders[k].words[at]);
     }
+
+    function tell() {
+      if (!code) return;
+      const set = sliders.map(({ name, values }, k) => `--set ${name}=${values[Number(inputs[k].value)]}`);
+      code.textContent = [command, ...set].join(" ");
+    }
+    tell();
 
     function show({ cells: texts, remark: words }) {
       cells.forEach((cell, k) => { cell.textContent = texts[k]; });
@@ -48,12 +56,14 @@
       back.disabled = false;
       if (!forecasts) sliders.forEach((slider, other) => place(other, slider.place));
       place(k, at);
+      tell();
       if (forecasts) predict();
       else show(along[k][at]);
     }));
     back.addEventListener("click", () => {
       latest += 1;
       sliders.forEach((slider, k) => place(k, slider.place));
+      tell();
       show(along[0][sliders[0].place]);
       back.disabled = true;
     });
