@@ -65,3 +65,13 @@ def test_too_few_pairs_show_nothing(count):
 )
 def test_the_words_follow_the_interval_not_the_sign(low, high, sign, change):
     assert Difference(-0.5, low, high, 9).change(sign) is change
+
+
+def test_what_rounding_leaves_of_cancelled_noise_is_no_interval():
+    """The same noise in both: of their difference only the last digits vary."""
+    noise = np.random.default_rng(1).standard_normal(25)
+    found = paired(0.3 + noise, 0.1 + noise, np.empty((25, 0)))
+    assert found.low == found.mean == found.high == pytest.approx(-0.2)
+    same = paired(0.3 + noise, (0.1 + noise) + 0.2, np.empty((25, 0)))
+    assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
+    assert same.change(1.0) is Change.NONE

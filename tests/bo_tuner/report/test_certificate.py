@@ -1,6 +1,7 @@
 """A run with a certificate shows it, and a refused one before all else."""
 
 import json
+from html import unescape
 
 import pytest
 from made_certificates import content_of, made_certificate
@@ -44,7 +45,8 @@ def test_a_run_without_a_certificate_has_none(tuned):
 def test_its_numbers_are_shown(certified, content):
     found, section = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
-    assert found.scope == "112 fresh draws, 97.5 % confidence of each bound"
+    assert "97.5 % confidence of each bound" in found._repr_html_()
+    assert found.tuned.constraints[0].reason in unescape(found._repr_html_())
     limits, gaps = section.tables
     rows = {row[0].strip(): row[1:] for row in limits.rows}
     # It stands with the verdict.

@@ -82,6 +82,7 @@ def test_the_mean_of_what_is_called_a_mean(analysis):
     texts = [*texts_of(parts), *texts_of(comparison({"a": analysis, "b": analysis}))]
     assert [text for text in texts if re.search(r"\bmean mean\b", text, re.IGNORECASE)] == []
     assert (mean_title("meander"), mean_title("mean")) == ("mean meander", "mean")
+    assert mean_title("mean_error") == "mean_error"
 
 
 def test_what_to_set_has_the_name_too(analysis):

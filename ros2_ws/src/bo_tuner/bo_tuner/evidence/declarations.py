@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bo_tuner.evidence.differences import ALIKE
 from bo_tuner.evidence.facts import Contradicted, Drift, Fact, NoLogarithm, TwoKinds, UnevenRates
 from bo_tuner.metrics.collect import NO_LOGARITHM
 from bo_tuner.metrics.equal_runs import uneven_rates
@@ -22,9 +23,6 @@ from bo_tuner.trials import Evaluation, ParameterSet
 
 CHANCE = 0.01
 """Probability that runs which are alike are said to drift, over all metrics."""
-
-ALIKE = 1e-9
-"""Share of their size by which values differ by rounding alone."""
 
 
 def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Fact]:

@@ -24,6 +24,8 @@ from scipy.special import stdtrit
 from bo_tuner.numerics.adjusted_means import adjusted_mean
 from bo_tuner.numerics.arrays import Array
 
+ALIKE = 1e-9
+"""Share of their size by which values differ by rounding alone."""
 CONFIDENCE = 0.95
 """Two-sided confidence of every interval of a difference."""
 
@@ -96,7 +98,15 @@ def paired(default: ArrayLike, tuned: ArrayLike, covariates: Array) -> Differenc
     covariates
         Of the draws, as in `adjusted_mean`, shape (n, p).
     """
-    differences = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
+    theirs, ours = (np.asarray(side, dtype=np.float64) for side in (default, tuned))
+    differences = ours - theirs
+    if len(differences) > 1:
+        rounding = ALIKE * max(float(np.abs(theirs).max()), float(np.abs(ours).max()))
+        if float(np.ptp(differences)) <= rounding:
+            # The same noise in both cancels, and what is left of it is rounding.
+            mean = float(np.median(differences))
+            mean = mean if abs(mean) > rounding else 0.0
+            return Difference(mean, mean, mean, len(differences))
     found = adjusted_mean(differences, covariates, CONFIDENCE)
     return Difference(found.mean, found.low, found.high, len(differences))
 

@@ -244,6 +244,11 @@ class Verdict:
 
         return sentences(self)
 
+    def _repr_html_(self) -> str:
+        from bo_tuner.evidence.words.notebook import verdict_html
+
+        return verdict_html(self)
+
 
 def all_shown(limits: Iterable[LimitVerdict]) -> bool:
     """Return whether all limits are shown to be kept."""

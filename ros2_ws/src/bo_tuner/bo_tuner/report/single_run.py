@@ -11,7 +11,7 @@ from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.recorded_signals import signal_panels
 from bo_tuner.report.sections.trajectories import STYLES, Trace, panels
-from bo_tuner.study.signal_offers import REFERENCE
+from bo_tuner.study.offers import REFERENCE
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED

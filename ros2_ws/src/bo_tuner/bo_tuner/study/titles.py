@@ -1,5 +1,6 @@
 """What a reader calls a metric or a parameter: its label in the study, or else its name."""
 
+import re
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -37,7 +38,7 @@ def titled_values(items: Mapping[str, Titled], values: Mapping[str, Value]) -> s
 
 def mean_title(title: str) -> str:
     """Return what screens call the mean of what has a title, which may begin with the word."""
-    return title if title.partition(" ")[0].lower() == "mean" else f"mean {title}"
+    return title if re.match(r"mean(?![^\W_])", title, re.IGNORECASE) else f"mean {title}"
 
 
 def _label(value: object) -> str:

@@ -12,7 +12,6 @@ from bo_tuner.evidence.certificate.winners_curse import Gap
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
 from bo_tuner.trials import DEFAULT, TUNED, Trial, Value
 
 
@@ -132,15 +131,15 @@ class Certificate:
         default = {} if self.default is None else {DEFAULT: self.default}
         return {**default, TUNED: self.tuned}
 
-    @property
-    def scope(self) -> str:
-        """Number of draws and confidence, in a few words."""
-        confidence = f"{100.0 * self.bound_confidence:.4g} % confidence of each bound"
-        return f"{counted(self.drawn, 'fresh draw')}, {confidence}"
-
     def is_of(self, trial: Trial) -> bool:
         """Return whether the parameter set is that of a trial."""
         return dict(self.parameters) == dict(trial.parameters)
+
+    def _repr_html_(self) -> str:
+        # The words know the certificate.
+        from bo_tuner.evidence.words.notebook import certificate_html
+
+        return certificate_html(self)
 
     def check_names(self, study: Study) -> None:
         """Refuse one whose constraints, parameters or contexts are not those of a study.

@@ -91,7 +91,7 @@ class Drift:
     def in_words(self) -> str:
         """The last tolerated value, with its band if the limit is crossed before the bound."""
         if self.breaks <= 0.5 * (1.0 - CREDIBLE):
-            return f"{shown(self.bound)} (end of the range)"
+            return f"{shown(self.bound)} *"
         limit = self.limit
         return f"{shown(limit.median)} ({shown(limit.low)} to {shown(limit.high)})"
 

@@ -154,14 +154,14 @@ def answer(analysis: Analysis) -> Answer:
         file=to_yaml(node_values(study, parameters), sent_values(study, parameters))
         if usable
         else "",
-        rows=[*rows(analysis)],
+        rows=[*rows(verdict)],
         figure=front_figure(analysis) or response(analysis),
         trust=trust_lines(analysis),
         advice=advice(verdict),
         remarks=[
             *reasons_and_remarks(verdict),
             *(f"{capitalized(line)}." for line in bases(verdict)),
-            *_details(verdict),
+            *([] if verdict.certificate else _details(verdict)),
         ],
         steps=next_steps(verdict, run) if run else (),
         certified=analysis.certificate is not None or bool(analysis.certificate_problem),

@@ -2,13 +2,15 @@
 
 import numpy as np
 
+from bo_tuner.deploy.bundle import DEPLOY, PROVENANCE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, method_in_words, number
-from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import counted, with_unit
 
 RESULT, NEIGHBOUR = "result", "neighbour"
+SHOWN = ("study_sha256", "started", "host", "platform", "python", "commit")
+"""Of the provenance, what stands in the report."""
 NEIGHBOURS = 3
 """So many trials next to the result are marked."""
 
@@ -21,7 +23,6 @@ def all_trials(analysis: Analysis) -> Section:
     worst = study.worst_case_constraints
     header = [
         "trial",
-        "origin",
         *(with_unit(study.parameters[n].title, study.parameters[n].unit) for n in names),
     ]
     header += [with_unit(mean_title(metric.title), metric.unit) for metric in metrics]
@@ -30,7 +31,7 @@ def all_trials(analysis: Analysis) -> Section:
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
-        row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
+        row = [str(trial.number), *(number(trial.parameters[n]) for n in names)]
         row += [number(analysis.estimate(trial, metric.name).value) for metric in metrics]
         worst_cases = [trial.worst_cases.get(constraint.name) for constraint in worst]
         row += [number(None if item is None else item.value) for item in worst_cases]
@@ -39,18 +40,14 @@ def all_trials(analysis: Analysis) -> Section:
     return Section(
         name="all-trials",
         title="All trials",
-        lead="The outcome of a trial is judged by what was known when it was run, and again "
-        "after a repetition; it is not the verdict on the result. Its mean is "
-        f"{analysis.means_in_words}. Marked are the result and the "
-        f"{NEIGHBOURS} trials nearest to it, relative to the bounds of the parameters: if these "
-        "are far worse, the result is sensitive. Other programs read trials.csv and "
-        "evaluations.csv in the run folder.",
+        lead=f"Marked are the result and the {NEIGHBOURS} trials nearest to it; means are "
+        f"{analysis.means_in_words}.",
         tables=[
             Table(
                 caption=counted(len(rows), "trial"),
                 header=header,
                 rows=rows,
-                numeric=[0, *range(2, len(header) - 2)],
+                numeric=[*range(len(header) - 2)],
                 folded=True,
                 sortable=True,
                 marked=[k for k, row in enumerate(rows) if row[-1] == RESULT],
@@ -73,21 +70,21 @@ def _marks(analysis: Analysis) -> dict[int, str]:
 
 
 def provenance(analysis: Analysis) -> Section:
-    """Show what produced the run, and its study."""
+    """Show what produced the run; study and versions are in files beside it."""
     record = analysis.record
-    rows = [["run folder", record.path.resolve().name], *map(list, record.provenance.items())]
+    made_by = record.provenance
+    rows = [[name, made_by[name]] for name in SHOWN if made_by.get(name)]
     return Section(
         name="provenance",
         title="What made this report?",
         lead=f"Method {method_in_words(record.algorithm)}, backend {record.backend}, "
-        f"seed {record.study.seed}.",
+        f"seed {record.study.seed}. All versions and digests are in {DEPLOY}/{PROVENANCE}, the "
+        "study in study.yaml.",
         tables=[
-            Table(caption="Versions, sources and machine", header=["", "value"], rows=rows),
             Table(
-                caption="The study, with the options of the run",
-                header=["study.yaml"],
-                rows=[[study_to_yaml(record.study)]],
-                folded=True,
-            ),
+                caption="Sources and machine",
+                header=["", "value"],
+                rows=[["run folder", record.path.resolve().name], *rows],
+            )
         ],
     )

@@ -16,7 +16,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
-from bo_tuner.text import capitalized, counted
+from bo_tuner.text import capitalized
 from bo_tuner.trials import Trial
 
 
@@ -53,10 +53,9 @@ def _is_readable(path: Path, study: Study) -> bool:
 def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
     searched = widths_in_words(certificate.search_widths)
     lead = (
-        f"{certificate.verdict} for the parameter set of trial {certificate.trial}, on "
-        f"{counted(certificate.drawn, 'fresh draw')}. It is attempt {certificate.attempt} to "
-        "certify a parameter set of this run; each bound has a confidence of "
-        f"{100.0 * certificate.bound_confidence:.4g} %."
+        f"Trial {certificate.trial}, attempt {certificate.attempt} of this run: "
+        f"{certificate.tuned.price}; {100.0 * certificate.bound_confidence:.4g} % confidence of "
+        "each bound."
     )
     return Section(
         name="certificate",
@@ -66,13 +65,12 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
         notes=[
             *certificate.tuned.reasons,
             *certificate.tuned.assumptions,
-            f"{certificate.tuned.price}.",
             *earlier_in_words(certificate),
             *([f"Search for the worst context: {searched}."] if searched else []),
             *seen_in_words(study.metrics, certificate.seen),
             *(f"{capitalized(line)}." for line in certificate.in_force),
             *certificate.warnings,
-            f"Details are in {path}, the test runs in {path.stem}_evaluations.csv beside it.",
+            f"All of it is in {path}.",
         ],
     )
 
@@ -80,8 +78,7 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
 def _numbers(study: Study, certificate: Certificate) -> Table:
     names = [*certificate.sides]
     return Table(
-        caption="Fresh draws of context and noise, and the worst contexts of a search; CVaR is the "
-        "mean of the worst draws",
+        caption="Fresh test runs, and the worst contexts of a search; CVaR: mean of the worst runs",
         header=["", *names, "unit"],
         rows=[[row.label, *row.values, row.unit] for row in certificate_rows(study, certificate)],
         numeric=list(range(1, 1 + len(names))),
@@ -104,9 +101,8 @@ def _gaps(certificate: Certificate) -> list[Table]:
         return []
     return [
         Table(
-            caption="Training and validation: a gap of several standard errors means that the "
-            "training was over-optimistic (winner's curse)",
-            header=["", "observed in training", "predicted", "validated", "gap", "unit"],
+            caption="A gap of several standard errors: the training was over-optimistic",
+            header=["", "observed", "predicted", "validated", "gap", "unit"],
             rows=rows,
             numeric=[1, 2, 3, 4],
         )

@@ -116,9 +116,7 @@ def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, nam
     return Figure(
         name=name,
         title=f"{metric.title} over the contexts: {' and '.join(name for name, _ in sides)}",
-        caption="Each point is a test run, of any stage. The colours between them are predicted by "
-        "a model; the line is the limit. Points cluster where the metric is bad, because the "
-        "search looks for the worst case.",
+        caption="Each point is a test run, the colours between them a model, the line the limit.",
         alternative="; ".join(_summary(side, metric) for side in sides),
         panels=panels,
         columns=min(2, len(panels)),

@@ -47,11 +47,8 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
     return Figure(
         name="contours",
         title=f"Where is the {label} best, and what stays within limits?",
-        caption="Colour: predicted mean of the objective, with the other parameters as "
-        f"in the {analysis.answer_set}. "
-        "Hatched: less than 50 % likely within limits. Gray: trials near there failed or were far "
-        "off and are not in the models, which say nothing there. Points are trials, projected onto "
-        "the pair.",
+        caption="Colour: predicted mean. Hatched: less than 50 % likely within limits. Gray: the "
+        "models say nothing there.",
         alternative=_feasible_shares(pairs, fields, analysis),
         panels=panels,
         columns=min(len(panels), 2 if len(panels) in (2, 4) else 3) if len(panels) > 1 else 1,

@@ -129,9 +129,6 @@ def _objective(analysis: Analysis) -> Figure:
     y, sign = mean_axis(study, study.objective), study.objective.sign
     means = np.array([analysis.estimate(t, study.objective.metric).value for t in trials])
     best_by_trial = incumbents(analysis)
-    line = "predicted by the models, which a single lucky sample hardly changes"
-    if len(study.objectives) > 1:
-        line = "the mean of its test runs; it may rise where another objective gains more"
     default = _default_line(analysis)
     edge = scale_end(_good(analysis), means, y.scale, sign, [limit.value for limit in default])
     places = np.arange(len(trials), dtype=float)
@@ -140,9 +137,7 @@ def _objective(analysis: Analysis) -> Figure:
         name="convergence",
         title=f"Would more trials help? {capitalized(y.label)} of each trial, and of the best "
         "so far",
-        caption=f"The mean of each trial is {analysis.means_in_words}. The best so far is the "
-        f"parameter set that would be the result if the run ended there; its line is {line}. "
-        f"{_edge_in_words(sign)}",
+        caption=f"Means {analysis.means_in_words}. {_edge_in_words(sign)}",
         alternative=_summary(analysis, best_by_trial),
         panels=[
             Panel(

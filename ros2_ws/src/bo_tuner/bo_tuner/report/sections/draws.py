@@ -39,9 +39,7 @@ def draws(analysis: Analysis) -> Section | None:
             Figure(
                 name="draws",
                 title="Share of the test runs up to each value",
-                caption="A line that reaches 100 % left of an upper limit has no test run beyond "
-                "it; nor has one that leaves 0 % right of a lower limit. The part beyond is the "
-                f"share over the limit.{bound}",
+                caption=f"The part of a line beyond the limit is the share over it.{bound}",
                 alternative="; ".join(sentences) or "Empirical distributions of the test runs.",
                 panels=panels,
                 columns=min(2, len(panels)),

@@ -16,23 +16,19 @@ from bo_tuner.evidence.words.effects import amount, title_of
 from bo_tuner.evidence.words.verdict import of_parameters
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.models.categories import Coding, coded_fit
-from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.linear_effects import POWER
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number
-from bo_tuner.report.sections.convergence import predicted_axis
 from bo_tuner.study.metrics import Metric
-from bo_tuner.study.search_space import STEP
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
-from bo_tuner.text import shown
+from bo_tuner.text import listed, percent, shown
 from bo_tuner.trials import Trial, Value, pooled
-from bo_tuner.tuning.effects import ERROR, Effect, ParameterEffects
+from bo_tuner.tuning.effects import Effect, ParameterEffects
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -68,7 +64,7 @@ def effects(analysis: Analysis) -> Section | None:
         name="effects",
         title="What does each parameter do?",
         lead=" ".join(
-            [*_lead(study, steps), *_most(analysis, shares), *of_parameters(analysis.verdict)]
+            [*_lead(study, steps), *_unseen(analysis, shares), *of_parameters(analysis.verdict)]
         ),
         figures=[_importance(study, shares)] if shares else [],
         tables=[
@@ -79,7 +75,6 @@ def effects(analysis: Analysis) -> Section | None:
                 numeric=[1],
             )
         ],
-        notes=_notes(analysis, steps, shares, bool(by_parameter)),
     )
 
 
@@ -95,21 +90,16 @@ def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
     ]
 
 
-def _most(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
-    """Name the parameter that matters most for each response."""
+def _unseen(analysis: Analysis, shares: Mapping[str, Array]) -> list[str]:
+    """Name the responses that no parameter was seen to move: of these a model explains noise."""
     study, parameters = analysis.study, analysis.verdict.parameter_effects
-    titles = [study.parameters[name].title for name in study.search_space().names]
     moved = {e.metric for item in parameters for e in item.effects if e.seen}
-    # Where no parameter was seen to move a response, the model has explained noise.
-    still = {
-        _mean(metric) for name, metric in study.metrics.items() if parameters and name not in moved
-    }
-    return [
-        f"{response}: no effect was seen."
-        if response in still
-        else f"{response}: most by {titles[int(np.argmax(totals))]}."
-        for response, totals in shares.items()
+    still = [
+        title
+        for name, metric in study.metrics.items()
+        if parameters and name not in moved and (title := _mean(metric)) in shares
     ]
+    return [f"No effect was seen on {listed(still)}."] if still else []
 
 
 def _steps(analysis: Analysis, steps: ParameterSensitivity, name: str) -> list[str]:
@@ -137,7 +127,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
     )
     text = f"{step}: {change_in_words(analysis.study, optimum, neighbour)}"
     if analysis.study.constraints:
-        text += f", {100.0 * neighbour.feasibility:.0f} % likely within limits"
+        text += f", {percent(neighbour.feasibility)} likely within limits"
     return text
 
 
@@ -250,43 +240,3 @@ def _importance(study: Study, shares: Mapping[str, Array]) -> Figure:
         columns=min(3, len(panels)),
         panel_height=190,
     )
-
-
-def _notes(
-    analysis: Analysis,
-    steps: ParameterSensitivity | None,
-    shares: Mapping[str, Array],
-    effects_known: bool,
-) -> list[str]:
-    notes = []
-    if steps is not None and steps.neighbours:
-        lost = [
-            _predicted(analysis, steps.optimum, n)
-            for n in steps.neighbours
-            if n.feasibility < BELIEVED_FEASIBLE <= steps.optimum.feasibility
-        ]
-        within = (
-            f" {len(lost)} of them lead beyond the limits, more likely than not." if lost else ""
-        )
-        several = len(analysis.study.objectives) > 1
-        share = ", in percent of the spread of that cost" if several else ""
-        notes.append(
-            f"Steps: the {predicted_axis(analysis.study).label} as the models predict it{share}. A "
-            f"step is 1 for an integer and {100.0 * STEP:g} % of the range for a double.{within} A "
-            f"step is tolerable if it costs at most {100.0 * TOLERABLE:.0f} % and breaks no limit. "
-            f"The sensitivity score, the mean of what is beyond that, is {steps.score:.3g}."
-        )
-    if shares:
-        notes.append(
-            "Shares: total Sobol' indices (Homma and Saltelli 1996), the part of the variance over "
-            "the search space that remains as long as this parameter is free, its interactions "
-            "included, so they can add up to more than 1. Near 0, the parameter could be left at "
-            "any value. They are of models of the trials, and unreliable far from all trials."
-        )
-    if effects_known:
-        notes.append(
-            f"Seen to move: a parameter that does nothing is among them with a probability of "
-            f"{100.0 * ERROR:g} % at most, and one of the size that is called visible is not with "
-            f"{100.0 * (1.0 - POWER):g} %. In brackets is the largest difference."
-        )
-    return notes

@@ -11,7 +11,6 @@ from bo_tuner.evidence.infeasible import Infeasible
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.quantity import Quantity
 from bo_tuner.evidence.verdict import State, Status, Verdict
-from bo_tuner.report.analysis import Analysis
 from bo_tuner.study.limits import Standing
 from bo_tuner.text import counted, shown_beside, with_unit
 
@@ -56,9 +55,8 @@ class Row:
     runs: str = ""
 
 
-def rows(analysis: Analysis) -> Iterator[Row]:
+def rows(verdict: Verdict) -> Iterator[Row]:
     """Yield the rows: objectives, limits, then other metrics that have changed."""
-    verdict = analysis.verdict
     means = {q.metric: q for q in verdict.quantities if q.estimates is not None}
     limited = [q for q in verdict.quantities if q.limit_verdict is not None]
     claims = {claim.constraint.name: claim for claim in verdict.claim.limits}

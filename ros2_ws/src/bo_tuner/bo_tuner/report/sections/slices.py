@@ -52,11 +52,8 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     return Figure(
         name="slices",
         title=f"What would another value do, the others as in the {analysis.answer_set}?",
-        caption="Each row varies one parameter and keeps the others. Line: predicted mean; band: "
-        "two standard deviations of the prediction, without the noise of a test run. Dotted: "
-        "trials near there failed or were far off and are not in the models, which say nothing "
-        "there. Where the line ends, the values would break the order of the parameters or a "
-        "condition." + _of_noise(limited),
+        caption="Line and band: predicted mean, two standard deviations of it. Dotted: the models "
+        "say nothing there." + _of_noise(limited),
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,

@@ -18,7 +18,7 @@ def surrogates(analysis: Analysis) -> Section | None:
         return None
     titles = {name: item.title for name, item in analysis.study.parameters.items()}
     figures = [slices(analysis, answer)]
-    notes = ["A slice shows the trials whose other parameters are within a tenth of their ranges."]
+    notes = []
     if len(names) > 1:
         figures.append(contours(analysis, answer))
     if len(names) > MOST_PARAMETERS:

@@ -8,7 +8,6 @@ from bo_tuner.evidence.certificate.context_tolerance import (
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.study.study import Study
-from bo_tuner.study.titles import mean_title
 from bo_tuner.text import counted, values
 
 
@@ -31,8 +30,8 @@ def tolerance(analysis: Analysis) -> Section | None:
         lead=" ".join(map(_lead, tolerances, limited)),
         tables=[_table(item) for item in tolerances],
         notes=[
-            *(_note(study, item, analysis.answer_set) for item in tolerances),
-            "There are no predictions outside the ranges of the study.",
+            *(_note(item, analysis.answer_set) for item in tolerances),
+            "* End of the range of the study; nothing is predicted beyond.",
         ],
     )
 
@@ -53,8 +52,7 @@ def _lead(item: ContextTolerance, limited: str) -> str:
 
 def _table(item: ContextTolerance) -> Table:
     return Table(
-        caption=f"Tolerated ranges, with {100.0 * CREDIBLE:g} % credible bands where the limit "
-        f"{item.constraint} is violated within the range of the study",
+        caption=f"Tolerated ranges, with {100.0 * CREDIBLE:g} % credible bands",
         header=["", "unit", "nominal", "alone", "others as in the worst context"],
         rows=[
             [
@@ -70,13 +68,10 @@ def _table(item: ContextTolerance) -> Table:
     )
 
 
-def _note(study: Study, item: ContextTolerance, subject: str) -> str:
-    title = study.metrics[item.metric].title
+def _note(item: ContextTolerance, subject: str) -> str:
     return (
-        f"From {counted(item.evaluations, 'test run')} of the {subject}. The "
-        f"{mean_title(title)} over noise is {quantity(item.nominal.median, item.unit)} in the "
-        "nominal context and "
-        f"{quantity(item.worst.median, item.unit)} ({number(item.worst.low)} to "
-        f"{number(item.worst.high)}) in the worst one "
-        f"({values(item.worst_context)}); the limit is {quantity(item.limit, item.unit)}."
+        f"From {counted(item.evaluations, 'test run')} of the {subject}: mean "
+        f"{quantity(item.nominal.median, item.unit)} in the nominal context, "
+        f"{quantity(item.worst.median, item.unit)} at {values(item.worst_context)}; limit "
+        f"{quantity(item.limit, item.unit)}."
     )

@@ -99,8 +99,7 @@ def _figure(
         name=name,
         title=f"{capitalized(mean_title(objective.title))} against worst {limited.title}, "
         "all trials",
-        caption=f"The mean of each trial is {analysis.means_in_words}; the best are biased by "
-        "selection. The default has the values of the result section, by fresh draws.",
+        caption=f"Means {analysis.means_in_words}; the default by fresh test runs.",
         alternative="; ".join(
             f"trial {trials[k].number}: {number(float(means[k]))} at worst "
             f"{number(float(worst[k]))}"

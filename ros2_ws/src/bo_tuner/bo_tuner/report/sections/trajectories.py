@@ -101,16 +101,17 @@ def trajectories(analysis: Analysis) -> Section | None:
         return None
     signals = responses(analysis)
     figures: tuple[Figure, ...] = ()
-    if signals.panels:
+    # That of the first screen stands there, unless a front does.
+    main = _main(signals.panels) if signals.panels and len(analysis.study.objectives) == 1 else ""
+    others = [panel for panel in signals.panels if panel.y.label != main]
+    if others:
         figures = (
             Figure(
                 name="trajectories",
-                title="What does it do? Each signal of default and "
-                f"{analysis.answer_name}, over time",
-                caption=f"{signals.caption} Drag across a panel to zoom in; double-click to zoom "
-                "out.",
+                title=f"The other signals of default and {analysis.answer_name}, over time",
+                caption="",
                 alternative=f"Signals over time of both parameter sets. {signals.lead}",
-                panels=signals.panels,
+                panels=others,
                 columns=signals.columns,
                 panel_height=260,
             ),

@@ -23,7 +23,7 @@
 
   document.addEventListener("trial", ({ detail: number, target }) => {
     // In the front a point is a choice.
-    const choice = target.closest(".part")?.querySelector(`details.choice[data-trial="${number}"]`);
+    const choice = target.closest("#figure-front") && document.querySelector(`details.choice[data-trial="${number}"]`);
     if (choice) {
       choice.open = true;
       choice.scrollIntoView({ block: "nearest" });
