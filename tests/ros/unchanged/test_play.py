@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import commands
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Writer
@@ -13,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.playing import with_bags
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -276,3 +278,32 @@ def test_two_bags_of_one_drive(opened, drives, tmp_path):
     assert "'two' has been recorded at the same time as 'one'" in refused(
         opened, tmp_path, "{drive}", contexts
     )
+
+
+@pytest.mark.slow
+def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
+    """What is tuned on two drives is run on others, and drives that were used are refused."""
+    content = mapping(drives, "{drive}", {"drive": {"bags": ["drive_1", "drive_2"]}})
+    content["constraints"] = {
+        "kept": {"kind": "chance", "metric": "error", "upper": 50.0, "probability": 0.5}
+    }
+    content["budget"] |= {"trials": 2, "initial_trials": 2, "drawn_contexts": 1}
+    content["budget"] |= {"validation_draws": 1}
+    (tmp_path / "study.yaml").write_text(strict_yaml.dump(content))
+    code, _, err = commands.run("tune", "--study", "study.yaml", "--quiet", folder=tmp_path)
+    assert code == 0, err
+
+    def validate(*bags):
+        words = ("--drives", *map(str, bags)) if bags else ()
+        return commands.run("validate", "latest", *words, folder=tmp_path)
+
+    code, _, err = validate(drives / "drive_1")
+    assert (code, "drive_1; expected others" in err) == (2, True)
+    code, _, err = validate()
+    assert (code, "name some that were not used by --drives" in err) == (2, True)
+    make_drives.write(tmp_path / "drive_11", 11, 3.0)
+    code, out, _ = validate(tmp_path / "drive_11")
+    # One drive shows a share of 0.04, of the 0.5 that is asked for.
+    assert (code, "FAIL: at least 4 % of drives are within all limits" in out) == (3, True)
+    code, _, err = commands.run("apply", "latest", "--yes", folder=tmp_path)
+    assert (code, "expected PASS, found FAIL" in err) == (3, True)
