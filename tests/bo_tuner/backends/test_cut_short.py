@@ -139,5 +139,5 @@ def test_a_record_with_a_bound_that_is_none_is_refused(opened, tmp_path, value):
     evaluation = dataclasses.replace(planned({"gain": 0.9}, {"load": 1.5}), outcome=outcome)
     with Journal(tmp_path / "journal.sqlite", {}) as journal:
         journal.record_evaluation(evaluation)
-    with pytest.raises(JournalError, match=r"notes: at_least.peak: expected a number, found"):
+    with pytest.raises(JournalError, match=r"notes\.at_least\.peak: expected a number, found"):
         read_journal(tmp_path / "journal.sqlite")

@@ -62,7 +62,8 @@ def evaluation_of(row: Row) -> Evaluation:
         state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
     load, notes = _json(Load | None, row, "load"), _json(Notes, row, "notes", JSON)
     if missing := [name for name, value in notes.at_least.items() if math.isnan(value)]:
-        raise ValueError(f"notes: at_least.{missing[0]}: expected a number, found nothing")
+        place = ("notes", "at_least", missing[0])
+        raise StudyError("expected a number, found nothing", place)
     return Evaluation(
         trial=_cell(Count, row, "trial"),
         index=_cell(Count, row, "position"),
