@@ -157,7 +157,7 @@ def test_a_run_that_is_interrupted_has_no_result(play):
 
 def test_a_record_that_cannot_be_read_is_told_of_until_it_can(play, monkeypatch):
     async def story(page):
-        def unreadable(*, ended):
+        def unreadable(best, *, ended):
             raise BoTunerError("no disk")
 
         page.sections.fitted.set()
@@ -174,7 +174,7 @@ def test_a_record_that_cannot_be_read_is_told_of_until_it_can(play, monkeypatch)
 
 def test_an_unexpected_error_does_not_hold_up_the_result(play, monkeypatch):
     async def story(page):
-        def broken(**_):
+        def broken(*_, **__):
             raise ValueError("a matrix is singular")
 
         with monkeypatch.context() as patch:

@@ -85,11 +85,4 @@
   }
   adopt(document);
   document.addEventListener("replaced", (event) => adopt(event.target));
-  // Some browsers keep what is observed.
-  document.addEventListener("removed", (event) => {
-    for (const region of event.target.querySelectorAll(".scroll")) {
-      watcher.unobserve(region);
-      watcher.unobserve(region.firstElementChild);
-    }
-  });
 })();
