@@ -41,7 +41,7 @@ DOMAIN = "87"
 PICTURES = {
     "contexts.png": "axis_contexts.png",
     "contours.png": "axis_contours.png",
-    "trajectories.png": "axis_trajectories.png",
+    "response.png": "axis_trajectories.png",
 }
 PAGE = "1280,860"
 A_RESULT = (0, 3)

@@ -79,7 +79,7 @@ class TestResume:
         runs.copy(whole, "again")
         code, out, _ = runs.resume("again")
         assert code == 0
-        assert "No limit broken in" in out
+        assert "; no limit broken in" in out
         assert runs.results("again") == runs.results(whole)
         assert not (runs.folder / "again.evaluations").exists()
 

@@ -11,7 +11,7 @@ from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.sections.trajectories import trajectories
+from bo_tuner.report.sections.trajectories import response, trajectories
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, Outcome
@@ -37,9 +37,9 @@ def folder(tmp_path):
 
 
 def test_the_worst_run_of_each_is_drawn_as_it_was_heard(folder):
-    section = trajectories(Analysis(read_run(folder)))
-    (figure,) = section.figures
-    (panel,) = figure.panels
+    analysis = Analysis(read_run(folder))
+    section = trajectories(analysis)
+    (panel,) = response(analysis).panels
     default, best = panel.elements
     # The run has no result yet.
     assert (default.name, best.name) == ("default", "best so far")
@@ -63,15 +63,15 @@ def test_what_was_heard_of_a_run_that_somebody_disturbed_is_not_that_of_its_repe
     recorder.close()
     (bags / "trial_0000").rename(bags / "trial_0000_part3")
     (bags / "trial_0000_part2").rename(bags / "trial_0000")
-    section = trajectories(Analysis(read_run(folder)))
-    default, _ = section.figures[0].panels[0].elements
+    default, _ = response(Analysis(read_run(folder))).panels[0].elements
     np.testing.assert_array_equal(default.y, recording(0.5, 2).signals["angle"].value)
 
 
 def test_a_side_without_a_bag_is_told(folder):
     shutil.rmtree(folder / "bags" / "trial_0000")
-    section = trajectories(Analysis(read_run(folder)))
-    assert [line.name for line in section.figures[0].panels[0].elements] == ["best so far"]
+    analysis = Analysis(read_run(folder))
+    section = trajectories(analysis)
+    assert [line.name for line in response(analysis).panels[0].elements] == ["best so far"]
     assert "default: no bag has a run" in section.lead
 
 
@@ -83,8 +83,9 @@ def test_a_bag_that_is_being_written_is_no_damage(folder):
     # Without a bag of the default, each of its evaluations is looked for in all that there are.
     (folder / "bags" / "trial_0000_part3.partial").mkdir()
     shutil.move(folder / "bags" / "trial_0001", writing / "trial_0001_part2")
-    section = trajectories(Analysis(read_run(folder)))
-    assert [line.name for line in section.figures[0].panels[0].elements] == ["default"]
+    analysis = Analysis(read_run(folder))
+    section = trajectories(analysis)
+    assert [line.name for line in response(analysis).panels[0].elements] == ["default"]
     assert "best so far: no bag has a run" in section.lead
 
 

@@ -1,7 +1,7 @@
 """What speaks for a result, and what to be careful of, in a few lines of the first screen."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bo_tuner.evidence.busy import MODELLED, times_by
 from bo_tuner.evidence.certificate.certificate import Certificate
@@ -16,7 +16,7 @@ from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.evidence.words.verdict import reasons
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.study.titles import titled_values
-from bo_tuner.text import counted, listed, values
+from bo_tuner.text import capitalized, counted, listed, values
 
 CLOSE = 0.1
 """Share of a limit that a value is within it, below which the margin is worth a word."""
@@ -34,7 +34,10 @@ def trust_lines(analysis: Analysis) -> tuple[Trust, ...]:
     """Return the lines on a result; none before there is one."""
     if analysis.verdict.state is State.OPEN or analysis.verdict.trial is None:
         return ()
-    return (*_evidence(analysis), *(Trust(text, caution=True) for text in _cautions(analysis)))
+    cautions = (Trust(text, caution=True) for text in _cautions(analysis))
+    return tuple(
+        replace(line, text=capitalized(line.text)) for line in (*_evidence(analysis), *cautions)
+    )
 
 
 def _evidence(analysis: Analysis) -> Iterator[Trust]:
