@@ -74,7 +74,7 @@ def study(drives: list[int]) -> bt.Study:
     )
 
 
-def tuned(drives: list[int]) -> tuple[dict[str, float], int]:
+def tuned(drives: list[int]) -> tuple[dict[str, Any], int]:
     """Return what the tuner makes of some drives, and how many runs it took."""
     counted = 0
 
@@ -84,7 +84,7 @@ def tuned(drives: list[int]) -> tuple[dict[str, float], int]:
         return run(parameters, int(context["drive"].partition("_")[2]))
 
     result = study(drives).optimize(function, progress=False)
-    return dict(result.best), counted
+    return dict(result.best or DEFAULT), counted
 
 
 def by_tpe(drives: list[int], runs: int) -> dict[str, float]:
