@@ -161,7 +161,9 @@ def main() -> None:
     passed = [item for item in runs if item["passed"]]
     hold = sum(item["kept"]["tuner"] >= ASKED for item in passed)
     print(f"PASS: {len(passed)} of {len(runs)}; {hold} of these hold on {FRESH} fresh drives")
-    write_result(arguments.result, {"provenance": provenance(), "optimum": best, "runs": runs})
+    result: dict[str, Any] = {"provenance": provenance(), "optimum": best, "runs": runs}
+    result |= {"seconds": SECONDS, "used": USED, "unused": UNUSED, "fresh": FRESH}
+    write_result(arguments.result, result | {"least": LEAST, "asked": ASKED})
 
 
 if __name__ == "__main__":

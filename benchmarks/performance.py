@@ -36,6 +36,7 @@ SECTIONS = {
     "safe_search": ("Limits broken by a safe search", answers.safety),
     "simulation_prior": ("What a simulation is worth on the machine", answers.simulation_prior),
     "identify": ("Where a machine is, and whether it drifts", answers.identification),
+    "estimators": ("A filter on drives that were not used", answers.estimators),
     "suggestion_time": ("Time of a proposal", cost.suggestion),
     "library": ("From Python", cost.library),
     "workers": ("Several workers", cost.workers),
