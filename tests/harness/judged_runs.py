@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from bo_tuner.codec.writing import to_json
 from bo_tuner.evidence.certificate.findings import Evidence
 from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
 from bo_tuner.study.limits import judge_samples
@@ -53,10 +54,7 @@ def made(run, default, tuned, passed_check):
     summary = dict(run.summary) | {
         "feasible": passed_check and found[1].feasible,
         "passed_check": passed_check,
-        **{
-            name: dataclasses.asdict(item)
-            for name, item in zip(("default", "tuned"), found, strict=True)
-        },
+        **{name: to_json(item) for name, item in zip(("default", "tuned"), found, strict=True)},
     }
     return dataclasses.replace(
         run, summary=summary, trials=trials, evaluations=(*earlier, *sides[0], *sides[1])
