@@ -447,7 +447,7 @@ def test_a_table_of_many_columns_fits_the_paper(chromium, feed_axis_page):
     browser = opened(chromium, feed_axis_page, width=PAPER)
     browser.evaluate(
         "[...document.querySelectorAll('#all-trials table tr')].forEach(row => "
-        "{ for (let k = 0; k < 12; k++) row.append(row.cells[2].cloneNode(true)) })"
+        "{ for (let k = 0; k < 13; k++) row.append(row.cells[2].cloneNode(true)) })"
     )
     browser.call("Emulation.setEmulatedMedia", media="print")
     browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")

@@ -77,7 +77,8 @@ def certificate_lines(
     others += [f"warning: {warning}" for warning in certificate.warnings][:1]
     others += seen_in_words(study.metrics, certificate.seen)
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
-    lines = [f"{item.name}: {item.proof}: {item.reason}" for item in limits]
+    titles = {name: study.limit_title(item) for name, item in study.constraints.items()}
+    lines = [f"{titles[item.name]}: {item.proof}: {item.reason}" for item in limits]
     if certificate.tuned.failures:
         lines.insert(0, f"{certificate.tuned.failures} of {certificate.tuned.evaluations} failed")
     room = most - len(others)
