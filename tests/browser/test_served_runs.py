@@ -38,7 +38,14 @@ def page(chromium, served):
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
 @pytest.mark.parametrize(
-    "path", ["runs", "runs/first", "runs/first/trials/1", "compare?run=first&run=second"]
+    "path",
+    [
+        "runs",
+        "runs/first",
+        "runs/first/trials/1",
+        "runs/first/trials/compared?trial=1&trial=2",
+        "compare?run=first&run=second",
+    ],
 )
 def test_axe_finds_nothing(chromium, page, axe, path, theme, width):
     page(path, theme=theme, width=width)
