@@ -40,27 +40,7 @@ def make_backend(
     workers: Workers = ALONE,
     listening: Listening | None = None,
 ) -> Backend:
-    """Make a backend, not open yet.
-
-    Parameters
-    ----------
-    name
-        One of `bo_tuner.study.parts.BACKENDS`.
-    study
-        The study.
-    log_directory, attach, run_log, ros_arguments
-        Arguments of `RosBackend`; of no meaning in process. Attached nodes have a guard.
-    interrupted
-        Asked while waiting; raises what ends the wait.
-    earlier
-        Evaluations on record, in their order: they show how often messages come.
-    halt
-        Called when the guard has taken over; without it that ends the run.
-    workers
-        By how many workers it is run.
-    listening
-        Makes of the backend of a worker one that hears its nodes; None where nobody listens.
-    """
+    """Make a backend, not open yet."""
     if workers.pooled:
         ros = tuple(ros_arguments)
         return _pool(name, study, log_directory, ros, interrupted, workers, listening)

@@ -17,31 +17,14 @@ by name, or raises `Failed`."""
 
 
 class Returned:
-    """Makes the outcome of an evaluation of what a function has returned.
-
-    Parameters
-    ----------
-    study
-        The study.
-
-    Raises
-    ------
-    StudyError
-        If it has metrics that no function returns.
-    """
+    """Makes the outcome of an evaluation of what a function has returned."""
 
     def __init__(self, study: Study) -> None:
         self._metrics = returned_metrics(study)
         self._collector = Collector(study)
 
     def outcome(self, returned: object) -> Outcome:
-        """Judge what was returned; a value that is not finite is a failed evaluation.
-
-        Raises
-        ------
-        MetricsError
-            If it is not a number for each metric.
-        """
+        """Judge what was returned; a value that is not finite is a failed evaluation."""
         if problem := problem_of_returned(self._metrics, returned):
             raise MetricsError(brief(problem))
         values: Mapping[str, object] = returned  # type: ignore[assignment]
@@ -58,20 +41,7 @@ def failed(reason: str) -> Outcome:
 
 
 class FunctionBackend(SequentialBackend):
-    """Calls a function.
-
-    Parameters
-    ----------
-    study
-        The study.
-    function
-        What is called.
-
-    Raises
-    ------
-    StudyError
-        If the study has metrics that no function returns.
-    """
+    """Calls a function."""
 
     name = FUNCTION
 
@@ -87,13 +57,7 @@ class FunctionBackend(SequentialBackend):
         """Do nothing."""
 
     def outcome(self, planned: Evaluation) -> Outcome:
-        """Call the function; any exception but those that end a program is a failed evaluation.
-
-        Raises
-        ------
-        MetricsError
-            If it returns something else than a number for each metric.
-        """
+        """Call the function; any exception but those that end a program is a failed evaluation."""
         try:
             returned = self._function(dict(planned.parameters), dict(planned.context), planned.seed)
         except Failed as error:

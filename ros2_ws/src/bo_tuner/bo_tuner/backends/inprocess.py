@@ -32,15 +32,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 
 class InProcessBackend(SequentialBackend):
-    """Runs the study's objects.
-
-    Parameters
-    ----------
-    study
-        The study.
-    interrupted
-        Asked when a signal has come while an object is at work; raises what shall end that.
-    """
+    """Runs the study's objects."""
 
     name = IN_PROCESS
 
@@ -53,14 +45,7 @@ class InProcessBackend(SequentialBackend):
         self._triggered = ""
 
     def open(self) -> None:
-        """Make the objects, and give them the study's constant parameters and then its defaults.
-
-        Raises
-        ------
-        StudyError
-            If the study describes a run of ROS nodes, a node has no object, it cannot be
-            imported, or it refuses a parameter.
-        """
+        """Make the objects, and give them the study's constant parameters and then its defaults."""
         self._triggered = triggered(self._study)
         self._check_bounds()
         for section in ("parameters", "contexts"):
@@ -191,13 +176,7 @@ def _reason(refusal: BaseException) -> str:
 
 
 def triggered(study: Study) -> str:
-    """Return the key of the node whose object runs an evaluation.
-
-    Raises
-    ------
-    StudyError
-        If there is none.
-    """
+    """Return the key of the node whose object runs an evaluation."""
     if study.trigger is None:
         raise StudyError("needs ROS nodes; use --backend ros", ("run",))
     return study.trigger.node

@@ -25,11 +25,6 @@ class DefaultBeside:
 
     What it has in a draw is kept, so that it is run once for all evaluations in it. An evaluation
     of the default itself needs no other.
-
-    Parameters
-    ----------
-    study
-        The study; without metrics that are relative to the default, this is not run.
     """
 
     def __init__(self, study: Study) -> None:
@@ -41,22 +36,7 @@ class DefaultBeside:
     def outcome(
         self, planned: Evaluation, run: Run, after_default: Callable[[], object]
     ) -> Outcome:
-        """Run an evaluation, and the default ahead of it where it is needed and not known yet.
-
-        Parameters
-        ----------
-        planned
-            The evaluation.
-        run
-            Runs one; its outcome has the metrics that are not relative.
-        after_default
-            Called after a run of the default ahead of another one.
-
-        Returns
-        -------
-        Outcome
-            With the relative metrics; lost or not prepared where the default fails.
-        """
+        """Run an evaluation, and the default ahead of it where it is needed and not known yet."""
         runs = self.runs(planned)
         due = next(runs)
         while True:
@@ -70,20 +50,7 @@ class DefaultBeside:
                 return result
 
     def runs(self, planned: Evaluation) -> Generator[Evaluation, Outcome, Outcome]:
-        """Yield what is to be run for an evaluation, one after the other, and be sent the outcomes.
-
-        Parameters
-        ----------
-        planned
-            The evaluation. The default comes ahead of it where it is needed and not known yet.
-
-        Returns
-        -------
-        Outcome
-            With the relative metrics, and in its notes what the default has of the metrics that
-            these are of. Where the default fails, nothing is known of the parameters, and they are
-            not run: the evaluation is lost if the default is, and otherwise not prepared.
-        """
+        """Yield what to run for an evaluation, one after the other, and be sent the outcomes."""
         if not self._metrics:
             return (yield planned)
         draw = (tuple(sorted(planned.context.items())), planned.seed)

@@ -25,45 +25,14 @@ WORKER = "bo_tuner.backends.function_worker"
 
 
 def workers_of(study: Study, workers: int | None) -> int:
-    """Return how many runs there are at once: as many as given, or as the study has.
-
-    Raises
-    ------
-    StudyError
-        If that is no number of workers.
-    """
+    """Return how many runs there are at once: as many as given, or as the study has."""
     if workers is None:
         return study.budget.workers or 1
     return checks.integer(workers, "workers", at_least=1, at_most=maxima.WORKERS)
 
 
 def backend_of(study: Study, function: Function, workers: int, timeout: float | None) -> Backend:
-    """Make the backend that calls a function, not open yet.
-
-    Parameters
-    ----------
-    study
-        The study.
-    function
-        What is called.
-    workers
-        How many runs there are at once, each in a process of its own.
-    timeout
-        Longest time [s] of a run, which is then in a process of its own and is ended with it; None
-        for any.
-
-    Raises
-    ------
-    FunctionError
-        If the function cannot be called with parameters, context and seed, or is to be called in
-        another process, and cannot be passed there.
-    MissingPackageError
-        If the package that passes it is not installed.
-    BackendError
-        If workers, which import the script that runs, would run all of it again.
-    StudyError
-        If the study has metrics that no function returns, or the timeout is no time.
-    """
+    """Make the backend that calls a function, not open yet."""
     if timeout is not None:
         SECONDS(timeout, "timeout")
     _check_arguments(function)
@@ -128,13 +97,7 @@ def _pickled(function: Function) -> bytes:
 
 
 def unpickled(passed: bytes) -> Function:
-    """Return the function in the process to which it was passed.
-
-    Raises
-    ------
-    FunctionError
-        If that is not possible there.
-    """
+    """Return the function in the process to which it was passed."""
     import cloudpickle
 
     try:
@@ -160,19 +123,7 @@ def _of_worker(
 
 
 class FunctionProcess(SequentialBackend):
-    """Calls a function in a process of its own, which ends with a run that takes too long.
-
-    Parameters
-    ----------
-    study
-        The study.
-    passed
-        The function, pickled.
-    timeout
-        Longest time [s] of a run; None for any.
-    interrupted
-        Asked while the function is at work; raises what shall end that.
-    """
+    """Calls a function in a process of its own, which ends with a run that takes too long."""
 
     name = FUNCTION
 
@@ -191,13 +142,7 @@ class FunctionProcess(SequentialBackend):
         self._process = AskedProcess(WORKER, interrupted=interrupted)
 
     def open(self) -> None:
-        """Start the process, and load the function there.
-
-        Raises
-        ------
-        FunctionError
-            If it cannot be loaded.
-        """
+        """Start the process, and load the function there."""
         try:
             problem = self._process.ask((self._study, self._passed), self._loading)
         except NoAnswerError as error:
@@ -216,13 +161,7 @@ class FunctionProcess(SequentialBackend):
         return [] if (pid := self._process.pid) is None else list(with_children([pid]))
 
     def outcome(self, planned: Evaluation) -> Outcome:
-        """Call the function; a run that takes too long or ends the process is a failed evaluation.
-
-        Raises
-        ------
-        MetricsError
-            If it returns something else than a number for each metric.
-        """
+        """Call the function; a run that takes too long or ends the process has failed."""
         if not self._process.running:
             self.open()
         try:

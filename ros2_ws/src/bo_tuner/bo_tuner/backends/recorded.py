@@ -16,18 +16,6 @@ class OnRecord:
     An evaluation is known again by its stage, its seed and what is set for it: parameters and
     context. A run that was resumed plans the same, so that it takes the way it took before. Where
     no parameter takes the seed, it still tells one repetition from another.
-
-    Parameters
-    ----------
-    study
-        The study.
-    evaluations
-        The record, in its order.
-
-    Raises
-    ------
-    KeyError
-        If an evaluation has a parameter or a context variable that the study does not have.
     """
 
     def __init__(self, study: Study, evaluations: Iterable[Evaluation]) -> None:
@@ -56,22 +44,7 @@ class OnRecord:
 
 
 class RecordedEvaluations:
-    """A backend that runs only the evaluations which are not on record.
-
-    Parameters
-    ----------
-    backend
-        Runs the others.
-    study
-        The study.
-    evaluations
-        The record, in its order; each is given once, see `OnRecord`.
-
-    Raises
-    ------
-    KeyError
-        If an evaluation has a parameter or a context variable that the study does not have.
-    """
+    """A backend that runs only the evaluations which are not on record."""
 
     def __init__(self, backend: Backend, study: Study, evaluations: Iterable[Evaluation]) -> None:
         self.name = backend.name

@@ -90,33 +90,7 @@ class Certifier:
     def certify(
         self, trial: Trial, draws: int, attempt: int, best_sha256: str | None
     ) -> tuple[Certificate, Path, list[str]]:
-        """Run all evaluations of a trial's parameter set, and write its certificate.
-
-        Parameters
-        ----------
-        trial
-            Of the run.
-        draws
-            Largest number of draws.
-        attempt
-            Number of the certificate in the run, from 1.
-        best_sha256
-            Digest of the parameter file, of the run's result only.
-
-        Returns
-        -------
-        Certificate, Path, list of str
-            Where it is, and what the nodes could not be left with.
-
-        Raises
-        ------
-        Interrupted
-            If the evaluations are; the next call goes on after them.
-        UndecidedError
-            If the time is over; likewise.
-        RunError, OutputError
-            If the nodes are lost or disturbed too often, or a file cannot be written.
-        """
+        """Run all evaluations of a trial's parameter set, and write its certificate."""
         study, folder = self.record.study, self.folder
         nodes = self.make_nodes()
         if isinstance(nodes, RosBackend):
@@ -203,17 +177,7 @@ class Certifier:
 
 
 class _Left(RunObserver):
-    """What a certificate probably still takes, by what its evaluations took until now.
-
-    Parameters
-    ----------
-    record
-        Of the run, whose evaluations tell the time of one.
-    probable
-        How many evaluations the certificate of one parameter set probably takes; None if unknown.
-    subjects
-        Number of parameter sets.
-    """
+    """What a certificate probably still takes, by what its evaluations took until now."""
 
     def __init__(self, record: RunRecord, probable: Outlook | None, subjects: int) -> None:
         self._probable = probable

@@ -133,30 +133,7 @@ def check_study(
     attach: bool | None = None,
     sensitivity: bool | None = None,
 ) -> int:
-    """Check a study on its nodes; returns the exit code.
-
-    Parameters
-    ----------
-    study
-        The study.
-    ros_arguments
-        ``--ros-args`` of the tuner's node.
-    interruption
-        Ends the check on a signal.
-    attach
-        Whether to use nodes that run already, or else to start them. Unless given they are started
-        where the study says how, and none of them runs.
-    sensitivity
-        Whether to try each parameter, over its whole range. Unless given it is tried, in small
-        steps on nodes that run already.
-
-    Raises
-    ------
-    BackendError
-        If the nodes cannot be had.
-    StudyError
-        If the study does not say how to start them.
-    """
+    """Check a study on its nodes; returns the exit code."""
     if attach is None:
         attach = is_running(study, ros_arguments, interruption)
         if not attach:

@@ -21,13 +21,7 @@ Row = Callable[[Offer], Sequence[str]]
 
 
 class Chooser:
-    """Lets the user choose: by an option, on a terminal, or else as suggested.
-
-    Parameters
-    ----------
-    interruption
-        Ends a question on a signal.
-    """
+    """Lets the user choose: by an option, on a terminal, or else as suggested."""
 
     def __init__(self, interruption: Interruption) -> None:
         self._interruption = interruption
@@ -41,26 +35,7 @@ class Chooser:
         names: Callable[[Offer], Sequence[str]],
         row: Row[Offer],
     ) -> list[Offer]:
-        """Return the offers that are chosen, at least one.
-
-        Parameters
-        ----------
-        what
-            Their name in the plural, which is also that of the option.
-        given
-            The option.
-        offers, suggested
-            All of them, and those to take unless the user says otherwise.
-        names
-            Names of an offer; the option may hold any of them.
-        row
-            What to show of an offer.
-
-        Raises
-        ------
-        StudyError
-            If the option names what is not there, nothing is chosen, or the input ends.
-        """
+        """Return the offers that are chosen, at least one."""
         if given is not None:
             return _named(what, given, offers, names)
         chosen = list(suggested)
@@ -98,13 +73,7 @@ class Chooser:
 
 
 def numbers(text: str, most: int) -> list[int]:
-    """Return the numbers from 1 to `most` that a text such as ``1 3-5`` lists, in order.
-
-    Raises
-    ------
-    StudyError
-        If it lists anything else.
-    """
+    """Return the numbers from 1 to `most` that a text such as ``1 3-5`` lists, in order."""
     chosen: set[int] = set()
     for word in text.replace(",", " ").split():
         match = SPAN.fullmatch(word)

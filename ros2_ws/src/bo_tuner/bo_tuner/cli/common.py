@@ -50,15 +50,7 @@ Group = argparse._ArgumentGroup
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that keeps the line breaks of its texts.
-
-    Parameters
-    ----------
-    prog
-        Name of the command.
-    description, epilog
-        Texts before and after the options.
-    """
+    """An argument parser that keeps the line breaks of its texts."""
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         super().__init__(
@@ -88,15 +80,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_backend_arguments(self, default: str, trust: str = "") -> None:
-        """Add a group of options that say where evaluations run.
-
-        Parameters
-        ----------
-        default
-            Of the backend, for the help.
-        trust
-            Put ahead of the help of ``--trust``.
-        """
+        """Add a group of options that say where evaluations run."""
         group = self.add_argument_group("nodes")
         group.add_argument(
             "--backend",
@@ -135,11 +119,6 @@ def guarded(run: Run) -> Run:
     """Decorate a command: its expected errors become one line and exit code 2, a signal its code.
 
     A full disk and a run that cannot go on are faults, with exit code 1.
-
-    Parameters
-    ----------
-    run
-        The command, without what is done about its errors.
     """
 
     def guard(argv: Sequence[str], interruption: Interruption) -> int:
@@ -194,24 +173,7 @@ def _fault(error: OSError, interruption: Interruption) -> int:
 def opened(
     backend: Backend, interruption: Interruption, *, again: bool = False
 ) -> Iterator[list[str]]:
-    """Open a backend for a ``with`` block, and close it whatever comes, signals included.
-
-    Parameters
-    ----------
-    backend
-        To open, unless the end was asked for already.
-    interruption
-        Takes no more signals afterwards: the nodes come down first. With ROS nodes Ctrl-Z does
-        not stop this process.
-    again
-        Whether more evaluations follow, so that signals are still taken if all goes well.
-
-    Yields
-    ------
-    list of str
-        Empty; after the block it has what the nodes could not be left with. That is shown, and does
-        not keep the command from writing its result: `ended` gives the exit code.
-    """
+    """Open a backend for a ``with`` block, and close it whatever comes, signals included."""
     left: list[str] = []
     try:
         interruption.check()
@@ -233,26 +195,12 @@ def opened(
 
 
 def ended(left: Sequence[str], code: int) -> int:
-    """Return the exit code of a command that has come to its end.
-
-    Parameters
-    ----------
-    left
-        From `opened`.
-    code
-        What the command returns if the nodes are as they should be.
-    """
+    """Return the exit code of a command that has come to its end."""
     return EXIT_FAULT if left else code
 
 
 def whole_number(text: str) -> int:
-    """Read an option's whole number.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
+    """Read an option's whole number."""
     try:
         return int(text)
     except ValueError:
@@ -260,13 +208,7 @@ def whole_number(text: str) -> int:
 
 
 def fraction(text: str) -> float:
-    """Read an option's number between 0 and 1.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
+    """Read an option's number between 0 and 1."""
     try:
         value = float(text)
     except ValueError:
@@ -277,13 +219,7 @@ def fraction(text: str) -> float:
 
 
 def named_metrics(text: str, study: Study) -> list[str]:
-    """Return the metrics that an option ``--metrics`` names, each once.
-
-    Raises
-    ------
-    StudyError
-        If the study does not have one of them.
-    """
+    """Return the metrics that an option ``--metrics`` names, each once."""
     names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in study.metrics:
@@ -295,13 +231,7 @@ def named_metrics(text: str, study: Study) -> list[str]:
 
 
 def recorded_backend(record: RunRecord) -> str:
-    """Return the name of a run's backend.
-
-    Raises
-    ------
-    RunRecordError
-        If it is of a function, or the record names an unknown backend.
-    """
+    """Return the name of a run's backend."""
     if record.backend == FUNCTION:
         raise RunRecordError(
             f"{record.path}: is a run of a Python function, which no command can call; go on with "
@@ -321,20 +251,7 @@ def asks_for_running_nodes(arguments: argparse.Namespace) -> str:
 def attached(
     arguments: argparse.Namespace, parser: Parser, backend: str, record: RunRecord | None
 ) -> bool:
-    """Return whether to use running nodes: by the option, or else if the run did.
-
-    Parameters
-    ----------
-    arguments
-        With ``attach``, which is None unless it is given, or ``benches``, which sets it; the parser
-        refuses both off ROS.
-    parser
-        Of the command.
-    backend
-        Where evaluations run.
-    record
-        The run that the command is about, if there is one.
-    """
+    """Return whether to use running nodes: by the option, or else if the run did."""
     if arguments.attach and backend != ROS:
         parser.error(f"{asks_for_running_nodes(arguments)} needs --backend ros")
     if arguments.attach is not None or record is None:
@@ -343,40 +260,14 @@ def attached(
 
 
 def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str]:
-    """Return the ``--ros-args`` of a command on a run: in its namespace unless they name another.
-
-    Parameters
-    ----------
-    record
-        The run.
-    ros_arguments
-        ``--ros-args`` of the command line.
-    """
+    """Return the ``--ros-args`` of a command on a run: in its namespace by default."""
     if named_namespace(ros_arguments) or record.options.namespace in ("", "/"):
         return list(ros_arguments)
     return in_namespace(ros_arguments, record.options.namespace)
 
 
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
-    """Refuse to start what the study of a stranger's run names, unless the user trusts it.
-
-    Parameters
-    ----------
-    record
-        The run.
-    trusted
-        Whether the user trusts the study, now and later.
-    attach
-        Whether the nodes run already, so that nothing is started; functions are imported all the
-        same.
-
-    Raises
-    ------
-    RunRecordError
-        If the study is not trusted.
-    OutputError
-        If it is from now on, but that cannot be noted down.
-    """
+    """Refuse to start what the study of a stranger's run names, unless the user trusts it."""
     if trusted:
         trust(record.study)
     elif not attach or python_functions(record.study):
@@ -384,13 +275,7 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
 
 
 def run_folder(given: Path) -> Path:
-    """Return the run folder that an argument names; ``latest`` alone is the latest in ``runs/``.
-
-    Raises
-    ------
-    RunRecordError
-        If there is no latest run.
-    """
+    """Return the run folder that an argument names; ``latest`` alone is the latest in ``runs/``."""
     if given != Path(LATEST) or given.exists():
         return given
     if not (RUNS / LATEST).exists():
@@ -399,24 +284,12 @@ def run_folder(given: Path) -> Path:
 
 
 def read_result(given: Path) -> RunRecord:
-    """Read the run that an argument names, with its summary; what is wrong with that is shown.
-
-    Raises
-    ------
-    RunRecordError
-        If the folder is no run, or its record cannot be read.
-    """
+    """Read the run that an argument names, with its summary; what is wrong with that is shown."""
     return with_summary(read_run(run_folder(given)), say_error)
 
 
 def trial_of(record: RunRecord, number: object) -> Trial:
-    """Return the trial of a run with a number.
-
-    Raises
-    ------
-    RunRecordError
-        If there is none.
-    """
+    """Return the trial of a run with a number."""
     trials = {trial.number: trial for trial in record.trials}
     if number not in trials:
         known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"

@@ -49,17 +49,7 @@ REPLIES = {"y": Reply.ACCEPT, "n": Reply.REFUSE, "e": Reply.END}
 
 
 class Confirmation:
-    """Asks about each trial; see `bo_tuner.tuning.gate.Admission`.
-
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    trials
-        Returns all trials so far.
-    elsewhere
-        Where else than on the terminal it may be answered, in words.
-    """
+    """Asks about each trial; see `bo_tuner.tuning.gate.Admission`."""
 
     def __init__(
         self,
@@ -165,17 +155,7 @@ def asked_about(
     parameters: Mapping[str, Value],
     origin: str,
 ) -> Asked:
-    """Return what there is to know of a parameter set before it is tried.
-
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    trials
-        All trials so far.
-    parameters, origin
-        The next parameter set, and why it is proposed.
-    """
+    """Return what there is to know of a parameter set before it is tried."""
     space = study.search_space()
     now = trials[-1].parameters if trials else study.safe_parameters
     asked = Asked(

@@ -62,19 +62,7 @@ def compare(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
-    """Run the certificate's parameter set again, compare with its runs; returns the exit code.
-
-    Parameters
-    ----------
-    arguments
-        Of `validate`, with ``against``.
-    parser
-        Of `validate`.
-    ros_arguments
-        ``--ros-args`` of the command line.
-    interruption
-        Ends the runs on a signal.
-    """
+    """Run the certificate's parameter set again, compare with its runs; returns the exit code."""
     path: Path = arguments.against.resolve()
     if path.parent.name != CERTIFICATES:
         raise RunRecordError(

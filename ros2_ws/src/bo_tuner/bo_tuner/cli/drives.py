@@ -42,23 +42,7 @@ def expect(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
-    """Run a parameter set on drives that were not used; returns the exit code.
-
-    Parameters
-    ----------
-    arguments
-        Of `validate`, with ``drives``.
-    parser
-        Of `validate`.
-    record
-        The run.
-    trial
-        That of the parameter set.
-    ros_arguments
-        ``--ros-args`` of the command line.
-    interruption
-        Ends the runs on a signal.
-    """
+    """Run a parameter set on drives that were not used; returns the exit code."""
     drives = _bags(arguments.drives, parser)
     study = record.study
     contexts = _contexts(study, drives)
@@ -128,13 +112,7 @@ def _bags(given: Sequence[str], parser: Parser) -> list[str]:
 
 
 def _contexts(study: Study, drives: Sequence[str]) -> list[Context]:
-    """Return a context for each drive, nominal but for the drive.
-
-    Raises
-    ------
-    StudyError
-        If the study plays no bag that is a context, or has used one of the drives.
-    """
+    """Return a context for each drive, nominal but for the drive."""
     play = None if study.run is None else study.run.play
     places = [] if play is None else play.names_in_braces
     names = [name for place, name, _ in places if place == ("bag",)]

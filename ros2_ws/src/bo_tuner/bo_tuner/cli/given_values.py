@@ -60,13 +60,7 @@ class Given:
     trial: Trial
 
     def open_folder(self) -> RunFolder:
-        """Make the folder if need be, with the study in it, and lock it.
-
-        Raises
-        ------
-        OutputError
-            If that cannot be done.
-        """
+        """Make the folder if need be, with the study in it, and lock it."""
         path = self.record.path
         with writing(path):
             path.mkdir(parents=True, exist_ok=True)
@@ -81,15 +75,7 @@ def given(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> Given | None:
-    """Return the values that the options name; None if the command is about a run.
-
-    Raises
-    ------
-    StudyError
-        If study or values are not valid.
-    RunRecordError
-        If the folder holds certificates of another study, or a run.
-    """
+    """Return the values that the options name; None if the command is about a run."""
     if arguments.parameters is None:
         for name in ("study", "output"):
             if getattr(arguments, name) is not None:

@@ -101,26 +101,7 @@ def write_first_study(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
-    """Write a first study for what runs; returns the exit code.
-
-    Parameters
-    ----------
-    path
-        File to write; it must not be there.
-    nodes, parameters, signals
-        What to take of each; None to ask on a terminal, or to take what is suggested.
-    ros_arguments
-        ``--ros-args`` of the node that queries the graph.
-    interruption
-        Ends the command on a signal.
-
-    Raises
-    ------
-    StudyError
-        If the file is there, or something is named that is not there.
-    BackendError
-        If there is no node with parameters, or no topic with numbers.
-    """
+    """Write a first study for what runs; returns the exit code."""
     _check_path(path)
     with opened_node(ros_arguments, interruption.check) as tuner:
         seen, notes = survey(

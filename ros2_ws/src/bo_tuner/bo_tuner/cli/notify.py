@@ -27,21 +27,7 @@ def add_notify_argument(group: Group) -> None:
 def notify(
     command: str | None, folder: Path, code: int, headline: str, warn: Callable[[str], None]
 ) -> None:
-    """Run the command, and wait for its end; one that fails is a warning and nothing more.
-
-    Parameters
-    ----------
-    command
-        For ``sh``; None for none.
-    folder
-        The run folder.
-    code
-        What the command of ours will return.
-    headline
-        What has come of it, in a line.
-    warn
-        Called with a line if the command fails.
-    """
+    """Run the command, and wait for its end; one that fails is a warning and nothing more."""
     if command is None:
         return
     variables = {

@@ -29,26 +29,7 @@ from bo_tuner.tuning.variations import (
 def try_parameters(
     study: Study, driver: Driver, done: Sequence[Evaluation], *, whole_range: bool, wait: float
 ) -> tuple[Variations, VariedRuns]:
-    """Run the default and parameter sets around it, as `tuning.variations` plans them.
-
-    Parameters
-    ----------
-    study
-        The study.
-    driver
-        Carries out the runs.
-    done
-        Complete runs of the default, in the nominal context.
-    whole_range
-        Whether parameters are moved to the ends of their range.
-    wait
-        Time [s] that a run takes.
-
-    Raises
-    ------
-    RunError
-        If three runs in a row were lost with their nodes or disturbed.
-    """
+    """Run the default and parameter sets around it, as `tuning.variations` plans them."""
     planned = plan(study, whole_range=whole_range)
     tried = VariedRuns(list(done))
     alone = any(variation.moved for variation in planned.variations)
@@ -85,15 +66,6 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
 
     It has nothing to tune if no parameter was seen to move a metric over its whole range. In small
     steps the noise may hide an effect.
-
-    Parameters
-    ----------
-    study
-        The study.
-    planned, runs
-        Returned by `try_parameters`.
-    whole_range
-        Whether each parameter was tried over its whole range.
     """
     judged = judge(study, planned, runs)
     moves = [(name, move) for name, item in judged.items() for move in item.moves]

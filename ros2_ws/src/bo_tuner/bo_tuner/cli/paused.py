@@ -20,13 +20,7 @@ def has_terminal() -> bool:
 
 
 class ContinueByKey(RunObserver):
-    """Lets a paused run go on when the user types `KEY`.
-
-    Parameters
-    ----------
-    go_on
-        Called then.
-    """
+    """Lets a paused run go on when the user types `KEY`."""
 
     def __init__(self, go_on: Callable[[], object]) -> None:
         self._go_on = go_on

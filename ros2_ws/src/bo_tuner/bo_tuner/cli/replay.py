@@ -163,13 +163,7 @@ def _description(evaluation: Evaluation, backend: str) -> str:
 def _run_both(
     record: RunRecord, recorded: Evaluation, ros: RosBackend
 ) -> tuple[Replay, Evaluation, dict[str, Batch], list[str]]:
-    """Run the evaluation, then with the default parameters.
-
-    Returns
-    -------
-    tuple
-        Both, the messages of each, and what could not be heard, each in a line.
-    """
+    """Run the evaluation, then with the default parameters."""
     inbox = Inbox(QUIET, LATEST_QUIET)
     listener = listen_to(ros, inbox)
     try:

@@ -139,19 +139,7 @@ class RunOptions:
 
 
 class Session:
-    """A run and its report.
-
-    Parameters
-    ----------
-    study
-        The study as run.
-    folder
-        Of the run; closed in the end. What it has on record already is not run again.
-    options
-        How to run it.
-    interruption
-        Ends the run on a signal.
-    """
+    """A run and its report."""
 
     def __init__(
         self, study: Study, folder: RunFolder, options: RunOptions, interruption: Interruption
@@ -207,13 +195,7 @@ class Session:
         self._display.warn(text)
 
     def run(self) -> int:
-        """Tune, validate and report; returns the exit code.
-
-        Raises
-        ------
-        OutputError, BackendError, StudyError, JournalError
-            If the folder, the nodes or the objects cannot be had in the first place.
-        """
+        """Tune, validate and report; returns the exit code."""
         with self._page():
             code = self._run_on_record()
         self._display.finish(code)

@@ -55,13 +55,7 @@ def prompt(question: str) -> None:
 
 
 def typed(seconds: float) -> str | None:
-    """Return the line that the user types, without its end; None if there is none in a time [s].
-
-    Raises
-    ------
-    EOFError
-        At the end of the input.
-    """
+    """Return the line that the user types, without its end; None if there is none in a time [s]."""
     # A read would continue after a signal, so wait until there is input.
     if not select.select([sys.stdin], [], [], seconds)[0]:
         return None

@@ -31,15 +31,6 @@ def is_running(study: Study, ros_arguments: Sequence[str], interruption: Interru
     """Whether to use nodes that run, where the user does not say: if there are any.
 
     Of a study that does not say how to start them, they have to run.
-
-    Parameters
-    ----------
-    study
-        The study.
-    ros_arguments
-        ``--ros-args`` of the node that looks for them.
-    interruption
-        Ends that on a signal.
     """
     return not study.starts_nodes or any_runs(
         [spec.node for spec in study.nodes.values()], ros_arguments, interruption.check
@@ -47,22 +38,7 @@ def is_running(study: Study, ros_arguments: Sequence[str], interruption: Interru
 
 
 def hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:
-    """Hold a study against its nodes, and say what is wrong.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        Sees the nodes.
-    attached
-        Whether the nodes ran before, so that what a killed tuner has left on them counts.
-
-    Raises
-    ------
-    MistakesError
-        If something is. Nodes have what they had before a tuner that was killed.
-    """
+    """Hold a study against its nodes, and say what is wrong."""
     problems, notes = _look(study, tuner, attached=attached)
     for note in notes:
         say(f"note: {note}")

@@ -75,48 +75,13 @@ def add_attach_argument(group: Group) -> None:
 def read_study(
     named: str, attach: bool, ros_arguments: Sequence[str], interruption: Interruption
 ) -> Study:
-    """Read a study by its name or path.
-
-    Parameters
-    ----------
-    named
-        Name of a shipped study, or path.
-    attach
-        Whether nodes that run can say what the study leaves open.
-    ros_arguments
-        ``--ros-args`` of the node that asks them.
-    interruption
-        Ends that on a signal.
-
-    Raises
-    ------
-    StudyError
-        If it is no valid study.
-    BackendError
-        If the nodes cannot be asked.
-    """
+    """Read a study by its name or path."""
     describe = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
     return load_study(named, describe if attach else None)
 
 
 def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -> Study:
-    """Return a study with the options of the command line.
-
-    Parameters
-    ----------
-    study
-        The study of the file.
-    arguments
-        With those of `add_budget_arguments` and `add_bounds_argument`, and ``start`` if the command
-        takes parameter sets.
-    namespace
-        Of the nodes.
-
-    Raises
-    ------
-    StudyError
-        If an option does not fit the study.
-    """
+    """Return a study with the options of the command line."""
     if arguments.bounds:
         bounds = _each_once("--bounds", arguments.bounds)
         with _in_option("--bounds"):

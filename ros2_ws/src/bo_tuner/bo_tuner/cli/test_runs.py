@@ -58,17 +58,7 @@ def show_signals(recording: Recording, number: int) -> None:
 
 
 def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
-    """Draw a signal in a line of bars, between its least and its largest value.
-
-    Parameters
-    ----------
-    time, value
-        The signal (n,), n ≥ 1; it keeps a value until the next one.
-    end
-        The right end [s]; the left one is 0.
-    width
-        Number of characters.
-    """
+    """Draw a signal in a line of bars, between its least and its largest value."""
     at = np.linspace(0.0, end, width)
     held = np.asarray(value)[np.clip(np.searchsorted(time, at, side="right") - 1, 0, None)]
     low, high = float(np.min(value)), float(np.max(value))

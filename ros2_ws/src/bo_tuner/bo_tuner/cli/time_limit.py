@@ -49,13 +49,7 @@ class TimeLimit:
 
 
 def time_limit(text: str) -> TimeLimit:
-    """Read an option's time, such as ``90s``, ``10min`` or ``2h``, which begins now.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
+    """Read an option's time, such as ``90s``, ``10min`` or ``2h``, which begins now."""
     found = _TIME.fullmatch(text)
     seconds = float(found[1]) * UNITS[found[2]] if found else 0.0
     if not 0.0 < seconds < math.inf:

@@ -24,21 +24,7 @@ NAMES = {
 
 
 class TimePlan(RunObserver):
-    """Tells when a run has to finish, what is expected to fit, and what the time went to.
-
-    Parameters
-    ----------
-    study
-        Of the run.
-    status
-        Keeps the times of the run.
-    limit
-        The time of the command.
-    certify
-        Whether a certificate of the result follows, within the time.
-    inform
-        Called with a line on what is expected.
-    """
+    """Tells when a run has to finish, what is expected to fit, and what the time went to."""
 
     def __init__(
         self,

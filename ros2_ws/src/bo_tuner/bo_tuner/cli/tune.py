@@ -353,13 +353,7 @@ def _new(
 
 
 def _check_installed(study: Study, backend: str) -> None:
-    """Refuse a shipped study if its nodes are not installed, and say what to do instead.
-
-    Raises
-    ------
-    StudyError
-        If they are not.
-    """
+    """Refuse a shipped study if its nodes are not installed, and say what to do instead."""
     for spec in study.nodes.values():
         if backend == ROS:
             package = spec.package or ""

@@ -22,30 +22,14 @@ def add_host_argument(group: Group, serves: str) -> None:
 
 
 def port(text: str) -> int:
-    """Read the number of a port; 0 stands for any.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
+    """Read the number of a port; 0 stands for any."""
     if not text.isdecimal() or int(text) > LARGEST_PORT:
         raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
     return int(text)
 
 
 def tell_address(address: Address, what: str, tell: Callable[[str], None]) -> None:
-    """Tell where pages are, and how to open them from another machine.
-
-    Parameters
-    ----------
-    address
-        Theirs.
-    what
-        What they are.
-    tell
-        Shows a line.
-    """
+    """Tell where pages are, and how to open them from another machine."""
     tell(f"{what}: {address.url}")
     for line in address.ways:
         tell(line)

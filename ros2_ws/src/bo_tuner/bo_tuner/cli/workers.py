@@ -81,24 +81,7 @@ def workers_of(
     known: SessionOptions | None = None,
     keeps_window: bool = True,
 ) -> Workers:
-    """Return by how many workers a run is to be run, and where.
-
-    Parameters
-    ----------
-    arguments, parser
-        Of the command.
-    study, backend, attach, ros_arguments
-        What is run, and where.
-    known
-        Options of the run that goes on, or that the command is about; None for a new run.
-    keeps_window
-        Whether its window is to stay as it is: its trials were planned by it.
-
-    Raises
-    ------
-    StudyError
-        If the study cannot be run by so many.
-    """
+    """Return by how many workers a run is to be run, and where."""
     for name in ("workers", "window"):
         given = getattr(arguments, name)
         if given is not None and not 1 <= given <= maxima.WORKERS:

@@ -27,26 +27,6 @@ def write_back(
     """Write values into a parameter file, of which nothing else changes; return the exit code.
 
     Shows the difference and asks, unless `yes`. The previous file is kept beside it.
-
-    Parameters
-    ----------
-    path
-        The file.
-    values
-        By the nodes' names in the study.
-    namespace
-        Of the nodes; empty if none is named.
-    interruption
-        Of the command.
-    yes
-        Whether to write without asking.
-
-    Raises
-    ------
-    StudyError
-        If the file cannot be read, ROS refuses it, or it cannot be edited, see `with_values`.
-    OutputError
-        If it cannot be written.
     """
     # A link may lead to the file that is meant, such as into the sources of a workspace.
     place = path.resolve()

@@ -82,13 +82,7 @@ class Nodes(Protocol):
 
 
 def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
-    """Read from live nodes the parameters that are in `like`.
-
-    Raises
-    ------
-    NodeError
-        If a node does not answer, or does not have one of them.
-    """
+    """Read from live nodes the parameters that are in `like`."""
     return {node: nodes.get(node, list(values)) for node, values in like.items()}
 
 
@@ -137,27 +131,6 @@ def set_values(
     for a while between the two readings. If a node refuses, does not answer or has another value,
     or somebody asks for the end on the way, the previous values of all are restored at once, in
     reverse order, and read back.
-
-    Parameters
-    ----------
-    nodes
-        The live nodes.
-    before
-        Their present values.
-    new
-        The values to set, of the same nodes and parameters.
-    way
-        The steps to them.
-    commit
-        Called after these; from then on nothing ends it. May raise `Interrupted` instead.
-
-    Raises
-    ------
-    ApplyError
-        If the nodes do not have the new values, or not the previous ones after an interruption.
-        One line.
-    Interrupted
-        If somebody asked for the end, and the nodes have their previous values.
     """
     touched: list[str] = []
     try:

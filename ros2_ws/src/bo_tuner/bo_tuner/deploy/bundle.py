@@ -69,13 +69,7 @@ def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Differen
 
 
 def result_of(record: RunRecord) -> Trial:
-    """Return the trial that is the result of a run.
-
-    Raises
-    ------
-    RunRecordError
-        If the run has not ended, or every trial failed.
-    """
+    """Return the trial that is the result of a run."""
     if record.summary is None:
         raise RunRecordError(
             f"{record.path}: has no result: it has not ended, or every trial failed"
@@ -87,28 +81,7 @@ def result_of(record: RunRecord) -> Trial:
 
 
 def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
-    """Write or update the bundle of a run that has ended.
-
-    Parameters
-    ----------
-    record
-        The run.
-    rollback
-        Values of the nodes before the result was set. Without it an existing rollback file is kept;
-        a new one has what the nodes had `before_run`, or else the study's defaults.
-
-    Returns
-    -------
-    pathlib.Path
-        The folder.
-
-    Raises
-    ------
-    RunRecordError
-        If the run has no result.
-    OutputError
-        If the files cannot be written, or `rollback` has values that a parameter file cannot hold.
-    """
+    """Write or update the bundle of a run that has ended."""
     trial = result_of(record)
     tuned = node_values(record.study, trial.parameters)
     default = node_values(record.study, record.study.search_space().defaults)
@@ -147,13 +120,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
 
 
 def withdraw_bundle(folder: Path) -> None:
-    """Remove the bundle in a run folder, but for what a rollback needs.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be removed.
-    """
+    """Remove the bundle in a run folder, but for what a rollback needs."""
     for name in (PROVENANCE, PARAMETERS, DIFFERENCE, CERTIFICATE, EVALUATIONS, REPORT):
         (folder / DEPLOY / name).unlink(missing_ok=True)
 
@@ -192,14 +159,7 @@ def before_run(record: RunRecord) -> NodeValues | None:
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
-    """Read the values to which to roll back.
-
-    Raises
-    ------
-    RunRecordError
-        If there is no such file, it is not as `write_bundle` has written it, or it has other nodes,
-        parameters or types than the study.
-    """
+    """Read the values to which to roll back."""
     path = record.path / DEPLOY / ROLLBACK
     expected = node_values(record.study, record.study.search_space().defaults)
     try:
@@ -231,13 +191,7 @@ def _check_restorable(values: NodeValues, expected: NodeValues) -> None:
 
 
 def _check_like(values: NodeValues, expected: NodeValues) -> None:
-    """Check that values are of the same nodes, parameters and types as those expected.
-
-    Raises
-    ------
-    ValueError
-        If they are not; one line.
-    """
+    """Check that values are of the same nodes, parameters and types as those expected."""
     for node, names in expected.items():
         if values.keys() != expected.keys() or values[node].keys() != names.keys():
             raise ValueError(f"expected values of {', '.join(names)} of {node}, and no others")

@@ -44,23 +44,6 @@ class LiveParameters:
 
     Domain and discovery are those of the environment. Meanwhile no tuner on this machine uses the
     domain; one on another machine is refused if it is there before.
-
-    Parameters
-    ----------
-    nodes
-        Names of the nodes, relative to the namespace.
-    ros_arguments
-        ``--ros-args`` of this node.
-    watch
-        Called again and again while waiting for a node; an exception ends the wait.
-    configured
-        By these names those that take their values only when they are configured.
-
-    Raises
-    ------
-    BackendError
-        If ROS refuses the arguments, a tuner uses this domain, or a node is missing or runs more
-        than once.
     """
 
     def __init__(
@@ -164,22 +147,7 @@ class LiveParameters:
 
     @contextlib.contextmanager
     def guarded(self, study: Study, before: NodeValues, folder: Path) -> Iterator[None]:
-        """Have a guard give nodes back what they had if this process ends within.
-
-        Parameters
-        ----------
-        study
-            The study, which names the nodes.
-        before
-            What they have.
-        folder
-            Takes the guard's log and record.
-
-        Raises
-        ------
-        BackendError
-            If there can be no guard.
-        """
+        """Have a guard give nodes back what they had if this process ends within."""
         keys = {study.nodes[item.node].node: item.node for item in study.parameters_of_nodes}
         values = {keys[node]: of_node for node, of_node in before.items()}
         guard = GuardLink(self._tuner, Plan.of_values(study, values), folder)

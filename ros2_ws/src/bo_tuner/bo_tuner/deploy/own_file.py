@@ -51,19 +51,6 @@ def with_values(text: str, values: NodeValues) -> str:
     A value changes where ROS takes it from. Where that is a wildcard that other nodes share, and
     where the file has no such parameter, it is added to the node's own section behind that, or
     to a new one at the end.
-
-    Parameters
-    ----------
-    text
-        Of the file, its line breaks as they are.
-    values
-        Of nodes by their full names.
-
-    Raises
-    ------
-    StudyError
-        If ROS refuses the file, it says nothing of a node, or the edit would not lead to exactly
-        the old values with the new ones in place. One line.
     """
     sections = read_sections(text)
     changes = _Changes(expected={section.name: section.values for section in sections})

@@ -39,16 +39,7 @@ def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Fa
 
 
 def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[Drift]:
-    """Yield each metric that changes with the order of runs which are alike.
-
-    Parameters
-    ----------
-    study
-        The study.
-    runs
-        Independent draws of context and noise in the order in which they were made, by the name of
-        their parameter set.
-    """
+    """Yield each metric that changes with the order of runs which are alike."""
     # The values, and their distances from the median: two tests of each metric.
     level = CHANCE / max(2 * len(runs) * len(study.metrics), 1)
     for name, made in runs.items():
@@ -60,16 +51,7 @@ def drifts(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[D
 
 
 def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterator[TwoKinds]:
-    """Yield each limited metric of which runs are of two kinds.
-
-    Parameters
-    ----------
-    study
-        The study.
-    runs
-        Draws by the name of their parameter set. Those with other discrete contexts may differ by
-        them, and are not compared.
-    """
+    """Yield each limited metric of which runs are of two kinds."""
     space = study.context_space()
     for name, made in runs.items():
         complete = [evaluation for evaluation in made if evaluation.outcome.complete]

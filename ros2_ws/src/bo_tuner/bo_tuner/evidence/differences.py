@@ -71,13 +71,7 @@ class Difference:
         return f"{100.0 * CONFIDENCE:g} % CI {low} to {high}"
 
     def change(self, sign: float) -> Change:
-        """Return the difference in words.
-
-        Parameters
-        ----------
-        sign
-            1 if smaller values are better, -1 if larger ones are, 0 if neither.
-        """
+        """Return the difference in words."""
         if not (isfinite(self.low) and isfinite(self.high)):
             return Change.UNKNOWN
         if self.low <= 0.0 <= self.high:
@@ -89,15 +83,7 @@ class Difference:
 
 
 def paired(default: ArrayLike, tuned: ArrayLike, covariates: Array) -> Difference:
-    """Return the mean difference of pairs.
-
-    Parameters
-    ----------
-    default, tuned
-        Both of shape (n,).
-    covariates
-        Of the draws, as in `adjusted_mean`, shape (n, p).
-    """
+    """Return the mean difference of pairs."""
     theirs, ours = (np.asarray(side, dtype=np.float64) for side in (default, tuned))
     differences = ours - theirs
     if len(differences) > 1:

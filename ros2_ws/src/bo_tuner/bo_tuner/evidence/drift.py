@@ -110,20 +110,7 @@ class Drift:
 
 
 def baseline_runs(path: Path, certificate: Certificate, study: Study) -> list[Outcome]:
-    """Return what the runs of a certificate's parameter set have given, in their order.
-
-    Parameters
-    ----------
-    path
-        Of the certificate.
-    certificate, study
-        Its content, and the study that it is of.
-
-    Raises
-    ------
-    RunRecordError
-        If there are too few, or they cannot be relied on.
-    """
+    """Return what the runs of a certificate's parameter set have given, in their order."""
     if certificate.study_sha256 != study_sha256(study):
         raise RunRecordError(f"{path}: belongs to another version of the study; run validate again")
     if problem := evaluations_problem(path, certificate):
@@ -146,23 +133,6 @@ def baseline_runs(path: Path, certificate: Certificate, study: Study) -> list[Ou
 
 class DriftPlan(Plan[Run]):
     """Fresh runs until a metric has drifted.
-
-    Parameters
-    ----------
-    study
-        The study.
-    parameters
-        The parameter set.
-    baseline
-        Of the certificate.
-    metrics
-        Which to compare.
-    most
-        Number of fresh runs at most.
-    false_alarms
-        Probability of a false alarm in any metric.
-    number
-        Of the comparison in the run: each has draws and noise of its own.
 
     Attributes
     ----------
@@ -253,22 +223,7 @@ def _values(outcomes: Sequence[Outcome], metric: str) -> list[float]:
 
 
 def result_of(plan: DriftPlan, certificate: str, started: str, finished: str) -> Drift:
-    """Return the result of a plan that was carried out.
-
-    Parameters
-    ----------
-    plan
-        With its fresh runs.
-    certificate
-        Name of the certificate's file.
-    started, finished
-        When.
-
-    Raises
-    ------
-    RunError
-        If no run is usable.
-    """
+    """Return the result of a plan that was carried out."""
     if not plan.evaluations:
         raise RunError("no fresh run was usable: nodes were lost or disturbed in all of them")
     return Drift(
@@ -292,13 +247,7 @@ def next_number_of(folder: Path) -> int:
 
 
 def write_drift(folder: Path, number: int, drift: Drift, runs: Sequence[Evaluation]) -> Path:
-    """Write a comparison with its fresh runs, and return the path.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write a comparison with its fresh runs, and return the path."""
     directory = folder / DRIFT
     with writing(directory):
         directory.mkdir(exist_ok=True)

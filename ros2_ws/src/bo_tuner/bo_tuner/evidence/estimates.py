@@ -66,15 +66,7 @@ class Estimate:
 
 
 def of_runs(values: ArrayLike, source: Source, of_contexts: Array | None = None) -> Estimate:
-    """Return the estimate by independent values (n,), one of each complete run.
-
-    Parameters
-    ----------
-    values, source
-        The values, and of which runs they are.
-    of_contexts
-        Covariates (n, p) of the contexts, as `covariates` has them.
-    """
+    """Return the estimate by independent values (n,), one of each complete run."""
     sample = np.asarray(values, dtype=np.float64)
     given = np.empty((len(sample), 0)) if of_contexts is None else of_contexts
     found = adjusted_mean(sample, given, CONFIDENCE)
@@ -93,17 +85,6 @@ def of_draws(
     """Return the estimate by fresh draws.
 
     If one failed, the contexts of the others are no sample of their distribution.
-
-    Parameters
-    ----------
-    values, contexts
-        Of the complete draws, by their numbers.
-    draws
-        Number of draws, with the failed ones.
-    space
-        Of the contexts.
-    source
-        Whose draws they are.
     """
     places = sorted(values)
     whole = 0 < len(places) == draws and all(k in contexts for k in places)

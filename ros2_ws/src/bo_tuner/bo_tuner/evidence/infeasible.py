@@ -158,20 +158,7 @@ def infeasible(
     refuted: Sequence[str] = (),
     fresh_deaths: int = 0,
 ) -> Infeasible:
-    """Return why no parameter set was found feasible.
-
-    Parameters
-    ----------
-    study
-        The study.
-    trials
-        Those that were candidates.
-    prospects
-        What the models expect; None if they were not asked.
-    refuted, fresh_deaths
-        Names of the limits that the recommended one has violated in its validation, and how many of
-        its test runs failed there.
-    """
+    """Return why no parameter set was found feasible."""
     counted = [trial for trial in trials if not trial.unusable]
     deaths = [trial.reason for trial in counted if trial.state is TrialState.FAILED]
     judged = [_judged(study, t) for t in counted if t.state is not TrialState.FAILED]

@@ -64,18 +64,7 @@ class LimitVerdict:
 
 
 def by_test_runs(study: Study, sample: Sample, *, unsearched: bool) -> LimitVerdict:
-    """Return what the test runs of a validation say of a limit.
-
-    Parameters
-    ----------
-    study
-        The study.
-    sample
-        The limit's metric in the complete test runs.
-    unsearched
-        Whether a limit in every context must rest on them alone, as nobody searched for the worst
-        one; then a single one beyond the limit, which does not refute it, counts against it, too.
-    """
+    """Return what the test runs of a validation say of a limit."""
     constraint = study.constraints[sample.name]
     everywhere = constraint.rule.in_every_context
     against = unsearched and everywhere and sample.violations > 0 and sample.agrees

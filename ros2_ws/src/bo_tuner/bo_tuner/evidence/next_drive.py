@@ -136,22 +136,7 @@ def next_drive(
     drives: Sequence[str],
     attempt: int,
 ) -> NextDrive:
-    """Judge the runs of a parameter set, and of the default, on some drives, in their order.
-
-    Parameters
-    ----------
-    study
-        The study.
-    parameters
-        The parameter set.
-    tuned, default
-        Runs on each of the drives.
-    drives
-        The drives.
-    attempt
-        How many such statements there are of the run, this one included: each has less of the
-        error probability, so that to go on until one passes does not pass too often.
-    """
+    """Judge the runs of a parameter set, and of the default, on some drives, in their order."""
     runs = []
     for drive, mine, theirs in zip(drives, tuned, default, strict=True):
         values = mine.outcome.metrics if mine.outcome.complete else {}

@@ -25,19 +25,7 @@ def quantities(
     tuned_limits: Mapping[str, LimitVerdict],
     violations: Mapping[str, ViolationBound],
 ) -> tuple[Quantity, ...]:
-    """Return the numbers of a verdict: of each constraint, and the mean of each other metric.
-
-    Parameters
-    ----------
-    study
-        The study.
-    default, tuned
-        What was observed of the two parameter sets, in the same draws.
-    default_limits, tuned_limits
-        What was found of each constraint, by its name; nothing of a default that is not known.
-    violations
-        What a certificate has of constraints, by their names.
-    """
+    """Return the numbers of a verdict: of each constraint, and the mean of each other metric."""
     all_quantities = [
         replace(
             _of_constraint(study, constraint, default, tuned),

@@ -75,13 +75,7 @@ from bo_tuner.tuning.validation import Validation
 
 
 def run_verdict(record: RunRecord) -> Verdict:
-    """Return the verdict on the result of a run.
-
-    Raises
-    ------
-    RunRecordError
-        If the summary of the run is not one of `tune`.
-    """
+    """Return the verdict on the result of a run."""
     verdict = replace(_with_load(record, _latest(record)), plays_bags=record.study.plays_bags)
     faults = contradicted(record.study, record.evaluations)
     return _with(verdict, *faults, *_unfinished(record))
@@ -216,13 +210,7 @@ def _outliers(record: RunRecord, ranked: object) -> list[int]:
 
 
 def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
-    """Return the verdict on a trial by a certificate of it.
-
-    Raises
-    ------
-    RunRecordError
-        If the certificate cannot be read, or the summary of the run is not one of `tune`.
-    """
+    """Return the verdict on a trial by a certificate of it."""
     return _with_load(record, _certified(record, trial, path, _by_validation(record)))
 
 

@@ -47,15 +47,7 @@ FAILURES = "failed test runs"
 
 
 def open_verdict(study: Study, trials: Sequence[Trial], standstill: str = "") -> Verdict:
-    """Return the verdict of a run that has no result, or none yet.
-
-    Parameters
-    ----------
-    study, trials
-        Of the run.
-    standstill
-        Why its search could not go on; empty if it can.
-    """
+    """Return the verdict of a run that has no result, or none yet."""
     if standstill and not kept_by(study, trials):
         return Verdict(
             state=State.INFEASIBLE,
@@ -91,27 +83,7 @@ def validated(
     outliers: Sequence[int] = (),
     prospects: Prospects | None = None,
 ) -> Verdict:
-    """Return the verdict of a run by its validation.
-
-    Parameters
-    ----------
-    study
-        The study.
-    trial
-        Number of the recommended trial.
-    default, tuned
-        Validation of the hand-tuned parameter set and of the recommended one.
-    trials, evaluations
-        All that are on record.
-    doubt
-        Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
-    likely
-        Whether it is doubted only since it is not proven enough: it is likely within limits.
-    outliers
-        Numbers of the trials that are outliers of the objective, and so were no candidates.
-    prospects
-        What the models expect elsewhere where nothing was found feasible; None if not asked.
-    """
+    """Return the verdict of a run by its validation."""
     limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
     problems = _problems(tuned, limits)
     reasons: tuple[Fact, ...] = (*([Doubt(doubt)] if doubt else []), *problems.values())
@@ -176,19 +148,7 @@ def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
 def observed(
     evaluations: Sequence[Evaluation], side: str, parameters: Mapping[str, Value], draws: int
 ) -> Observed:
-    """Return what a run has on record of a parameter set.
-
-    Parameters
-    ----------
-    evaluations
-        All evaluations on record.
-    side
-        `DEFAULT` or `TUNED`.
-    parameters
-        The parameter set. A run that was extended may have validated another one before.
-    draws
-        Number of draws of its validation.
-    """
+    """Return what a run has on record of a parameter set."""
     drawn: dict[int, Mapping[str, float]] = {}
     contexts: dict[int, Context] = {}
     others = []
@@ -206,18 +166,7 @@ def observed(
 def limits_in(
     study: Study, validation: Validation, evaluations: Sequence[Evaluation]
 ) -> dict[str, LimitVerdict]:
-    """Return what the validation of a parameter set says of each limit, by its name.
-
-    Parameters
-    ----------
-    study
-        The study.
-    validation
-        The validation.
-    evaluations
-        All that are on record: they show whether its worst context was searched. Without contexts
-        there is none.
-    """
+    """Return what the validation of a parameter set says of each limit, by its name."""
     unsearched = bool(study.contexts) and not _searched(evaluations, validation.parameters)
     return {
         name: by_test_runs(study, sample, unsearched=unsearched)

@@ -19,20 +19,7 @@ SAMPLES = 160
 def hatching(
     region: Region, x_scale: Scale = Scale.LINEAR, y_scale: Scale = Scale.LINEAR
 ) -> tuple[Array, Array]:
-    """Return lines over the area where the field of a region exceeds its level.
-
-    Parameters
-    ----------
-    region
-        The region.
-    x_scale, y_scale
-        Those of the axes, on which the lines are straight however the grid is spaced.
-
-    Returns
-    -------
-    tuple of two ndarrays
-        The points x (n,) and y (n,) of the lines one behind the other, with NaN between them.
-    """
+    """Return lines over the area where the field of a region exceeds its level."""
     if len(region.x) < 2 or len(region.y) < 2:
         return np.empty(0), np.empty(0)
     offset, along = np.meshgrid(

@@ -139,17 +139,7 @@ class _Axes:
 
 
 def panel_svg(panel: Panel, height: int, texts: Mapping[str, int] | None = None) -> str:
-    """Return a panel of a height [px] as an SVG element that lies over its container.
-
-    Parameters
-    ----------
-    panel
-        The panel.
-    height
-        Of its container, for the number of ticks.
-    texts
-        Places of hover texts among those of the figure; points without one have no tip.
-    """
+    """Return a panel of a height [px] as an SVG element that lies over its container."""
     axes = _Axes(_ruler(panel, panel.x, "x"), _ruler(panel, panel.y, "y"))
     title, label = panel.title, panel.y.title
     bottom = BOTTOM if panel.x.title else BARE_BOTTOM

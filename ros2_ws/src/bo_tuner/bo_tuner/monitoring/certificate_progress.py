@@ -15,13 +15,6 @@ class CertificateProgress(RunObserver):
     """A bar for one phase after the other; without a terminal a line for each, and now and then.
 
     Use it in a ``with`` block.
-
-    Parameters
-    ----------
-    console
-        Where to draw.
-    time_left
-        What the certificate probably still takes, in words; empty where that is not known.
     """
 
     def __init__(self, console: Console, time_left: Callable[[], str] = str) -> None:

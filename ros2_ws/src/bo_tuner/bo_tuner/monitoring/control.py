@@ -17,17 +17,7 @@ COMES_OF = {
 
 
 class RunControl:
-    """Passes requests on to the run, from any thread, and says in words what comes of them.
-
-    Parameters
-    ----------
-    gate
-        Takes the requests to pause, to continue and to finish.
-    interruption
-        Takes the request to end the run.
-    folder
-        The run folder.
-    """
+    """Passes requests on to the run, from any thread, and says in words what comes of them."""
 
     def __init__(self, gate: Gate, interruption: Interruption, folder: Path) -> None:
         self._gate = gate
@@ -58,20 +48,7 @@ class RunControl:
         )
 
     def answer(self, given: Given, number: int | None = None) -> tuple[bool, str]:
-        """Answer the question whether the next parameter set may be tried.
-
-        Parameters
-        ----------
-        given
-            The answer.
-        number
-            Of the question that was read; None for the one at hand.
-
-        Returns
-        -------
-        bool, str
-            Whether it counts, and what comes of it.
-        """
+        """Answer the question whether the next parameter set may be tried."""
         if not self._gate.question.answer(given, number):
             return False, "this parameter set waits for no answer (any more)"
         return True, COMES_OF[given.reply]

@@ -122,19 +122,7 @@ def safety(study: Study, now: Snapshot) -> Status:
 
 
 def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: str) -> Status:
-    """Return the result of a trial as a status.
-
-    Parameters
-    ----------
-    study
-        The study.
-    trial
-        The trial.
-    incumbent
-        First in rank after the trial; None if no trial is complete.
-    run
-        Path of the run folder.
-    """
+    """Return the result of a trial as a status."""
     values: dict[str, object] = {
         "trial": trial.number,
         "state": str(trial.state),

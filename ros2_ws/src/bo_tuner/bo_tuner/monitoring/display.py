@@ -114,13 +114,7 @@ class Display(RunObserver):
 
 
 class PlainConsole(Console):
-    """A console that shows texts as they are, but for what would steer the terminal.
-
-    Parameters
-    ----------
-    stderr
-        Whether to write to standard error.
-    """
+    """A console that shows texts as they are, but for what would steer the terminal."""
 
     def __init__(self, stderr: bool = False) -> None:
         # What stands in brackets is no markup.

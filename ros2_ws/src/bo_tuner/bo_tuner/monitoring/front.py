@@ -23,21 +23,7 @@ def print_front(
     result: int | None,
     run: Path,
 ) -> None:
-    """Print the front with a mark on the result.
-
-    Parameters
-    ----------
-    console
-        Where to print.
-    study
-        The study.
-    front
-        The points of the front, in the form in which a summary has them.
-    result
-        Number of the trial of the result.
-    run
-        The run folder.
-    """
+    """Print the front with a mark on the result."""
     if not front:
         print_line(
             console,

@@ -25,15 +25,6 @@ class JsonLines(Display):
     """Writes each event as a line; warnings are also written to standard error.
 
     If the reader closes the pipe, the run continues without this output.
-
-    Parameters
-    ----------
-    study
-        The study.
-    status
-        Status of the run; must receive each step before this display.
-    out
-        Stream for the lines; by default standard output.
     """
 
     def __init__(self, study: Study, status: RunStatus, out: TextIO | None = None) -> None:

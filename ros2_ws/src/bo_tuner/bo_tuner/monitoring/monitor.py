@@ -15,17 +15,7 @@ from bo_tuner.tuning.observer import RunObserver
 
 
 class Advisor(RunObserver):
-    """Computes after each trial whether to advise stopping.
-
-    Parameters
-    ----------
-    study
-        The study.
-    method
-        The method of the run.
-    observers
-        Receive the advice.
-    """
+    """Computes after each trial whether to advise stopping."""
 
     def __init__(self, study: Study, method: Method, observers: RunObserver) -> None:
         self._advisor = StopAdvisor(study, method)
@@ -51,19 +41,7 @@ class Advisor(RunObserver):
 
 
 def make_display(study: Study, output: Output, status: RunStatus, going_on: str) -> Display:
-    """Make the display of a run.
-
-    Parameters
-    ----------
-    study
-        The study.
-    output
-        The kind of output.
-    status
-        Status of the run; must receive each step before the display.
-    going_on
-        How a run that is paused goes on.
-    """
+    """Make the display of a run."""
     if output is Output.QUIET:
         return Display()
     if output is Output.JSON_LINES:

@@ -38,21 +38,7 @@ LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
 
 
 class LiveNode(RunObserver):
-    """ROS node that publishes the state of a run, and serves requests to it and answers.
-
-    Parameters
-    ----------
-    context
-        ROS context of the tuner, shared with the backend: one participant keeps the traffic low.
-    study
-        The study.
-    folder
-        The run folder.
-    status
-        Status of the run; must receive each step before this node.
-    control
-        Takes the requests to pause, to finish and to end the run.
-    """
+    """ROS node that publishes the state of a run, and serves requests to it and answers."""
 
     def __init__(
         self,

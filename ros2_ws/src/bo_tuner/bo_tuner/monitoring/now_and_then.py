@@ -8,13 +8,7 @@ PERIOD = 30.0
 
 
 class NowAndThen:
-    """Says when the next line on the progress is due.
-
-    Parameters
-    ----------
-    clock
-        Returns the time [s] from a fixed point on.
-    """
+    """Says when the next line on the progress is due."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

@@ -45,20 +45,6 @@ class RunProgress(Display):
     Without a terminal a line shows now and then how far the phase is.
 
     All of it is on standard error.
-
-    Parameters
-    ----------
-    console
-        Where to draw.
-    study
-        The study.
-    status
-        Status of the run; must receive each step before this display. Without it no times are
-        shown.
-    going_on
-        How a run that is paused goes on.
-    clock
-        Returns the time [s] from a fixed point on.
     """
 
     def __init__(

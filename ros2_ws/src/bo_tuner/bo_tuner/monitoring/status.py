@@ -82,17 +82,6 @@ class Snapshot:
 class RunStatus(RunObserver):
     """Keeps the present snapshot, which other threads may read.
 
-    Parameters
-    ----------
-    study
-        The study.
-    method
-        The method of the run.
-    clock
-        Returns the time [s] from a fixed point on.
-    workers
-        Number of evaluations that are run at once.
-
     Attributes
     ----------
     now

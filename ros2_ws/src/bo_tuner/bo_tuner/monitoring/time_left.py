@@ -23,17 +23,7 @@ SPARE = 1.1
 
 
 class TimeLeft:
-    """Keeps the times of a run; must be called for each step when it has just ended.
-
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    clock
-        Returns the time [s] from a fixed point on.
-    workers
-        Number of evaluations that are run at once, as all of the validation can be.
-    """
+    """Keeps the times of a run; must be called for each step when it has just ended."""
 
     def __init__(
         self, study: Study, method: Method, clock: Callable[[], float], workers: int = 1
@@ -130,15 +120,7 @@ class TimeLeft:
         return None if seconds is None else SPARE * seconds
 
     def _until_result(self, trials_left: int, runs_left: int | None = None) -> float | None:
-        """Return the time [s] until the result is there; None before the first trial.
-
-        Parameters
-        ----------
-        trials_left
-            Number of trials to come, while there are any.
-        runs_left
-            Number of runs to come that settle the answer; None for as many as are expected.
-        """
+        """Return the time [s] until the result is there; None before the first trial."""
         if not self._lately:
             return None
         count = sum(evaluations for evaluations, _, _ in self._lately)

@@ -41,15 +41,7 @@ class _Column:
 
 
 class TrialTable:
-    """Makes the lines of trials.
-
-    Parameters
-    ----------
-    study
-        The study.
-    console
-        Where they are shown; lines of a file are as long as they get.
-    """
+    """Makes the lines of trials."""
 
     def __init__(self, study: Study, console: Console) -> None:
         self._study = study
@@ -71,15 +63,7 @@ class TrialTable:
             self._values.append(_column(title, unit, limit, NUMBER_WIDTH, trailing=1))
 
     def lines(self, trial: Trial, mark: str) -> Iterator[Text]:
-        """Yield the lines of a trial, the header ahead of them where it is due.
-
-        Parameters
-        ----------
-        trial
-            The trial.
-        mark
-            What is said of it, such as ``best so far``; empty if nothing is.
-        """
+        """Yield the lines of a trial, the header ahead of them where it is due."""
         room = self._console.width if self._console.is_terminal else None
         beside = room is None or _total(self._columns(beside=True)) + LEAST_OUTCOME <= room
         columns = self._columns(beside=beside)

@@ -16,15 +16,6 @@ class AbortBags:
 
     What they are for is a look at the machine, so they are written whatever else is recorded. The
     time of a message is that of its arrival.
-
-    Parameters
-    ----------
-    folder
-        Of the run; bags go to ``aborts`` in it.
-    study
-        The study.
-    warn
-        Is passed a line if one cannot be written; the run goes on.
     """
 
     def __init__(self, folder: Path, study: Study, warn: Callable[[str], None]) -> None:
@@ -35,15 +26,7 @@ class AbortBags:
     def __call__(
         self, planned: Evaluation, outcome: Outcome, latest: Sequence[LatestMessage]
     ) -> None:
-        """Write the bag of an evaluation.
-
-        Parameters
-        ----------
-        planned, outcome
-            The evaluation, and what came of it.
-        latest
-            The messages until it was aborted, in the order of their arrival.
-        """
+        """Write the bag of an evaluation."""
         messages, unknown = _known(latest)
         notes = {
             "study": self._study.name,

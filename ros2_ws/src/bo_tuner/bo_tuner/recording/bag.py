@@ -54,13 +54,7 @@ Message = tuple[Topic, bytes]
 
 
 def make_topic(name: str, message_type: str) -> Topic:
-    """Make a topic.
-
-    Raises
-    ------
-    KeyError
-        If it is of a type that is not in the own packages of the ROS distribution.
-    """
+    """Make a topic."""
     _, fields = typestore().fielddefs[message_type]
     name_of_first, description = fields[0]
     has_header = name_of_first == "header" and "std_msgs/msg/Header" in str(description)
@@ -78,21 +72,7 @@ def stamp(message: Message) -> int | None:
 
 
 def timed(messages: Sequence[Message], latest: int = 0) -> list[tuple[int, Message]]:
-    """Put messages in the order of simulated time.
-
-    Parameters
-    ----------
-    messages
-        In the order of their arrival.
-    latest
-        Time [ns] of the latest message before these; 0 if there is none.
-
-    Returns
-    -------
-    list
-        Time [ns] and message. One without a stamp in a header keeps its place: it gets the time of
-        the latest message before it, or of the first one after it at the start of a bag.
-    """
+    """Put messages in the order of simulated time."""
     stamps = [stamp(message) for message in messages]
     latest = latest or next((time for time in stamps if time is not None), 0)
     result = []
@@ -105,18 +85,7 @@ def timed(messages: Sequence[Message], latest: int = 0) -> list[tuple[int, Messa
 
 
 class TrialBag:
-    """A bag while it is written.
-
-    Parameters
-    ----------
-    path
-        Where the whole bag shall be. An older one of that name is replaced in the end.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be made; as all other methods if the disk is full.
-    """
+    """A bag while it is written."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -138,15 +107,7 @@ class TrialBag:
         return not self._connections
 
     def write(self, messages: Iterable[tuple[int, Message]], notes: Mapping[str, str]) -> None:
-        """Append the messages of an evaluation, and put them and the notes beyond a kill's reach.
-
-        Parameters
-        ----------
-        messages
-            Times [ns] and messages.
-        notes
-            Metadata of the trial if the bag is never finished.
-        """
+        """Append the messages of an evaluation; a kill loses neither them nor the notes."""
         for time, (topic, data) in messages:
             connection = self._connections.get(topic.name)
             if connection is None:

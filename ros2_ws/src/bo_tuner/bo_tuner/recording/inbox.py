@@ -34,14 +34,6 @@ class Batch:
 class Inbox:
     """Collects messages; whoever hands one in, from any thread, only ever appends to a list.
 
-    Parameters
-    ----------
-    quiet, latest
-        The last messages of an evaluation have come when none has for `quiet` seconds, or `latest`
-        seconds after its end.
-    memory
-        Most bytes of the messages that wait, and of those taken away until they are let go of.
-
     Attributes
     ----------
     warnings
@@ -102,14 +94,7 @@ class Inbox:
         self.let_go(self.empty())
 
     def wait_for_quiet(self, hand_over: Callable[[], object]) -> None:
-        """Let the last messages of an evaluation come: topics have no order between them.
-
-        Parameters
-        ----------
-        hand_over
-            Makes a listener deliver the messages that it has received: by itself it may do so less
-            often than every `quiet` seconds.
-        """
+        """Let the last messages of an evaluation come: topics have no order between them."""
         end = time.monotonic() + self._latest
         count = -1
         while count != len(self._batch.messages) and time.monotonic() < end:

@@ -72,21 +72,7 @@ class _Open:
 
 
 class Recorder:
-    """Writes the bags of a run.
-
-    Parameters
-    ----------
-    folder
-        Takes the bags; made with the first.
-    study
-        The study.
-    options
-        What to record.
-    memory
-        Most bytes that wait to be written, of each evaluation that is run at once.
-    at_once
-        How many evaluations are run at once.
-    """
+    """Writes the bags of a run."""
 
     def __init__(
         self,

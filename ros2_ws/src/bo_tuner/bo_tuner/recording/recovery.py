@@ -45,23 +45,7 @@ def partial_bags(folder: Path) -> list[Path]:
 
 
 def recover(partial: Path) -> Path | None:
-    """Make a bag of an unfinished one, with ``complete: false`` in its custom data.
-
-    Parameters
-    ----------
-    partial
-        Folder that `TrialBag` left behind; is gone afterwards.
-
-    Returns
-    -------
-    pathlib.Path or None
-        The bag; None if no message could be read, and nothing is left.
-
-    Raises
-    ------
-    OSError
-        If the files cannot be read, or the bag not be written.
-    """
+    """Make a bag of an unfinished one, with ``complete: false`` in its custom data."""
     path = partial.with_name(partial.name.removesuffix(PARTIAL))
     try:
         notes = json.loads((partial / NOTES).read_text(encoding="utf-8"))

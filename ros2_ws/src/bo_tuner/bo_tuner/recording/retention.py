@@ -86,15 +86,7 @@ def evaluation_badness(study: Study, evaluation: Evaluation) -> tuple[bool, floa
 
 
 class Retention:
-    """Deletes the bags of a run that shall not stay; what else is in the folder is left alone.
-
-    Parameters
-    ----------
-    folder
-        Holds the bags, also those of an earlier session of the run.
-    options
-        What shall stay.
-    """
+    """Deletes the bags of a run that shall not stay; what else is in the folder is left alone."""
 
     def __init__(self, folder: Path, options: RecordOptions) -> None:
         self._folder = folder
@@ -116,17 +108,7 @@ class Retention:
         return list(self._sizes)
 
     def reason(self, study: Study, trial: Trial, best: bool) -> Reason | None:
-        """Return what makes a trial notable, if anything does.
-
-        Parameters
-        ----------
-        study
-            The study.
-        trial
-            The trial.
-        best
-            Whether no trial so far is better.
-        """
+        """Return what makes a trial notable, if anything does."""
         if trial.state is TrialState.FAILED:
             return Reason.FAILED
         if trial.state is TrialState.CUT_SHORT:
@@ -140,23 +122,7 @@ class Retention:
         return reason is not None or self._options.policy is Policy.ALL
 
     def keep(self, path: Path, reason: Reason | None, value: float | None) -> list[str]:
-        """Take a whole bag in, and delete what it displaces.
-
-        Parameters
-        ----------
-        path
-            The bag.
-        reason
-            What makes it notable.
-        value
-            The trial's badness; None if it failed.
-
-        Returns
-        -------
-        list of str
-            Names of the bags that went for want of room. A bag for which there is none even
-            beside that of the best alone is the first of them.
-        """
+        """Take a whole bag in, and delete what it displaces."""
         displaced = []
         size, limit = _size(path), self._options.limit
         beside = sum(self._sizes[name] for name in self._best())
@@ -196,26 +162,14 @@ class Retention:
 
 
 def note_bag(path: Path) -> None:
-    """Take down that the run makes a bag.
-
-    Raises
-    ------
-    OSError
-        If that cannot be written.
-    """
+    """Take down that the run makes a bag."""
     descriptor = open_file(path.with_name(MADE), os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
         file.write(f"{path.name}\n")
 
 
 def made_bags(folder: Path) -> list[Path]:
-    """List the bags that a run has made, those included that are gone; none is a link.
-
-    Raises
-    ------
-    OSError
-        If the list cannot be read.
-    """
+    """List the bags that a run has made, those included that are gone; none is a link."""
     try:
         descriptor = open_file(folder / MADE, os.O_RDONLY)
     except FileNotFoundError:

@@ -36,27 +36,7 @@ Listen = Callable[[Recorder], Listener]
 
 
 class RunRecording(RunObserver):
-    """Records evaluations; use it in a ``with`` block around them.
-
-    Parameters
-    ----------
-    folder
-        Of the run; bags go to ``bags`` in it, what goes wrong with them to ``log/recording.log``.
-    study
-        The study.
-    options
-        What to record.
-    listen
-        Makes the listener; None if there is nothing to hear.
-    report
-        Called with a line of text on each thing that goes wrong.
-    signals
-        Returns the signals of the last run.
-    worker
-        Returns which of several workers that was on.
-    at_once
-        How many evaluations are run at once.
-    """
+    """Records evaluations; use it in a ``with`` block around them."""
 
     def __init__(
         self,

@@ -101,13 +101,7 @@ def recording_note(recording: Recording) -> dict[str, object] | None:
 
 
 def recorded_runs(bag: Path) -> Iterator[RecordedRun]:
-    """Read the runs with signals in a bag, in their order.
-
-    Raises
-    ------
-    RunRecordError
-        If it is no bag of a run, or is damaged.
-    """
+    """Read the runs with signals in a bag, in their order."""
     try:
         data_of_bag = custom_data(bag)
         evaluations = json.loads(data_of_bag.get("evaluations", "[]"))

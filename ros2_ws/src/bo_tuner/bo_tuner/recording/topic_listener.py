@@ -46,17 +46,6 @@ class TopicListener:
     """A ROS node with a subscription to each topic of some nodes, served by a thread.
 
     Messages are taken as they are on the wire, without being decoded.
-
-    Parameters
-    ----------
-    context
-        The ROS context of the tuner: one participant for both keeps the traffic low.
-    nodes
-        Names of the nodes to hear, relative to the namespace.
-    topics
-        Topics to hear whoever publishes them, relative to the namespace or absolute.
-    sink
-        Where messages go.
     """
 
     def __init__(self, context: Context, nodes: list[str], topics: list[str], sink: Sink) -> None:

@@ -55,13 +55,6 @@ OnNodesT = TypeVar("OnNodesT", bound=OnNodes)
 class ListeningBackend(Generic[OnNodesT]):
     """The backend of a worker, with what its nodes say in each evaluation.
 
-    Parameters
-    ----------
-    listen
-        Makes a listener to the nodes of an open backend.
-    backend
-        Runs the evaluations.
-
     Attributes
     ----------
     heard
@@ -114,12 +107,6 @@ class ListeningBackend(Generic[OnNodesT]):
 
 class HeardByWorkers:
     """A listener of the run, to which workers are what nodes are to one in their process.
-
-    Parameters
-    ----------
-    latest
-        Returns what a worker has said of the evaluation that has ended last, and nothing when it is
-        asked again.
 
     Attributes
     ----------

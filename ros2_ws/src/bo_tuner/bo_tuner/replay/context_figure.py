@@ -14,15 +14,7 @@ COLUMNS = 2
 
 
 def context_figure(identified: Identification, narrower: Study) -> Figure:
-    """Draw the density of each context before the runs and by them, and the bounds written.
-
-    Parameters
-    ----------
-    identified
-        The posterior.
-    narrower
-        The study with the distribution that is written.
-    """
+    """Draw the density of each context before the runs and by them, and the bounds written."""
     space = identified.study.context_space()
     draws = space.draw_stratified(PRIOR_DRAWS, np.random.default_rng(0))
     panels = []

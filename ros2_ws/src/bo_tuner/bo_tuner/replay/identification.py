@@ -81,24 +81,7 @@ class Identification:
 def identify(
     study: Study, machine: MachineRuns, driver: Driver, simulations: int = SIMULATIONS
 ) -> Identification:
-    """Infer the context of a machine.
-
-    Parameters
-    ----------
-    study
-        Of the simulator, with the box of contexts; their distribution is the prior.
-    machine
-        Its runs.
-    driver
-        Runs the simulator; its backend is open.
-    simulations
-        Runs of the simulator at each parameter set in each design.
-
-    Raises
-    ------
-    RunRecordError
-        If the simulator fails in most contexts, or the machine's runs do not suffice.
-    """
+    """Infer the context of a machine."""
     space = study.context_space()
     scale = _Scale(study, machine)
     rng = generator(study.seed, Stream.IDENTIFICATION)
@@ -173,15 +156,7 @@ def _emulator(
 
 
 class _Scale:
-    """Metrics on the scale on which they are modelled: logarithms of those that vary in proportion.
-
-    Parameters
-    ----------
-    study
-        Of the simulator.
-    machine
-        The runs of the machine, with the metrics.
-    """
+    """Metrics on their scales: logarithms of those that vary in proportion."""
 
     def __init__(self, study: Study, machine: MachineRuns) -> None:
         self._names = machine.metrics

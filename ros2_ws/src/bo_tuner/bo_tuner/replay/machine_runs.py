@@ -54,24 +54,7 @@ def machine_runs(
     metrics: Sequence[str] | None = None,
     trial: int | None = None,
 ) -> MachineRuns:
-    """Read the runs in run folders or bags, and hold them against the study of the simulator.
-
-    Parameters
-    ----------
-    paths
-        Run folders, and bags of runs.
-    study
-        Of the simulator.
-    metrics
-        Of the study, which to compare; None for all that can be.
-    trial
-        The number of the trial whose runs are read; None for all.
-
-    Raises
-    ------
-    RunRecordError
-        If there is no complete run, or they are not of what the study describes. One line.
-    """
+    """Read the runs in run folders or bags, and hold them against the study of the simulator."""
     runs: list[_Run] = []
     times: set[str] = set()
     for path in paths:

@@ -37,13 +37,7 @@ class Recomputed:
 
 
 def check_recorded(record: RunRecord, study: Study) -> None:
-    """Refuse a study with metrics that a run's bags do not give.
-
-    Raises
-    ------
-    RunRecordError
-        If a metric is not computed from signals, or from other signals than were recorded.
-    """
+    """Refuse a study with metrics that a run's bags do not give."""
     recorded = record.study.signals
     for name, metric in study.metrics.items():
         if isinstance(metric, ReportedMetric):
@@ -65,20 +59,6 @@ def recompute(
     """Compute the metrics of a study for every run in the bags of a record, in their order.
 
     Metrics that are relative to the default are left out: the runs of the default are in no bag.
-
-    Parameters
-    ----------
-    record
-        The run.
-    study
-        Defines metrics and signals; the record's own, or another one.
-    interrupted
-        Asked while a function of the study computes; raises what shall end it.
-
-    Raises
-    ------
-    RunRecordError
-        If the bags do not give the study's metrics, or there is no bag with signals.
     """
     check_recorded(record, study)
     recording = NOTHING_RECORDED
@@ -96,20 +76,7 @@ def recompute(
 
 
 def measure_again(record: RunRecord, study: Study) -> Measure:
-    """Return what computes the metrics of another study for the evaluations of a record's trials.
-
-    Parameters
-    ----------
-    record
-        The run.
-    study
-        The other study.
-
-    Raises
-    ------
-    RunRecordError
-        If the bags do not give the study's metrics, or there is no bag with signals.
-    """
+    """Return what computes the metrics of another study for the trials of a record."""
     # The default's runs beside the evaluations are in no bag.
     anew = [
         study.metrics[name]

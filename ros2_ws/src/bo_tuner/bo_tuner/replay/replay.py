@@ -112,15 +112,6 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
 
     A metric that is not reproducible, such as one of measured time or of signals over ROS,
     is judged only if both the record and the replay are in process, where nothing is measured.
-
-    Parameters
-    ----------
-    record
-        The run.
-    recorded
-        One of its evaluations.
-    backend
-        Runs the evaluation; already open.
     """
     old = recorded
     new = Driver(backend).evaluate(old)
@@ -140,21 +131,7 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
 
 
 def find_trial(record: RunRecord, which: str) -> int:
-    """Return the number of a trial.
-
-    Parameters
-    ----------
-    record
-        The run.
-    which
-        Its number; `BEST`, the result of the run or the best trial so far; or `WORST`, the complete
-        trial with the largest worst case (in a study without one: the worst mean objective).
-
-    Raises
-    ------
-    RunRecordError
-        If there is no such trial.
-    """
+    """Return the number of a trial."""
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
@@ -181,23 +158,7 @@ def find_trial(record: RunRecord, which: str) -> int:
 
 
 def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluation:
-    """Return an evaluation of a trial, with those that checked it as a candidate.
-
-    Parameters
-    ----------
-    record
-        The run.
-    trial
-        Number of the trial.
-    index
-        Index of the evaluation in the trial; None for the worst one: one that failed, or else the
-        one with the largest worst-case metric (in a study without one: the worst objective).
-
-    Raises
-    ------
-    RunRecordError
-        If there is no such evaluation.
-    """
+    """Return an evaluation of a trial, with those that checked it as a candidate."""
     evaluations = latest_by_place(record.evaluations, (*TUNING, *CHECKS))[trial]
     if index is None:
         return max(evaluations.values(), key=lambda item: evaluation_badness(record.study, item))

@@ -24,25 +24,6 @@ def write_side_by_side(
 
     All sides start at the same time: the header stamps and the bag times of the others are shifted
     to the start of the first.
-
-    Parameters
-    ----------
-    path
-        The bag; an existing one is replaced.
-    sides
-        Messages of an evaluation, in the order of their arrival, by name.
-    notes
-        Custom data of the bag.
-
-    Returns
-    -------
-    bool
-        Whether there was anything to write.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
     """
     starts = {name: _start(messages) for name, messages in sides.items()}
     begin = next((start for start in starts.values() if start is not None), 0)

@@ -39,13 +39,7 @@ MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.O
 
 
 def comparison(runs: Mapping[str, Analysis]) -> list[Section]:
-    """Compare runs.
-
-    Parameters
-    ----------
-    runs
-        At least two runs by the names that they have on the page.
-    """
+    """Compare runs."""
     return [
         _verdicts(runs),
         _parameters(runs),

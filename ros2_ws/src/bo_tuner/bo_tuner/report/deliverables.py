@@ -23,15 +23,6 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell, known: Known | None
     """Write or update the report of a run and, if it has a result, its bundle.
 
     Both can be made again from the record, so a failure is only a warning.
-
-    Parameters
-    ----------
-    folder
-        The run folder.
-    tell, warn
-        Called with a line on each file written, or on a failure.
-    known
-        As `write_report`.
     """
     try:
         record = with_summary(read_run(folder), warn)
@@ -52,11 +43,6 @@ def withdraw_result(folder: Path) -> None:
     """Remove the files of an earlier session's result, which a run with trials to come has not.
 
     The certificates stay: what they say of a parameter set holds.
-
-    Raises
-    ------
-    OutputError
-        If one cannot be removed.
     """
     try:
         for name in (SUMMARY, BEST, REPORT):
@@ -67,13 +53,7 @@ def withdraw_result(folder: Path) -> None:
 
 
 def with_verdict(record: RunRecord) -> RunRecord:
-    """Bring the verdict in the summary's file up to date with the latest certificate.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Bring the verdict in the summary's file up to date with the latest certificate."""
     if record.summary is None:
         return record
     current = as_summary(run_verdict(record))

@@ -45,15 +45,7 @@ def of_limit(constraint: Constraint, value: float) -> float:
 
 
 def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, int | None]) -> Panel:
-    """Return the objective by trial, and the best within limits so far, from the first one on.
-
-    Parameters
-    ----------
-    study, trials
-        Of the run.
-    best
-        Which trial the run said that is, by the number of trials known then; None if none is.
-    """
+    """Return the objective by trial, and the best within limits so far, from the first one on."""
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
     outcomes = [outcome_by_runs(study, trial) for trial in trials]

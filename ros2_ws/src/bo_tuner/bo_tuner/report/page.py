@@ -117,24 +117,7 @@ def report_figures(analysis: Analysis, parts: Sequence[Chapter]) -> list[Figure]
 
 
 def write_report(run: RunRecord, path: Path, known: Known | None = None) -> Path:
-    """Write the report of a run to `path` and return it.
-
-    Parameters
-    ----------
-    run
-        The run, which may still be in progress.
-    path
-        The HTML file, replaced if it exists; its folder is created.
-    known
-        What the run has found already.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    RunRecordError
-        If summary or certificate do not fit the record.
-    """
+    """Write the report of a run to `path` and return it."""
     analysis = Analysis(run, known or Known())
     return write_page(analysis, chapters(analysis), path)
 
@@ -292,17 +275,7 @@ def render(
 
 
 def fill(template: str, scripts: Sequence[str] = OF_REPORTS, **content: object) -> str:
-    """Fill a template that extends the base of all pages.
-
-    Parameters
-    ----------
-    template
-        Its name.
-    scripts
-        Names of its scripts.
-    **content
-        What the template needs.
-    """
+    """Fill a template that extends the base of all pages."""
     texts = [_template(name) for name in scripts]
     allowed = [f"'sha256-{_digest(text)}'" for text in texts]
     return (

@@ -20,13 +20,7 @@ MOST_POINTS = 2000
 
 
 def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
-    """Return the recorded signals of an evaluation; None if no bag has them.
-
-    Raises
-    ------
-    RunRecordError
-        If its bag cannot be read.
-    """
+    """Return the recorded signals of an evaluation; None if no bag has them."""
     folder = analysis.record.path / BAGS
     name = bag_name(wanted)
     for bag in sorted(filter(is_bag, (*folder.glob(name), *folder.glob(f"{name}_part*")))):
@@ -49,13 +43,7 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
 def worst_recorded(
     analysis: Analysis, parameters: Mapping[str, Value]
 ) -> tuple[Evaluation, RecordedRun] | None:
-    """Return the worst complete evaluation of a parameter set that a bag has, with its signals.
-
-    Raises
-    ------
-    RunRecordError
-        If its bag cannot be read.
-    """
+    """Return the worst complete evaluation of a parameter set that a bag has, with its signals."""
     badness = partial(evaluation_badness, analysis.study)
     for evaluation in sorted(analysis.evaluations_of(parameters), key=badness, reverse=True):
         if (run := recorded(analysis, evaluation)) is not None:
@@ -69,15 +57,6 @@ def signal_panels(
     """Return panels over one time axis, with a line for each of the runs.
 
     A signal and its set-point share a panel.
-
-    Parameters
-    ----------
-    study
-        The study.
-    runs
-        By the names of their lines.
-    styles
-        Colour and dash of the lines by these names.
     """
     names = list(dict.fromkeys(name for run in runs.values() for name in run.recording.signals))
     end = max(run.recording.end for run in runs.values())

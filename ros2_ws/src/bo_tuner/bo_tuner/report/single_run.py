@@ -60,17 +60,7 @@ def _is_own(element: Element) -> bool:
 
 
 def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Figure:
-    """Return the figure of the response.
-
-    Parameters
-    ----------
-    run
-        The run.
-    drawn
-        At least one panel.
-    caption
-        Where the signals are from.
-    """
+    """Return the figure of the response."""
     return Figure(
         name="response",
         title=f"{run.study.name}: {run.headline}",
@@ -82,17 +72,7 @@ def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Fig
 
 
 def single_run_sections(run: SingleRun, figure: Figure | None, missing: str) -> list[Section]:
-    """Return the sections of the page.
-
-    Parameters
-    ----------
-    run
-        The run.
-    figure
-        The response; None without one.
-    missing
-        Why there is none.
-    """
+    """Return the sections of the page."""
     study, evaluation = run.study, run.evaluation
     defaults, rows = study.search_space().defaults, list(run.rows())
     parameters = Table(

@@ -25,15 +25,7 @@ from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 
 
 def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
-    """Return the sections of a trial's page.
-
-    Parameters
-    ----------
-    analysis
-        Of the run.
-    trial
-        One of its trials, with the evaluations that checked it.
-    """
+    """Return the sections of a trial's page."""
     return [_summary(analysis, trial), _signals(analysis, trial), _evaluations(analysis, trial)]
 
 

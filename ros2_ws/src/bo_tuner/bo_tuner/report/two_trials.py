@@ -18,15 +18,7 @@ from bo_tuner.trials import Trial
 
 
 def two_trials(analysis: Analysis, one: Trial, other: Trial) -> list[Section]:
-    """Return the sections of the page.
-
-    Parameters
-    ----------
-    analysis
-        Of the run.
-    one, other
-        Two of its trials, with the evaluations that checked them.
-    """
+    """Return the sections of the page."""
     trials = {f"trial {trial.number}": trial for trial in (one, other)}
     study = analysis.study
     outcomes = [f"{name}: {outcome_on_screen(study, trial)}" for name, trial in trials.items()]

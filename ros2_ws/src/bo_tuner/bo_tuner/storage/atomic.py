@@ -59,22 +59,6 @@ def write_atomically(path: Path, content: str | bytes, like: Path | None = None)
 
     A temporary file in the same folder is written, synchronized and renamed, and the folder is
     synchronized. A file that has this content already is left alone.
-
-    Parameters
-    ----------
-    path
-        A regular file, or the name of a new one.
-    content
-        Text is written as UTF-8.
-    like
-        A file whose owner, group and mode it gets, before there is anything in it; None for those
-        of a new file.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written, if this user may not give it such an owner, or if what is there
-        is no regular file. A symbolic link is not followed: it may lead out of the run folder.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     with writing(path):
@@ -110,13 +94,7 @@ def _make_alike(descriptor: int, wanted: os.stat_result) -> None:
 
 
 def synchronize(folder: Path) -> None:
-    """Make the names in a folder durable.
-
-    Raises
-    ------
-    OSError
-        If that fails.
-    """
+    """Make the names in a folder durable."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -125,13 +103,7 @@ def synchronize(folder: Path) -> None:
 
 
 def _is_regular(path: Path) -> bool:
-    """Return whether there is a regular file; False if there is nothing.
-
-    Raises
-    ------
-    OSError
-        If there is something else.
-    """
+    """Return whether there is a regular file; False if there is nothing."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:

@@ -20,13 +20,6 @@ def export_csv(path: Path, directory: Path) -> None:
     ``metrics.overshoot``. A trial has the mean of each metric over its draws, or over its nominal
     evaluations. Evaluations of the validation have ``default`` or ``tuned`` in place of a trial.
     Times and hyperparameters are left out: runs that are the same have the same tables.
-
-    Raises
-    ------
-    JournalError
-        If the journal cannot be read.
-    OutputError
-        If a file cannot be written.
     """
     content = read_journal(path)
     trials = [trial_row(trial) for trial in content.trials]

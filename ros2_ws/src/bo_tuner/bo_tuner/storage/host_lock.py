@@ -14,11 +14,6 @@ def host_lock(name: str) -> IO[str] | None:
     """Take a lock by its name; None if another process has it.
 
     Closing the file gives it back, and so does the end of the process.
-
-    Raises
-    ------
-    BackendError
-        If its file cannot be opened.
     """
     path = Path(tempfile.gettempdir()) / f"bo_tuner-{os.getuid()}-{name}.lock"
     try:

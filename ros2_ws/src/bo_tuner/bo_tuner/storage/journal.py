@@ -74,20 +74,6 @@ class Journal:
     """Append-only record of evaluations, trials and events.
 
     Each call that records something returns only once it is on disk.
-
-    Parameters
-    ----------
-    path
-        The file; made if it does not exist.
-    provenance
-        What works on the run from now on: versions, seed, host. A row of its own each time.
-    trials
-        Trials that a new journal begins with.
-
-    Raises
-    ------
-    JournalError
-        If the file cannot be opened, is no journal, or is of another version.
     """
 
     def __init__(
@@ -169,22 +155,7 @@ def create_journal(
     trials: Sequence[Trial],
     events: Sequence[Event] = (),
 ) -> None:
-    """Write a journal in one step: a kill leaves the whole of it or nothing.
-
-    Parameters
-    ----------
-    path
-        The file; what is there is replaced.
-    sessions
-        Provenance of each process that worked on the run.
-    evaluations, trials, events
-        What it begins with.
-
-    Raises
-    ------
-    JournalError
-        If it cannot be written.
-    """
+    """Write a journal in one step: a kill leaves the whole of it or nothing."""
     beside = temporary_path(path)
     try:
         beside.unlink(missing_ok=True)
@@ -276,14 +247,7 @@ def harden(db: sqlite3.Connection) -> None:
 
 
 def check_rollback(path: Path) -> None:
-    """Refuse a rollback journal that leads to other files: SQLite would delete what it names.
-
-    Raises
-    ------
-    JournalError
-        If there is one. Only a transaction over several databases writes the name of a
-        super-journal (https://www.sqlite.org/atomiccommit.html).
-    """
+    """Refuse a rollback journal that leads to other files: SQLite would delete what it names."""
     rollback = path.with_name(f"{path.name}-journal")
     try:
         with rollback.open("rb") as file:
@@ -298,13 +262,7 @@ def check_rollback(path: Path) -> None:
 
 
 def check_schema(path: Path, db: sqlite3.Connection) -> None:
-    """Refuse a journal with other tables, or with views, triggers or indices.
-
-    Raises
-    ------
-    JournalError
-        With a table that is missing, or an object that is too much.
-    """
+    """Refuse a journal with other tables, or with views, triggers or indices."""
     with contextlib.closing(sqlite3.connect(":memory:")) as own:
         own.executescript(SCHEMA)
         expected = set(own.execute(_OBJECTS))
@@ -315,13 +273,7 @@ def check_schema(path: Path, db: sqlite3.Connection) -> None:
 
 
 def check_version(path: Path, version: int) -> None:
-    """Refuse a journal of another version.
-
-    Raises
-    ------
-    JournalError
-        With both versions.
-    """
+    """Refuse a journal of another version."""
     if version != SCHEMA_VERSION:
         raise JournalError(
             f"{path}: journal version {version}, but this version of bo_tuner reads version "

@@ -73,13 +73,7 @@ class JournalContent:
 
 
 def read_journal(path: Path) -> JournalContent:
-    """Read a journal, which another process may be writing.
-
-    Raises
-    ------
-    JournalError
-        If the file cannot be read, is no journal, or is of another version.
-    """
+    """Read a journal, which another process may be writing."""
     if not path.is_file():
         raise JournalError(f"{path}: no journal there")
     if path.stat().st_size > maxima.JOURNAL_BYTES:

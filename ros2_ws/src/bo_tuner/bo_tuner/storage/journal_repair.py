@@ -26,19 +26,6 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     """Read a journal that no process is writing, and make a damaged one whole.
 
     The damaged files stay beside the new ones, under another name.
-
-    Returns
-    -------
-    content
-        What could be read.
-    text
-        What was done, in a line; empty if nothing was wrong.
-
-    Raises
-    ------
-    JournalError
-        If the file cannot be read, is no journal, is of another version, or if the new journal
-        cannot be written.
     """
     _finish_replacement(path)
     content = read_journal(path)
@@ -65,18 +52,6 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
     No later trial was proposed with knowledge of them. Their evaluations stay on record, and those
     that are complete are not run again. A lost trial that others follow stays: these were proposed
     when it had been lost twice.
-
-    Parameters
-    ----------
-    path
-        A journal that no process is writing.
-    content
-        What it holds, undamaged.
-
-    Raises
-    ------
-    JournalError
-        If it cannot be written.
     """
     kept = len(content.trials)
     while kept and content.trials[kept - 1].unusable:

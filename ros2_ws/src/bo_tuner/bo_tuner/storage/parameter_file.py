@@ -70,13 +70,7 @@ def to_yaml(values: NodeValues, notes: Iterable[str] = ()) -> str:
 
 
 def from_yaml(text: str) -> dict[str, dict[str, object]]:
-    """Return the values in a text that `to_yaml` made.
-
-    Raises
-    ------
-    ValueError
-        If it is another text; one line.
-    """
+    """Return the values in a text that `to_yaml` made."""
     values: dict[str, dict[str, object]] = {}
     try:
         for section in read_sections(text):

@@ -14,23 +14,7 @@ from bo_tuner.trials import Value
 
 
 def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[str, Value]:
-    """Return the values of the study's parameters that a file holds, by their names in the study.
-
-    Parameters
-    ----------
-    path
-        A file of values by name, ``gain: 0.4``, or a parameter file of ROS nodes. Of the latter
-        the values are those that ROS gives the nodes, and everything else is ignored.
-    study
-        The study.
-    namespace
-        Of its nodes; empty if none is named: then the namespaces that the file has.
-
-    Raises
-    ------
-    StudyError
-        If it is no such file, or is not a parameter set of the study. One line.
-    """
+    """Return the values of a study's parameters that a file holds, by their names there."""
     source = str(path)
     lines: Mapping[KeyPath, int] = {}
     try:

@@ -81,11 +81,6 @@ def sources(study: Study, backend: str) -> dict[str, str]:
     installed Python package that has a node that the study starts or, in process, an object that it
     names, with what the package ships in ``config``, such as defaults. What is not written in
     Python, or runs on another machine, has no digest.
-
-    Returns
-    -------
-    dict from str to str
-        ``sources_sha256`` for this package, ``sources_sha256.<package>`` for each other.
     """
     packages, folder = code_of(study, backend)
     keys = {p: SOURCES if p == OWN_PACKAGE else f"{SOURCES}.{p}" for p in packages}

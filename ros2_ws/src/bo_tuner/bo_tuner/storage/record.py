@@ -91,14 +91,7 @@ class RunRecord:
 
 
 def read_run(path: Path) -> RunRecord:
-    """Read the run in a folder, which may be going on.
-
-    Raises
-    ------
-    RunRecordError
-        If it is no run folder, holds links or pipes, its study or journal cannot be read, or the
-        study is not the one on record. One line.
-    """
+    """Read the run in a folder, which may be going on."""
     if not path.is_dir():
         raise RunRecordError(f"{path}: no such run folder")
     if os.path.lexists(path / STUDY):
@@ -185,13 +178,7 @@ def _study(path: Path, in_file: Study, sessions: Sequence[Mapping[str, str]]) ->
 
 
 def _simulation(path: Path, sessions: Sequence[Mapping[str, str]]) -> tuple[Trial, ...]:
-    """Read the trials of a simulation that the run knows.
-
-    Raises
-    ------
-    JournalError
-        If they cannot be read, or the file is not the one that the run began with.
-    """
+    """Read the trials of a simulation that the run knows."""
     digests = {session.get(SIMULATION_SHA256) for session in sessions} - {None}
     if not digests:
         return ()

@@ -42,18 +42,7 @@ def is_parameter_file(text: str) -> bool:
 
 
 def read_sections(text: str) -> list[Section]:
-    """Return what ROS reads from a parameter file.
-
-    Parameters
-    ----------
-    text
-        The content of the file, its line breaks as they are.
-
-    Raises
-    ------
-    StudyError
-        If ROS refuses it, with the line.
-    """
+    """Return what ROS reads from a parameter file."""
     reader = _Reader(text)
     try:
         for event in yaml.parse(text, Loader=_LOADER):

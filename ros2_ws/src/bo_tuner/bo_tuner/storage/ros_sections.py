@@ -150,18 +150,7 @@ def full_name(node: str, namespace: str) -> str:
 
 
 def full_names(sections: list[Section], node: str, namespace: str = "") -> list[str]:
-    """Return the full names that a node may have in a file.
-
-    Parameters
-    ----------
-    sections
-        Of the file.
-    node
-        The name of the node in a study.
-    namespace
-        Of the nodes of the study. If it is empty, and the file has no such node in the root
-        namespace, these are its names in all namespaces in which the file has it.
-    """
+    """Return the full names that a node may have in a file."""
     name = full_name(node, namespace)
     if node.startswith("/") or namespace or any(section.is_of(name) for section in sections):
         return [name]
@@ -170,15 +159,7 @@ def full_names(sections: list[Section], node: str, namespace: str = "") -> list[
 
 
 def sources(sections: list[Section], node: str) -> dict[str, Source]:
-    """Return where each parameter of a node comes from: of several sections the last.
-
-    Parameters
-    ----------
-    sections
-        Of a file.
-    node
-        The full name of the node, such as ``/arm/pid``.
-    """
+    """Return where each parameter of a node comes from: of several sections the last."""
     by_name: dict[str, Source] = {}
     for section in sections:
         if section.is_of(node):

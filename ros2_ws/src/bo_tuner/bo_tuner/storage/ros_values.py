@@ -12,17 +12,7 @@ Single = bool | int | float | str
 
 
 def read_value(text: str, style: str = "", tag: str | None = None) -> Single:
-    """Return a single value with the type that ROS reads it as.
-
-    Parameters
-    ----------
-    text
-        The value, without quotes.
-    style
-        Its quotes; empty for none.
-    tag
-        Of YAML.
-    """
+    """Return a single value with the type that ROS reads it as."""
     if tag == _TEXT_TAG or style in ("'", '"'):
         return text
     if text in _TRUE or text in _FALSE:

@@ -40,13 +40,7 @@ _Values = Mapping[str, Value]
 
 
 def provenance_of(row: Row) -> dict[str, str]:
-    """Make the provenance of a session.
-
-    Raises
-    ------
-    ValueError
-        If the row is not one that this program writes to a journal.
-    """
+    """Make the provenance of a session."""
     provenance: dict[str, str] = _json(_Texts, row, "provenance")
     return provenance
 
@@ -118,13 +112,7 @@ def evaluations_of(row: Row) -> int:
 
 
 def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterable[Trial]) -> None:
-    """Refuse evaluations and trials that cannot be of a study.
-
-    Raises
-    ------
-    ValueError
-        With the first one, and why.
-    """
+    """Refuse evaluations and trials that cannot be of a study."""
     space, contexts = study.search_space(), study.context_space()
     searched = {constraint.name for constraint in study.worst_case_constraints}
     known: set[str] = set()

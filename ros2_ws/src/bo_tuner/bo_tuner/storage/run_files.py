@@ -49,11 +49,6 @@ def check_files(folder: Path) -> None:
     """Refuse a run folder in which anything is not a file or a folder.
 
     A link would lead reading and writing elsewhere, and a pipe would hold them up.
-
-    Raises
-    ------
-    RunRecordError
-        With the first one found, or the folder that cannot be read.
     """
     pending = [folder]
     while pending:
@@ -92,13 +87,7 @@ def is_same_file(path: Path, known: os.stat_result) -> bool:
 
 
 def open_file(path: Path, flags: int) -> int:
-    """Open a file and return its descriptor; a link, a pipe, a device or a folder is refused.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened, or is something else.
-    """
+    """Open a file and return its descriptor; a link, a pipe, a device or a folder is refused."""
     descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
@@ -108,15 +97,7 @@ def open_file(path: Path, flags: int) -> int:
 
 
 def read_text(path: Path) -> str:
-    """Read a file of UTF-8 text.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read, is too large, or is not a file.
-    UnicodeDecodeError
-        If it is no such text.
-    """
+    """Read a file of UTF-8 text."""
     with os.fdopen(open_file(path, os.O_RDONLY), "rb") as file:
         data = file.read(maxima.FILE_BYTES + 1)
     if len(data) > maxima.FILE_BYTES:

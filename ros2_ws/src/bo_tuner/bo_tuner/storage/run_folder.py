@@ -50,18 +50,7 @@ def how_to_resume(path: Path) -> str:
 
 
 class RunFolder:
-    """The folder of a run, which this process alone works in until it is closed.
-
-    Parameters
-    ----------
-    path
-        An existing folder.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written to, or another process works in it.
-    """
+    """The folder of a run, which this process alone works in until it is closed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -96,20 +85,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, output: Path, study: Study) -> Self:
-        """Make ``<output>/<study>-<date-time>``, with a number behind if that exists.
-
-        Parameters
-        ----------
-        output
-            Where runs are kept; made if need be.
-        study
-            The study as run, with what the command line changed in it.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be made or written to, or ``latest`` in `output` is not of a run.
-        """
+        """Make ``<output>/<study>-<date-time>``, with a number behind if that exists."""
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         try:
             output.mkdir(parents=True, exist_ok=True)
@@ -124,14 +100,7 @@ class RunFolder:
         return folder
 
     def check(self) -> None:
-        """Refuse to go on in a folder that is no longer this process's own.
-
-        Raises
-        ------
-        OutputError
-            If the folder was deleted, moved or replaced, or its lock was, so that another process
-            may work in it, too, or this process was forked from the one that works in it.
-        """
+        """Refuse to go on in a folder that is no longer this process's own."""
         self.check_process()
         if not is_same_file(self.path.resolve(), self._identity):
             raise OutputError(f"{self.path}: the run folder was deleted or moved during the run")
@@ -190,13 +159,7 @@ class RunFolder:
         return self.path / JOURNAL
 
     def link_latest(self) -> None:
-        """Let ``latest``, beside the folder, point to it.
-
-        Raises
-        ------
-        OutputError
-            If the link cannot be made, for example because somebody else's has its name.
-        """
+        """Let ``latest``, beside the folder, point to it."""
         target = self.path.with_name(LATEST)
         link = temporary_path(target)
         _check_latest(target)
@@ -225,13 +188,7 @@ class RunFolder:
         return write_atomically(self.path / STUDY, study_to_yaml(study))
 
     def write_json(self, name: str, content: Mapping[str, object]) -> Path:
-        """Write a file of JSON, with null for what is not a number, and return its path.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        """
+        """Write a file of JSON, with null for what is not a number, and return its path."""
         self.check()
         return write_json(self.path / name, content)
 
@@ -250,13 +207,7 @@ def write_json(path: Path, content: Mapping[str, object]) -> Path:
 
 
 def _check_latest(path: Path) -> None:
-    """Refuse to replace what no run has made: a file, a folder, or a link that leads elsewhere.
-
-    Raises
-    ------
-    OutputError
-        If there is such a thing.
-    """
+    """Refuse to replace what no run has made: a file, a folder, or a link that leads elsewhere."""
     if os.path.lexists(path) and not (path.is_symlink() and len(path.readlink().parts) == 1):
         raise OutputError(f"{path}: cannot point to the run: it is no link to a run beside it")
 

@@ -7,13 +7,7 @@ from bo_tuner.errors import OutputError
 
 
 def state_folder() -> Path:
-    """Return ``$XDG_STATE_HOME/bo_tuner``, in ``~/.local/state`` unless that is set.
-
-    Raises
-    ------
-    OutputError
-        If that is not set, and the user has no home folder.
-    """
+    """Return ``$XDG_STATE_HOME/bo_tuner``, in ``~/.local/state`` unless that is set."""
     given = os.environ.get("XDG_STATE_HOME", "")
     # By the XDG specification a relative path is ignored.
     if given.startswith("/"):

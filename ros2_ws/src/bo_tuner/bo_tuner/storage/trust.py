@@ -30,13 +30,7 @@ def is_trusted(study: Study) -> bool:
 
 
 def trust(study: Study) -> None:
-    """Trust a study from now on, for this user on this machine.
-
-    Raises
-    ------
-    OutputError
-        If that cannot be noted down.
-    """
+    """Trust a study from now on, for this user on this machine."""
     if is_trusted(study):
         return
     path = _trusted() / _digest(study)
@@ -46,13 +40,7 @@ def trust(study: Study) -> None:
 
 
 def check_trust(study: Study, folder: Path) -> None:
-    """Refuse to start what the study of a run names unless it is trusted.
-
-    Raises
-    ------
-    RunRecordError
-        With what the study names.
-    """
+    """Refuse to start what the study of a run names unless it is trusted."""
     if not is_trusted(study):
         raise RunRecordError(
             f"{folder}: its study would start {', '.join(foreign_programs(study))}, and was never "

@@ -109,13 +109,7 @@ def remeasured(then: Study, now: Study) -> list[str]:
 
 
 def check_comparable(record: RunRecord, study: Study, method: Method) -> None:
-    """Refuse a study of which no trial of a run can be data.
-
-    Raises
-    ------
-    RunRecordError
-        With what differs.
-    """
+    """Refuse a study of which no trial of a run can be data."""
     then = record.study
     if differences := incomparable_changes(then, study):
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
@@ -135,26 +129,7 @@ def carry_over(
     *,
     run: str = "",
 ) -> Carried:
-    """Take the trials of a run as far as they are data of a study.
-
-    Parameters
-    ----------
-    record
-        The earlier run.
-    study
-        Of the new run.
-    method
-        Of both runs; `check_comparable` has not refused them.
-    measure
-        Computes metrics again where there are any `remeasured`.
-    run
-        What the trials are said to come from; unless given, the folder of the run.
-
-    Raises
-    ------
-    RunRecordError
-        If no trial is left.
-    """
+    """Take the trials of a run as far as they are data of a study."""
     run = run or str(record.path.resolve())
     taking = Taking(record, study, method, measure, run)
     taken = list(taking.trials())
@@ -168,13 +143,7 @@ def carry_over(
 
 
 class Taking:
-    """Goes through the trials of a run, and counts what it leaves out.
-
-    Parameters
-    ----------
-    record, study, method, measure, run
-        As in `carry_over`.
-    """
+    """Goes through the trials of a run, and counts what it leaves out."""
 
     def __init__(
         self,

@@ -25,19 +25,7 @@ MOST_DEATHS = 10
 
 
 class Driver:
-    """Carries out one plan after the other.
-
-    Parameters
-    ----------
-    backend
-        Runs the evaluations; open.
-    observer
-        Is notified of each task that is planned, each evaluation and each step.
-    window
-        Number of tasks that are planned at once, at most.
-    gate
-        Passed after each evaluation and each task: there the run waits, ends, or finishes a phase.
-    """
+    """Carries out one plan after the other."""
 
     def __init__(
         self,
@@ -53,13 +41,7 @@ class Driver:
         self._gate = gate
 
     def complete(self, plan: Plan[TaskT]) -> None:
-        """Carry out a plan as a phase of the run, from its beginning to its end.
-
-        Raises
-        ------
-        RunError
-            If three tasks in a row were lost with their nodes or disturbed.
-        """
+        """Carry out a plan as a phase of the run, from its beginning to its end."""
         self._observer.begin(plan.phase, plan.steps)
         for _ in self.run(plan):
             pass
@@ -76,12 +58,6 @@ class Driver:
         An evaluation that was lost or disturbed is run again at once, as often as the plan has it.
         One in which a node dies twice has failed; one in which a node dies that does so whatever
         the parameters is run until it comes to its end, up to `MOST_DEATHS` times.
-
-        Raises
-        ------
-        RunError
-            If three tasks in a row were lost with their nodes or disturbed, or the backend, which
-            was open, cannot go on.
         """
         steps = Steps(plan, self._observer, window=self._window, gate=self._gate)
         yield from steps.begin()
@@ -102,13 +78,6 @@ class Steps(Generic[TaskT]):
     """A plan on its way, for whoever runs the evaluations: what is due, and what comes of it.
 
     `begin` comes first, and each generator is run to its end before the next call.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    observer, window, gate
-        As of `Driver`.
     """
 
     def __init__(
@@ -140,15 +109,7 @@ class Steps(Generic[TaskT]):
         return self._window.due()
 
     def take(self, evaluation: Evaluation) -> Iterator[TaskT]:
-        """Take the result of an evaluation that was due; yields tasks as the plan is told of them.
-
-        Raises
-        ------
-        RunError
-            If three tasks in a row were lost with their nodes or disturbed.
-        BackendError
-            If it was not due.
-        """
+        """Take the result of an evaluation; yields tasks as the plan is told of them."""
         evaluation = self._window.judged(evaluation)
         self._observer.evaluation(evaluation)
         self._pass_gate()

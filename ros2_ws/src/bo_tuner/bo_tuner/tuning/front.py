@@ -72,15 +72,7 @@ class Point:
 
 
 def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
-    """Return the points of the front in the order of the first objective, the best first.
-
-    Parameters
-    ----------
-    study
-        The study.
-    ranked
-        From `Ranking.rank`, with the evaluations of checks.
-    """
+    """Return the points of the front in the order of the first objective, the best first."""
     # In a space smaller than the budget several trials have the same parameter set.
     firsts: dict[object, Candidate] = {}
     for candidate in ranked:

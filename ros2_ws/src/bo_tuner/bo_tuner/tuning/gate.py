@@ -57,15 +57,6 @@ class Gate:
     It is passed when all observers know of the evaluation: the record and the displays are complete
     before a pause.
 
-    Parameters
-    ----------
-    check
-        Raises if the run is to end; also called all the while in a pause.
-    observer
-        Is notified of the start and the end of a pause.
-    time_is_up
-        Returns whether a phase is to end early for the time that it was given.
-
     Attributes
     ----------
     requests
@@ -125,13 +116,7 @@ class Gate:
         return TIME_UP if self._time_is_up() else None
 
     def wait(self, note: Callable[[EventKind, str], None] = lambda kind, detail: None) -> None:
-        """Wait while a pause is requested; raise if the run is to end.
-
-        Parameters
-        ----------
-        note
-            Is passed the beginning of a wait and its end, with what the guard says.
-        """
+        """Wait while a pause is requested; raise if the run is to end."""
         self._check()
         reason, self._halted_by = self._halted_by, ""
         # What the guard did is noted also if somebody has let the run go on in the meantime.

@@ -10,15 +10,7 @@ from bo_tuner.tuning.observer import RunObserver
 
 
 class JournalObserver(RunObserver):
-    """Records evaluations, trials and events, except evaluations read from the journal.
-
-    Parameters
-    ----------
-    journal
-        The journal, open.
-    check
-        Called before each record; raises what should end the run.
-    """
+    """Records evaluations, trials and events, except evaluations read from the journal."""
 
     def __init__(self, journal: Journal, check: Callable[[], None] = lambda: None) -> None:
         self._journal = journal

@@ -36,19 +36,6 @@ class TrialTask:
     It ends with the first evaluation that fails, is cut short or shows that the parameter set
     cannot be the answer, or as the method says.
 
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    number
-        Of the trial.
-    proposal
-        Its parameter set.
-    trials
-        Those whose results were known when it was planned; the search learns from them.
-    seconds
-        Wall time of the proposal [s].
-
     Attributes
     ----------
     recorded
@@ -171,13 +158,6 @@ class TrialTask:
 class RecordedTask:
     """A trial on record, which has ended as soon as it is planned.
 
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    trial
-        The trial.
-
     Attributes
     ----------
     recorded
@@ -195,13 +175,7 @@ class RecordedTask:
         """Return None: nothing is to be run."""
 
     def tell(self, evaluation: Evaluation) -> None:
-        """Take nothing.
-
-        Raises
-        ------
-        ValueError
-            Always: nothing was asked for.
-        """
+        """Take nothing."""
         raise ValueError(f"{evaluation.place} is on record")
 
     def trial(self) -> Trial:
@@ -232,15 +206,7 @@ def pending_trial(study: Study, method: Method, number: int, proposal: Proposal)
 
 
 def trials_are_over(study: Study, trials: Sequence[Trial], finished: int | None) -> bool:
-    """Return whether no trial is to come: the budget is spent, or the run was asked to finish.
-
-    Parameters
-    ----------
-    study, trials
-        Of the run.
-    finished
-        Number of trials after which an earlier session was asked to finish.
-    """
+    """Return whether no trial is to come: the budget is spent, or the run was asked to finish."""
     if finished is not None and len(trials) >= finished:
         return True
     return study.budget.is_spent(count_trials(trials), count_evaluations(trials))
@@ -250,20 +216,6 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
     """The trials of a study, up to its budget.
 
     Those that are pending are known to stage one, and are counted as if none was lost.
-
-    Parameters
-    ----------
-    study
-        The study.
-    method
-        The method.
-    recorded
-        Trials that an earlier session of the same run recorded, the first of the run. They are
-        planned and told like others, so that those after them are planned as they were before.
-    finished
-        Number of trials after which an earlier session was asked to finish.
-    refused
-        Parameter sets that somebody did not allow in an earlier session.
 
     Attributes
     ----------
@@ -343,21 +295,6 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
 class Tuning:
     """The trials of a study; iterating over it runs those that remain.
 
-    Parameters
-    ----------
-    study
-        The study.
-    driver
-        Carries out the plan.
-    method
-        The method.
-    trials
-        Those on record, which are not run again.
-    finished
-        Number of trials after which an earlier session was asked to finish.
-    refused
-        Parameter sets that somebody did not allow in an earlier session.
-
     Attributes
     ----------
     plan
@@ -387,11 +324,6 @@ class Tuning:
         """Run the remaining trials, and yield each when it has ended.
 
         A trial whose evaluation was lost twice, or disturbed, does not use up the budget.
-
-        Raises
-        ------
-        RunError
-            If three trials in a row were lost with their nodes or disturbed.
         """
         for task in self._driver.run(self.plan):
             if not task.recorded:

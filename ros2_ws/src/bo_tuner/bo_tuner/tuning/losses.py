@@ -17,13 +17,7 @@ HOW: Mapping[str, str] = {
 
 
 class Losses:
-    """Counter of tasks in a row with an unusable outcome, see `Outcome.unusable`.
-
-    Parameters
-    ----------
-    what
-        What is counted, in the plural, for the error message.
-    """
+    """Counter of tasks in a row with an unusable outcome, see `Outcome.unusable`."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -40,13 +34,7 @@ class Losses:
             self._in_a_row.clear()
 
     def check(self) -> None:
-        """End the run after too many in a row.
-
-        Raises
-        ------
-        RunError
-            After `LOST_IN_A_ROW` losses in a row.
-        """
+        """End the run after too many in a row."""
         if len(self._in_a_row) < LOST_IN_A_ROW:
             return
         last = self._in_a_row[-1]

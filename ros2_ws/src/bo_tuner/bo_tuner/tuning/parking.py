@@ -10,15 +10,7 @@ AGAIN = 5.0
 
 
 class ParkInPause(RunObserver):
-    """Sets the safe parameters at the start of a pause, and again until the nodes have them.
-
-    Parameters
-    ----------
-    park
-        Sets them; returns what went wrong, each in a line.
-    warn
-        Is passed what went wrong, and that it does not any more.
-    """
+    """Sets the safe parameters at the start of a pause, and again until the nodes have them."""
 
     def __init__(self, park: Callable[[], list[str]], warn: Callable[[str], None]) -> None:
         self._park = park

@@ -127,15 +127,7 @@ class Question:
             self.asked, self.given = asked, None
 
     def answer(self, given: Given, number: int | None = None) -> bool:
-        """Take an answer; returns whether it counts.
-
-        Parameters
-        ----------
-        given
-            The answer.
-        number
-            Of the question that was read; None for the one at hand.
-        """
+        """Take an answer; returns whether it counts."""
         with self._lock:
             is_open = self.asked is not None and self.given is None
             counts = is_open and number in (None, self.number)

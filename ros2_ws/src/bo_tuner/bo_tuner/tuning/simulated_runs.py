@@ -33,11 +33,6 @@ def take_simulation(record: RunRecord, study: Study, method: Method) -> Carried:
     and how a metric is measured may differ. The machine may lack contexts, which nobody can set
     there; then test runs in a context that was drawn or is nominal are data, and what the context
     changes counts as noise. Those in contexts that were searched for are none.
-
-    Raises
-    ------
-    RunRecordError
-        If what the study needs is not in the run, or no trial is left.
     """
     then = record.study
     metrics = dict.fromkeys(
@@ -81,13 +76,6 @@ def begun_by_simulation(study: Study, record: RunRecord, known: Carried) -> Stud
 
     It begins with its own start, and then, if there are more trials, with the result of the
     simulation.
-
-    Parameters
-    ----------
-    study
-        The study of the machine.
-    record, known
-        The run of the simulation, and what was taken of it.
     """
     best = _best(study, record, known.trials)
     is_last = len(study.starting_sets()) >= study.budget.trials
@@ -105,13 +93,7 @@ def _best(study: Study, record: RunRecord, taken: Sequence[Trial]) -> Mapping[st
 
 
 def write_simulation(folder: Path, known: Carried) -> None:
-    """Write what a run knows of a simulation into its folder.
-
-    Raises
-    ------
-    JournalError
-        If it cannot be written.
-    """
+    """Write what a run knows of a simulation into its folder."""
     create_journal(folder / SIMULATION, [], known.content.evaluations, known.trials)
 
 

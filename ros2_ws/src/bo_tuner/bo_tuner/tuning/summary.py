@@ -65,21 +65,6 @@ def concluding(
 
     It is validated beside the default, unless the method forbids to run that. Each plan is carried
     out before the next is asked for.
-
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    trials
-        All trials of the run.
-    finished
-        Number of runs of the search for the answer after which an earlier session was asked to
-        finish it.
-
-    Returns
-    -------
-    Conclusion or None
-        None if every trial failed.
     """
     search = method.answer_search(study, trials, None)
     search.finished = finished
@@ -105,13 +90,7 @@ def conclude(
     trials: Sequence[Trial],
     finished: int | None = None,
 ) -> Conclusion | None:
-    """Carry out what follows the trials, see `concluding`; returns what that does.
-
-    Raises
-    ------
-    RunError
-        If three evaluations in a row were lost with their nodes or disturbed.
-    """
+    """Carry out what follows the trials, see `concluding`; returns what that does."""
     plans = concluding(study, method, trials, finished)
     while True:
         try:
@@ -135,17 +114,6 @@ def continued(
     For a method to which they are data, they have the repetitions of a run that had ended. A run
     that may stop early does without: whether trials are to come is not known before they are
     judged.
-
-    Parameters
-    ----------
-    study, method
-        Of the run.
-    trials, evaluations
-        Of the record, in its order.
-    stop_early
-        Whether the run follows the advice to stop.
-    finished
-        Number of trials after which an earlier session was asked to finish.
     """
     if stop_early:
         return list(trials)
@@ -161,27 +129,7 @@ def choose_answer(
     *,
     most_repeated: int | None = None,
 ) -> Recommendation | None:
-    """Evaluate the best candidates again, by the method's rule, and recommend one.
-
-    Parameters
-    ----------
-    study, method, trials
-        As in `concluding`.
-    driver
-        Carries out the search.
-    most_repeated
-        Largest number of evaluations in it; by default as many as are due to the trials.
-
-    Returns
-    -------
-    Recommendation or None
-        None if no trial is complete.
-
-    Raises
-    ------
-    RunError
-        If three evaluations in a row were lost with their nodes or disturbed.
-    """
+    """Evaluate the best candidates again, by the method's rule, and recommend one."""
     search = method.answer_search(study, trials, most_repeated)
     driver.complete(search)
     return search.answer
@@ -197,21 +145,7 @@ def summarize(
     trials: int,
     evaluations: int,
 ) -> dict[str, object]:
-    """Return the content of ``summary.json`` but for the verdict.
-
-    Parameters
-    ----------
-    study, conclusion
-        Of the run.
-    advice
-        The advice to stop, if it was given.
-    stop_early
-        Whether it was to be followed.
-    finish
-        Why the trials were to finish early, as `plans.finish_in`.
-    trials, evaluations
-        How many are on record: of another record this is not the summary.
-    """
+    """Return the content of ``summary.json`` but for the verdict."""
     best, default, tuned = conclusion.recommendation, conclusion.default, conclusion.tuned
     content = {
         "study_sha256": study_sha256(study),
@@ -242,15 +176,7 @@ def summarize(
 
 
 def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
-    """Return a record with the summary of its file if that is one of this record, or made anew.
-
-    Parameters
-    ----------
-    record
-        The run, with the file's content if that is readable.
-    warn
-        Called with a line if the file cannot be used.
-    """
+    """Return a record with the summary of its file if that is one of this record, or made anew."""
     if record.summary is not None and _belongs(record.summary, record):
         return record
     made = summary_from_record(record)

@@ -43,15 +43,6 @@ class Validation:
 class ValidationPlan(Plan[Run]):
     """The evaluations of parameter sets on the same fresh draws, which depend on no result.
 
-    Parameters
-    ----------
-    study
-        The study; its budget sets the number of draws.
-    candidates
-        The parameter sets; all get the same contexts and seeds.
-    spared
-        Numbers of those that are not run, and have no draws.
-
     Attributes
     ----------
     evaluations

@@ -128,15 +128,7 @@ class VariedRuns:
 
 
 def plan(study: Study, *, whole_range: bool) -> Variations:
-    """Plan the runs around the default of a study.
-
-    Parameters
-    ----------
-    study
-        The study.
-    whole_range
-        Whether parameters are moved to the ends of their range, instead of in small steps.
-    """
+    """Plan the runs around the default of a study."""
     space = study.search_space()
     singly = _single(space, whole_range=whole_range)
     numbers = [name for name in space.numbers if name in singly]
@@ -209,22 +201,7 @@ def _levels(
 
 
 def order_of_runs(study: Study, planned: Variations, default_runs: int) -> list[int | None]:
-    """Return the runs in random order, so that a drift of the machine is no effect.
-
-    Parameters
-    ----------
-    study
-        The study.
-    planned
-        What is to be run.
-    default_runs
-        Number of runs of the default among them.
-
-    Returns
-    -------
-    list of int or None
-        Places of the variations in the plan; None for a run of the default.
-    """
+    """Return the runs in random order, so that a drift of the machine is no effect."""
     places: list[int | None] = [None] * default_runs
     for place, variation in enumerate(planned.variations):
         places += [place] * variation.runs

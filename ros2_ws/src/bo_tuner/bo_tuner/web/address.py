@@ -65,21 +65,7 @@ class Address:
 
 
 def listen(port: int, host: str | None = None, option: str = "--web") -> Address:
-    """Take a port of the loopback interface, or of that of a `host`; 0 takes any that is free.
-
-    Parameters
-    ----------
-    port, host
-        The port, and an IPv4 address of this machine or 0.0.0.0 for all of them, if other machines
-        are to reach it.
-    option
-        By which the user asks for the port, for the error.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be had.
-    """
+    """Take a port of the loopback interface, or of that of a `host`; 0 takes any that is free."""
     asked, host = f"{option} {port}" if host is None else f"--web-host {host}", host or HOST
     taken = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
@@ -102,15 +88,6 @@ def is_own_host(host: str, port: int, bound: str) -> bool:
     A page of a stranger could send requests by a name that it has resolve to this machine (DNS
     rebinding). It cannot do so by a number, so that of a page which other machines reach any
     number is one of its addresses.
-
-    Parameters
-    ----------
-    host
-        The header.
-    port
-        That of the pages.
-    bound
-        What their socket was bound to.
     """
     name, _, given = host.rpartition(":")
     if given != str(port):

@@ -48,21 +48,6 @@ class LivePage(RunObserver):
 
     The run never waits for that process: a message that the pipe cannot take is left out, since
     each one says all there is to say.
-
-    Parameters
-    ----------
-    study, folder
-        Of the run.
-    status
-        Status of the run; must receive each step before this observer.
-    address
-        Where to serve the page; this process closes the socket.
-    warn
-        Called with a line if the page is gone.
-    control
-        Takes the requests of the page; None for a page that is read-only.
-    question
-        Whether the next parameter set may be tried.
     """
 
     def __init__(

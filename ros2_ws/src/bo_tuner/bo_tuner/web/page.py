@@ -182,17 +182,7 @@ class Server(HTTPServer):
 
 
 def start_server(listening: socket.socket, access: Access, routes: Sequence[Route]) -> Server:
-    """Begin to serve pages.
-
-    Parameters
-    ----------
-    listening
-        A socket that listens.
-    access
-        Who may read them.
-    routes
-        Where the pages are.
-    """
+    """Begin to serve pages."""
     shared = {"access": access}
     application = Application(
         [(pattern, handler, shared | settings) for pattern, handler, settings in routes],

@@ -186,22 +186,7 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
 
 
 def serve_runs(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
-    """Serve the runs in a folder until the end is asked for.
-
-    Parameters
-    ----------
-    address
-        Where to; its socket is closed in the end.
-    folder
-        The folder of runs.
-    interruption
-        Ends it.
-
-    Raises
-    ------
-    Interrupted
-        At the end.
-    """
+    """Serve the runs in a folder until the end is asked for."""
     asyncio.run(_serve(address, folder, interruption))
 
 

@@ -79,15 +79,7 @@ class _Known:
 
 
 class Runs:
-    """Makes the pages about the runs in a folder; one thread at a time may use it.
-
-    Parameters
-    ----------
-    folder
-        The folder of runs.
-    present
-        Name of the run in progress, of which the page at `HOME` is; empty without one.
-    """
+    """Makes the pages about the runs in a folder; one thread at a time may use it."""
 
     def __init__(self, folder: Path, present: str = "") -> None:
         self._folder = folder
@@ -180,13 +172,7 @@ class Runs:
         }
 
     def report(self, name: str) -> str | None:
-        """Return the report of a run; None if there is no such run.
-
-        Raises
-        ------
-        BoTunerError
-            If it cannot be read.
-        """
+        """Return the report of a run; None if there is no such run."""
         names = self.names()
         if name not in names:
             return None
@@ -212,13 +198,7 @@ class Runs:
         )
 
     def trial(self, name: str, number: int) -> str | None:
-        """Return the page of a trial; None if there is none.
-
-        Raises
-        ------
-        BoTunerError
-            If the run cannot be read.
-        """
+        """Return the page of a trial; None if there is none."""
         if name not in self.names():
             return None
         analysis = self._analysis(name)
@@ -245,13 +225,7 @@ class Runs:
         )
 
     def two_trials(self, name: str, numbers: Sequence[int]) -> str | None:
-        """Return the page that compares two trials of a run; None if one does not exist.
-
-        Raises
-        ------
-        BoTunerError
-            If the run cannot be read.
-        """
+        """Return the page that compares two trials of a run; None if one does not exist."""
         if name not in self.names():
             return None
         analysis = self._analysis(name)
@@ -267,23 +241,11 @@ class Runs:
         )
 
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
-        """Return what is predicted for values of a run's parameters; None if there are none such.
-
-        Raises
-        ------
-        BoTunerError
-            If the run cannot be read.
-        """
+        """Return what is predicted for values of a run's parameters; None if it has none such."""
         return None if name not in self.names() else forecast(self._analysis(name), values)
 
     def compared(self, names: Sequence[str]) -> str | None:
-        """Return the page that compares runs; None if one does not exist.
-
-        Raises
-        ------
-        BoTunerError
-            If one cannot be read.
-        """
+        """Return the page that compares runs; None if one does not exist."""
         if not set(names) <= set(self.names()):
             return None
         parts = comparison({name: self._analysis(name) for name in names})

@@ -44,28 +44,13 @@ class Made:
 
 
 class LiveSections:
-    """Makes the parts of the page of a run in progress.
-
-    Parameters
-    ----------
-    folder
-        The run folder.
-    """
+    """Makes the parts of the page of a run in progress."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def made(self, best: Mapping[int, int | None], *, ended: bool) -> Made:
-        """Make all parts as of now; raises `RunRecordError` if the run cannot be read.
-
-        Parameters
-        ----------
-        best
-            Which trial is the best within limits, by the number of trials known then;
-            None if none is.
-        ended
-            Whether the run has.
-        """
+        """Make all parts as of now; raises `RunRecordError` if the run cannot be read."""
         record = read_as_it_stands(self._folder, ended=ended)
         when = datetime.now().astimezone().strftime("%H:%M:%S")
         made = live_parts(record.study, record.trials, best)
@@ -75,13 +60,7 @@ class LiveSections:
         return Made(tuple(Part(name, html) for name, html in made.items()), stamp)
 
     def shell(self, control: str) -> str:
-        """Return the page without its parts, which the browser asks for.
-
-        Parameters
-        ----------
-        control
-            The token of requests to the run; without it, the page has no buttons for them.
-        """
+        """Return the page without its parts, which the browser asks for."""
         study = read_run(self._folder).study
         return fill(
             "live.html",
@@ -95,13 +74,7 @@ class LiveSections:
 
 
 def read_as_it_stands(folder: Path, *, ended: bool) -> RunRecord:
-    """Read a run, with its summary if it may have `ended`.
-
-    Raises
-    ------
-    RunRecordError
-        If it cannot be read.
-    """
+    """Read a run, with its summary if it may have `ended`."""
     record = read_run(folder)
     # The summary of a run that goes on is one of an earlier session.
     return with_summary(record, _ignore) if ended else replace(record, summary=None)

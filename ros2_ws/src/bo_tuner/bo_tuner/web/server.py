@@ -137,18 +137,7 @@ class RequestToRun(LiveHandler):
 
 
 async def serve(listening: socket.socket, settings: Mapping[str, Any], steps: BinaryIO) -> None:
-    """Serve the page of a run until its end.
-
-    Parameters
-    ----------
-    listening
-        A socket that listens.
-    settings
-        The run `folder`, the `token` that a reader must know, the `host` that the socket is bound
-        to, and, if the run takes requests, the pipe for them as `control`.
-    steps
-        Gives a line of JSON whenever the run has something to say, and ends with it.
-    """
+    """Serve the page of a run until its end."""
     folder, control = Path(settings["folder"]), settings.get("control", NO_PIPE)
     access = Access(
         settings["token"],

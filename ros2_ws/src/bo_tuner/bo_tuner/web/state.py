@@ -32,11 +32,6 @@ class LiveState:
 
     All parts are of one state of the run, that of the `stamp`.
 
-    Parameters
-    ----------
-    sections
-        Makes the parts.
-
     Attributes
     ----------
     parts

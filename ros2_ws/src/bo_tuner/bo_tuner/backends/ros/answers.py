@@ -32,29 +32,14 @@ WORDS = (
 
 
 def check_expected(cls: Any, expected: Mapping[str, object]) -> None:
-    """Refuse fields that answers of a type do not have.
-
-    Raises
-    ------
-    StudyError
-        If there is one.
-    """
+    """Refuse fields that answers of a type do not have."""
     for name in expected:
         with under(name):
             kind_at(cls, field_path(name), spread=True)
 
 
 def refusal(answer: Any, expected: Mapping[str, object]) -> str:
-    """Return why something was not done, by the answer of a service; empty if it was.
-
-    Parameters
-    ----------
-    answer
-        Of any type.
-    expected
-        Values by field, such as ``status.code``, that the answer has if it was done; they count in
-        place of what is known of a field of this name.
-    """
+    """Return why something was not done, by the answer of a service; empty if it was."""
     try:
         for holder, name, wanted, found in _judged(answer, expected):
             if not checks.same_value(found, wanted):

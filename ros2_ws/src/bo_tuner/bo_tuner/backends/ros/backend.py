@@ -96,33 +96,6 @@ class _Opened(NamedTuple):
 class RosBackend(SequentialBackend):
     """Runs evaluations on the study's nodes.
 
-    Parameters
-    ----------
-    study
-        The study.
-    log_directory
-        Takes what started nodes print.
-    attach
-        Use nodes that run already instead of starting them. They are looked for in the domain
-        and with the discovery settings of the environment, and have in the end the parameters
-        that they had before.
-    keep_parked
-        Leave attached nodes, in the end, with the safe parameters that the study names.
-    run_log
-        Log directory of the run that this repeats a part of, if it is not this one's own.
-    guard
-        Have a guard leave the nodes safe if this process does not.
-    halt
-        Called when the guard has taken over, so that the next evaluation waits until somebody
-        lets it begin; without it that ends the run.
-    ros_arguments
-        ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
-        for the nodes that it starts.
-    interrupted
-        Asked while waiting; raises what shall end the wait.
-    worker
-        Number of the worker that this is the backend of.
-
     Attributes
     ----------
     at_nodes : callable
@@ -183,20 +156,7 @@ class RosBackend(SequentialBackend):
         self._started = StartedNodes(study, self._namespace, log_directory, worker)
 
     def open(self) -> None:
-        """Start the nodes, unless attached, and wait until they are discovered.
-
-        Raises
-        ------
-        BackendError
-            If the clock shows what no ROS message can, another tuner is at work on these nodes,
-            nodes to be started run already, one cannot be started, one does not appear in time, or
-            one runs more than once; or if, attached, a parameter that the study does not set is
-            not what it was when the first backend with this log directory was opened.
-        StudyError
-            If a node does not take its constant or safe parameters, or says that it does not take
-            others of the study, the study does not say how to start it, a topic, service or action
-            of its run is not there, or a function of its metrics cannot be imported.
-        """
+        """Start the nodes, unless attached, and wait until they are discovered."""
         check_wall_clock()
         sources = signal_sources(self._study, lambda: self.recording, lambda: self._interrupted())
         self._collector = Collector(self._study, self._functions.enter_context(sources))
@@ -290,13 +250,7 @@ class RosBackend(SequentialBackend):
                 self._opened.client.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
 
     def park(self) -> list[str]:
-        """Set the safe parameters on all nodes and read them back.
-
-        Returns
-        -------
-        list of str
-            What went wrong, each in a line.
-        """
+        """Set the safe parameters on all nodes and read them back."""
         return self._opened.safe_state.park()
 
     def recall(self, evaluations: Iterable[Evaluation]) -> None:
@@ -545,15 +499,7 @@ class RosBackend(SequentialBackend):
         )
 
     def _rest(self, procedure: Procedure) -> None:
-        """Let the machine rest ahead of a run.
-
-        Raises
-        ------
-        UnpreparedError
-            If its rest does not come to an end.
-        LostError
-            If nothing publishes a signal that says so.
-        """
+        """Let the machine rest ahead of a run."""
         self._rested = 0.0
         try:
             self._rested = procedure.rest()
@@ -561,17 +507,7 @@ class RosBackend(SequentialBackend):
             raise UnpreparedError(str(error)) from error
 
     def _prepare(self, procedure: Procedure) -> None:
-        """Prepare a run with the safe parameters.
-
-        Raises
-        ------
-        UnpreparedError
-            If that fails: it says nothing of the parameters of the trial, which no node has yet.
-        DisturbedError
-            If that is because somebody else was at work.
-        LostError
-            If a node does not have the safe ones, or does not answer.
-        """
+        """Prepare a run with the safe parameters."""
         # A node that has ended is reported as ended, not as one that does not answer.
         self._started.check()
         if problems := self.park():
@@ -593,15 +529,7 @@ class RosBackend(SequentialBackend):
             raise
 
     def _stop_failed(self, procedure: Procedure, error: Exception) -> None:
-        """Stop the machine in a run that failed, and raise if the parameters were not the cause.
-
-        Raises
-        ------
-        DisturbedError
-            If somebody else was at work.
-        LostError
-            If a node is not there.
-        """
+        """Stop the machine in a run that failed, and raise if the parameters were not the cause."""
         client, safe_state = self._opened.client, self._opened.safe_state
         # Parking overlooks what others have changed.
         disturbance = client.parameters.disturbance()
@@ -650,11 +578,6 @@ class RosBackend(SequentialBackend):
 
         ROS takes a process that is silent for long for dead. One that lives again is discovered
         anew, but its services may never be answered again (Fast DDS 2.14).
-
-        Raises
-        ------
-        BackendError
-            If that is so.
         """
         self._suspension.look()
         # A shorter gap is that of a busy computer, unless the guard has found it too long.
@@ -700,12 +623,6 @@ class RosBackend(SequentialBackend):
 
         An attached node has its previous parameters in the end, but for safe ones that the study
         names and that are to be kept; which these are is said.
-
-        Raises
-        ------
-        BackendError
-            If an attached node does not have them, does not end a goal, or does not do a step of
-            `after` that is still due; all else is closed then.
         """
         problems: list[str] = []
         undone: list[str] = []

@@ -21,23 +21,7 @@ LOOK_AROUND = 1.0
 
 
 class Bringup:
-    """Brings the nodes of a study up.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    client
-        The connection to the nodes.
-    started
-        Starts them, unless attached.
-    suspension
-        Leaves out the time in which a node is ended.
-    attach
-        Whether to use nodes that run already, and to start none.
-    """
+    """Brings the nodes of a study up."""
 
     def __init__(
         self,
@@ -58,25 +42,7 @@ class Bringup:
         client.start_values.restart = self.restart
 
     def open(self, safe: Values, *, look_around: bool) -> None:
-        """Start the nodes, unless attached, wait for them, and refuse to share them.
-
-        Parameters
-        ----------
-        safe
-            By node key the safe parameters, for those that take some only at their start.
-        look_around
-            Whether nodes that are to be started may run in the domain already.
-
-        Raises
-        ------
-        BackendError
-            If nodes to be started run already, one cannot be started, another tuner is at work on
-            them, or one runs more than once.
-        LostError
-            If one does not appear in time.
-        StudyError
-            If the study does not say how to start one.
-        """
+        """Start the nodes, unless attached, wait for them, and refuse to share them."""
         tuner, presence = self._tuner, self._client.presence
         self._client.start_values.reset(safe)
         if not self._attach:
@@ -93,13 +59,7 @@ class Bringup:
         self._settle_all()
 
     def restart(self, keys: Sequence[str]) -> None:
-        """Restart nodes that the tuner has started, and set the parameters that they must have.
-
-        Raises
-        ------
-        LostError
-            If one does not come back.
-        """
+        """Restart nodes that the tuner has started, and set the parameters that they must have."""
         presence = self._client.presence
         self._suspension.look()
         for key in keys:
@@ -120,15 +80,7 @@ class Bringup:
         self._client.start_values.after()
 
     def get_back(self) -> None:
-        """Start all nodes anew after a loss, or, attached, wait for them; set their constants.
-
-        Raises
-        ------
-        BackendError, StudyError
-            If one cannot be started, or does not take its constants.
-        LostError
-            If one does not come back.
-        """
+        """Start all nodes anew after a loss, or, attached, wait for them; set their constants."""
         tuner, client = self._tuner, self._client
         client.parameters.forget_all()
         if self._attach:

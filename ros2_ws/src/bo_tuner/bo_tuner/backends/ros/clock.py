@@ -110,13 +110,7 @@ class WallClock:
 
 
 class SimClock:
-    """The time that a simulation publishes on /clock.
-
-    Parameters
-    ----------
-    node
-        Subscribes; it is not in an executor.
-    """
+    """The time that a simulation publishes on /clock."""
 
     coarse = True
 
@@ -130,18 +124,7 @@ class SimClock:
         self._advanced = self._checked = time.monotonic()
 
     def connect(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
-        """Wait for the first message.
-
-        Parameters
-        ----------
-        wait
-            Waits until a condition holds; whether it did in time.
-
-        Raises
-        ------
-        StudyError
-            If there is none.
-        """
+        """Wait for the first message."""
         if not wait(lambda: bool(self._node.get_publishers_info_by_topic(TOPIC))):
             raise StudyError(f"nothing publishes {TOPIC}; expected a simulation, or clock: wall")
         if not wait(self._has_time):
@@ -238,13 +221,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 
 def check_wall_clock() -> None:
-    """Refuse a wall clock with a time that no ROS message can hold: every run would be refused.
-
-    Raises
-    ------
-    BackendError
-        With the time.
-    """
+    """Refuse a wall clock with a time that no ROS message can hold: every run would be refused."""
     now = time.time()
     if not 0.0 <= now <= END_OF_TIME - MARGIN:
         shown = time.strftime("%Y-%m-%d", time.gmtime(now))

@@ -28,13 +28,7 @@ def known(values: Array) -> NDArray[np.bool_]:
 
 
 class Edge:
-    """Looks for a condition that comes to hold, and holds for a time.
-
-    Parameters
-    ----------
-    hold
-        The time [s].
-    """
+    """Looks for a condition that comes to hold, and holds for a time."""
 
     def __init__(self, hold: float) -> None:
         self._hold = hold

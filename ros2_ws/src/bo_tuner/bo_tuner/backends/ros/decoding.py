@@ -15,13 +15,7 @@ class UnreadableError(Exception):
 
 
 def decode(data: bytes, message_class: Any) -> Any:
-    """Decode a message.
-
-    Raises
-    ------
-    UnreadableError
-        If it has more than `maxima.MESSAGE_BYTES`, or cannot be decoded.
-    """
+    """Decode a message."""
     if len(data) > maxima.MESSAGE_BYTES:
         raise UnreadableError(f"has {len(data)} bytes, expected at most {maxima.MESSAGE_BYTES}")
     try:

@@ -28,15 +28,7 @@ COMPONENTS = ("x", "y", "z", "w")
 
 
 class ItemMissingError(Exception):
-    """A message has not what a signal needs, such as the item of an array.
-
-    Parameters
-    ----------
-    problem
-        What it has not.
-    names
-        Those of its items, if the one that is needed is not among them.
-    """
+    """A message has not what a signal needs, such as the item of an array."""
 
     def __init__(self, problem: str, names: Sequence[str] = ()) -> None:
         super().__init__(problem)
@@ -48,11 +40,6 @@ def field_reader(cls: Any, field: Field) -> Callable[[Any], float]:
 
     It raises `ItemMissingError` for a message whose array does not have the item, or which has no
     such number, as the least of no values.
-
-    Raises
-    ------
-    StudyError
-        If messages of this type do not have the field, or it is no single number.
     """
     if isinstance(field, FieldCall):
         return _single(cls, field)

@@ -27,22 +27,7 @@ UNKNOWN_GOAL = CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
 
 
 class Goal:
-    """A goal that is sent in each run.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    spec
-        What the study says of it.
-    timeout
-        Time [s] to find the server.
-
-    Raises
-    ------
-    StudyError
-        If there is no such action, or its goals do not have the fields.
-    """
+    """A goal that is sent in each run."""
 
     def __init__(self, tuner: TunerNode, spec: SendGoal, timeout: float) -> None:
         self._tuner = tuner
@@ -60,13 +45,7 @@ class Goal:
         self._is_cancelled = False
 
     def fill(self, spec: SendGoal) -> None:
-        """Send from now on the goal of a step that differs in the values of contexts.
-
-        Raises
-        ------
-        StudyError
-            If goals of the action do not have the fields.
-        """
+        """Send from now on the goal of a step that differs in the values of contexts."""
         with under("goal"):
             self._message = make_message(self._kind, spec.goal)
 
@@ -81,15 +60,7 @@ class Goal:
         return self._asked is not None or self.is_active
 
     def send(self) -> None:
-        """Send the goal, and wait until it is accepted.
-
-        Raises
-        ------
-        FailedRunError
-            If it is refused.
-        LostError
-            If the server does not answer, or has not ended the goal before.
-        """
+        """Send the goal, and wait until it is accepted."""
         if self.is_active:
             raise LostError(f"{self.name} has not ended its goal")
         self._handle = self._result = None
@@ -123,15 +94,7 @@ class Goal:
                 self.request_cancel()
 
     def check(self) -> None:
-        """Check how the goal is going.
-
-        Raises
-        ------
-        FailedRunError
-            If it was aborted, or cancelled by someone else.
-        LostError
-            If its server is gone.
-        """
+        """Check how the goal is going."""
         if self._result is None:
             return
         if not self._result.done():

@@ -50,20 +50,7 @@ TYPES = {
 def opened_node(
     ros_arguments: Sequence[str], interrupted: Callable[[], None]
 ) -> Iterator[TunerNode]:
-    """Open a node for queries, in domain and namespace of the environment and ``--ros-args``.
-
-    Parameters
-    ----------
-    ros_arguments
-        ``--ros-args`` of the node.
-    interrupted
-        Asked while waiting; raises what should end the wait.
-
-    Raises
-    ------
-    BackendError
-        If a tuner is at work there: its nodes have the values of a trial.
-    """
+    """Open a node for queries, in domain and namespace of the environment and ``--ros-args``."""
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
         claim = DomainClaim(tuner.node.get_namespace(), tuner.domain)
@@ -80,17 +67,7 @@ def opened_node(
 def any_runs(
     names: Sequence[str], ros_arguments: Sequence[str], interrupted: Callable[[], None]
 ) -> bool:
-    """Return whether one of some nodes runs, whoever else is at work there.
-
-    Parameters
-    ----------
-    names
-        Of the nodes, as a study has them.
-    ros_arguments
-        ``--ros-args`` of the node that asks.
-    interrupted
-        Asked while waiting; raises what should end the wait.
-    """
+    """Return whether one of some nodes runs, whoever else is at work there."""
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
         return tuner.wait_until(lambda: bool(others.running(names, tuner.node)), FIRST_LOOK)
@@ -115,23 +92,7 @@ def describe(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, 
 
 
 def describe_now(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[str, Described]:
-    """Return all parameters of a node, by name, as they are.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    node
-        Name of the other one.
-    own
-        The names to look for on a node that does not list its parameters.
-
-    Raises
-    ------
-    BackendError
-        If it is not there, runs more than once, does not answer, or lists no parameters and there
-        are no names to look for.
-    """
+    """Return all parameters of a node, by name, as they are."""
     client = ParameterClient(tuner, node, ListParameters, DescribeParameters, GetParameters)
     try:
         if not tuner.wait_until(client.is_ready, DISCOVERY):
@@ -161,13 +122,7 @@ def describe_now(tuner: TunerNode, node: str, own: Iterable[str] = ()) -> dict[s
 
 
 def values_now(tuner: TunerNode, node: str, names: Sequence[str]) -> dict[str, object]:
-    """Read parameters of a node that was just described.
-
-    Raises
-    ------
-    BackendError
-        If it does not answer.
-    """
+    """Read parameters of a node that was just described."""
     client = ParameterClient(tuner, node)
     try:
         tuner.wait_until(client.is_ready, ANSWER)

@@ -31,19 +31,6 @@ class Heard(NamedTuple):
 class HeardTopic:
     """Messages wait in the middleware, which notes when they came in, until they are taken.
 
-    Parameters
-    ----------
-    node
-        A node that is in no executor.
-    name
-        Full name of the topic.
-    cls
-        Class of its messages.
-    offered
-        Its publishers, at least one; they decide its quality of service.
-    knows_publisher
-        Whether the publisher of each message is needed.
-
     Attributes
     ----------
     problem : str

@@ -28,21 +28,7 @@ LEASE = 3.0
 
 
 class DomainClaim:
-    """A ROS domain that no other tuner of this machine takes while the claim is held.
-
-    Parameters
-    ----------
-    namespace
-        Namespace of the tuner: two tuners may share a domain in different namespaces.
-    domain
-        The domain, or None to look for one without participants.
-
-    Raises
-    ------
-    BackendError
-        If the domain and namespace are claimed already, no domain is free, or the lock files
-        cannot be written.
-    """
+    """A ROS domain that no other tuner of this machine takes while the claim is held."""
 
     def __init__(self, namespace: str, domain: int | None = None) -> None:
         self._lock: IO[str] | None = None
@@ -99,13 +85,7 @@ def isolated_environment(domain: int) -> dict[str, str]:
 
 
 def domain_of_environment() -> int | None:
-    """Return the domain that the environment names; None if it names none.
-
-    Raises
-    ------
-    BackendError
-        If it is not one.
-    """
+    """Return the domain that the environment names; None if it names none."""
     given = os.environ.get("ROS_DOMAIN_ID", "")
     if not given:
         return None

@@ -27,15 +27,7 @@ NEXT = {
 
 
 class LifecycleNode:
-    """A node with a lifecycle; its methods raise `LostError` if it does not answer.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    node
-        Name of the other one, relative to the namespace.
-    """
+    """A node with a lifecycle; its methods raise `LostError` if it does not answer."""
 
     goes_on = False
 
@@ -60,33 +52,14 @@ class LifecycleNode:
         self._tuner.wait_until(lambda: self.state == state, MANAGED)
 
     def configure_anew(self, target: str = "", between: Callable[[], None] = lambda: None) -> None:
-        """Take its configuration back, and bring it to a state again.
-
-        Parameters
-        ----------
-        target
-            The state; by default the one that it is in.
-        between
-            Called while it is unconfigured.
-
-        Raises
-        ------
-        RefusedError
-            If it refuses a transition, or stays on its way.
-        """
+        """Take its configuration back, and bring it to a state again."""
         target = target or self.state
         self.bring_to(UNCONFIGURED)
         between()
         self.bring_to(target)
 
     def bring_to(self, target: str) -> None:
-        """Change its state step by step; somebody else may do so at the same time.
-
-        Raises
-        ------
-        RefusedError
-            If it refuses a transition, or stays on its way.
-        """
+        """Change its state step by step; somebody else may do so at the same time."""
         deadline = time.monotonic() + self._change.spec.timeout
         while (state := self.state) != target:
             transition = NEXT.get((state, target))

@@ -17,15 +17,7 @@ class LostMessages:
         self._latest = 0
 
     def note(self, number: int | None, publishers: int) -> None:
-        """Take note of a message.
-
-        Parameters
-        ----------
-        number
-            Its number, from 1; None or 0 of a middleware that gives it none.
-        publishers
-            How many publish the topic.
-        """
+        """Take note of a message."""
         number = 0 if number is None or publishers > 1 else number
         # A publisher that was started anew begins again.
         if 0 < self._latest < number:

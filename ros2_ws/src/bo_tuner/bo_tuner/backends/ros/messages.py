@@ -36,13 +36,7 @@ NO_SIGNALS = (
 
 
 def interface_class(name: str) -> Any:
-    """Return the class of a message or service type such as ``std_msgs/msg/Float64``.
-
-    Raises
-    ------
-    StudyError
-        If it is not installed.
-    """
+    """Return the class of a message or service type such as ``std_msgs/msg/Float64``."""
     try:
         package, kind, interface = name.split("/")
         cls = getattr(importlib.import_module(f"{package}.{kind}"), interface)
@@ -119,13 +113,7 @@ def number_fields(message: Any) -> dict[str, bool | int | float]:
 
 
 def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> Any:
-    """Make a message of the values of its fields; a header without a stamp gets `stamp`.
-
-    Raises
-    ------
-    StudyError
-        If the type does not have a field, or the field cannot hold the value.
-    """
+    """Make a message of the values of its fields; a header without a stamp gets `stamp`."""
     types = field_types(cls)
     arguments = {}
     for name, value in values.items():

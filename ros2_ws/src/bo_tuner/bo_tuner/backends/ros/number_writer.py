@@ -34,13 +34,7 @@ class NumberWriter:
 
 
 def number_writer(message: Any, path: FieldPath) -> NumberWriter:
-    """Return what puts numbers into a field of a message; arrays grow until they have the item.
-
-    Raises
-    ------
-    StudyError
-        If the message does not have the field, or it is no single number.
-    """
+    """Return what puts numbers into a field of a message; arrays grow until they have the item."""
     field_reader(type(message), path)
     holder = message
     for part in path[:-1]:

@@ -55,17 +55,7 @@ def running(names: Iterable[str], node: Node) -> list[str]:
 
 
 def absent(missing: Sequence[str], node: Node, start: str = f": {START}") -> str:
-    """Tell in a line which nodes are not there, and which one was meant.
-
-    Parameters
-    ----------
-    missing
-        Their names, as a study has them, at least one.
-    node
-        A node of the tuner's.
-    start
-        What to say where nobody is.
-    """
+    """Tell in a line which nodes are not there, and which one was meant."""
     namespace = node.get_namespace().rstrip("/")
     known = nodes(node)
     there = running(missing, node)
@@ -95,17 +85,7 @@ def services(node: Node) -> list[str]:
 
 
 def instead(value: str, names: Collection[str], node: Node) -> str:
-    """Return what to do about a name that is not there: the one that was meant, or how to start.
-
-    Parameters
-    ----------
-    value
-        The name.
-    names
-        Those of its kind that are there.
-    node
-        A node of the tuner's.
-    """
+    """Return what to do about a name that is not there: the one that was meant, or how to start."""
     others = [name for name in names if name != value]
     if others or nodes(node):
         return checks.suggestion(value, others)

@@ -22,15 +22,6 @@ class OwnTopic:
     The middleware stamps each message when it is published. A message is somebody else's if its
     stamp lies in no call of `publish`, or in one that has had its message. Threads may publish
     while another one takes what came in.
-
-    Parameters
-    ----------
-    publisher
-        The tuner's publisher of it.
-    kind
-        Type of its messages.
-    listener
-        A node of the tuner's that is in no executor; None to publish only.
     """
 
     def __init__(self, publisher: Publisher, kind: Any, listener: Node | None) -> None:

@@ -35,24 +35,6 @@ from bo_tuner.study.study import Study
 class Preparation:
     """Makes the steps of a study's run ready.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    clock
-        Stamps what is published.
-    attached
-        Whether the nodes ran already, so that none can be restarted.
-    listener
-        Hears whether others publish what the steps ahead of the end of a run do; None not to
-        listen.
-    ticks
-        Tells the time of streams; by that of the machine unless given.
-    parameters
-        Those of the nodes, for steps that set one; None not to set any.
-
     Attributes
     ----------
     topics
@@ -86,14 +68,7 @@ class Preparation:
         return clock
 
     def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | Stream | Player | None:
-        """Return what a step needs: a goal, a stream, what is performed otherwise, or None.
-
-        Raises
-        ------
-        StudyError
-            If a topic, service, action or node is not there, or not as the study says; from the
-            root of the study.
-        """
+        """Return what a step needs: a goal, a stream, what is performed otherwise, or None."""
         with under(*path):
             if step.call is not None:
                 return ServiceCall.prepare(self._tuner, step.call, path)

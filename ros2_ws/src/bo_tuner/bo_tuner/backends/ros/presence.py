@@ -18,19 +18,7 @@ from bo_tuner.study.study import Study
 
 
 class Presence:
-    """What the graph shows of the nodes of a study.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        The nodes' parameters.
-    trigger
-        Client of the service that starts an evaluation, if there is one.
-    """
+    """What the graph shows of the nodes of a study."""
 
     def __init__(
         self, study: Study, tuner: TunerNode, parameters: NodeParameters, trigger: Client | None
@@ -67,23 +55,7 @@ class Presence:
         return keys
 
     def wait_for_nodes(self, timeouts: Mapping[str, float]) -> list[str]:
-        """Wait until every node is discovered and answers.
-
-        Parameters
-        ----------
-        timeouts
-            By node key how long [s] that may take.
-
-        Returns
-        -------
-        list of str
-            The keys of those that were started anew since this or `restarted` was last called.
-
-        Raises
-        ------
-        LostError
-            If one does not in time.
-        """
+        """Wait until every node is discovered and answers."""
         begun = time.monotonic()
         while absent := self.absent():
             late = [key for key in absent if time.monotonic() > begun + timeouts[key]]

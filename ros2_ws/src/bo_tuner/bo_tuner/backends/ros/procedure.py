@@ -73,32 +73,12 @@ FAULTS = (*OWN_FAULTS, LostError)
 class Procedure:
     """Runs of a study, one after the other.
 
-    Parameters
-    ----------
-    study
-        The study, for its signals.
-    run
-        What makes up a run.
-    tuner
-        The tuner's node.
-    parameters
-        Those of the nodes, for steps that set one.
-    restart
-        Starts a node anew, by its key; None if the tuner has started none.
-    guard
-        Watches while a run is in progress; None without a guard.
-
     Attributes
     ----------
     recording : Recording
         What was recorded of the last run.
     before_abort : sequence of LatestMessage
         What the signals said in the 5 s until the last run was aborted; empty if it was not.
-
-    Raises
-    ------
-    StudyError
-        If a topic, service or action is not there, or not of the type that the study needs.
     """
 
     def __init__(
@@ -179,15 +159,7 @@ class Procedure:
         self._watch.enter(self._values(), beyond)
 
     def rest(self) -> float:
-        """Wait until the machine has rested since the last run; returns for how long [s].
-
-        Raises
-        ------
-        FailedRunError
-            If the condition for the end of its rest does not come to hold.
-        LostError
-            If nothing publishes a signal of the condition.
-        """
+        """Wait until the machine has rested since the last run; returns for how long [s]."""
         rest = self._run.rest
         if rest is None:
             return 0.0
@@ -232,28 +204,7 @@ class Procedure:
         self._is_prepared = self._is_ready = True
 
     def perform(self, largest_gaps: Mapping[str, float]) -> None:
-        """Perform a run and the steps after it; `recording` has the signals then.
-
-        Parameters
-        ----------
-        largest_gaps
-            Longest time [s] without a message, of signals for which the study has none.
-
-        Raises
-        ------
-        CutShortError
-            If the outcome of the run is decided before its end. Then, too, `leave` it.
-        FailedRunError
-            If the run does not count: a step is refused, a condition does not hold in time or says
-            that the run is to be aborted, or signals are not whole. Then, as after whatever else
-            ends a run, `leave` it.
-        LostError
-            If a service or an action does not answer, nothing publishes a signal, or the clock
-            stands still.
-        DisturbedError
-            If the clock is set in the run, the stamps of a signal do not go on, or another node
-            publishes it, too, or what a step publishes.
-        """
+        """Perform a run and the steps after it; `recording` has the signals then."""
         self._recorder.expect_publishers()
         self.recording = self._record(largest_gaps)
         if problems := self._cancel():
@@ -325,11 +276,6 @@ class Procedure:
         Each step is performed whether or not the one before it was possible. A message at their
         head, which stops the machine, does not wait until a goal has ended. What was not possible
         for want of a node is performed by the next call.
-
-        Returns
-        -------
-        list of str
-            What went wrong, each in a line.
         """
         self.request_cancel()
         first = self._head
@@ -596,13 +542,7 @@ class Procedure:
         return {**(self._safe if is_over else self._parameters_of_run), **self._context}
 
     def _fill(self) -> None:
-        """Give the prepared steps the present values.
-
-        Raises
-        ------
-        StudyError
-            If a step cannot send them.
-        """
+        """Give the prepared steps the present values."""
         for path, step in self._run.steps:
             if not varies(step):
                 continue

@@ -41,13 +41,7 @@ kill -s KILL -- "-$group"
 
 
 def find_executable(package: str, executable: str) -> Path:
-    """Find a node's executable where ``ros2 run`` would, or in the virtual environment.
-
-    Raises
-    ------
-    BackendError
-        If it is in none of these places.
-    """
+    """Find a node's executable where ``ros2 run`` would, or in the virtual environment."""
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     for prefix in [*prefixes, sys.prefix]:
         file = Path(prefix) / "lib" / package / executable
@@ -83,24 +77,6 @@ class NodeProcess:
     killed: the kernel then sends the process SIGTERM, and a shell that has waited for this ends the
     rest, and what was stopped by SIGSTOP. What has left the group, by a session of its own, is not
     reached.
-
-    Parameters
-    ----------
-    name
-        What it is called in messages.
-    command
-        Its program and the arguments.
-    environment
-        Changes to this process's environment.
-    log
-        File that takes what the node prints.
-    folder
-        Where it runs; that of this process unless given.
-
-    Raises
-    ------
-    BackendError
-        If the program cannot be run.
     """
 
     def __init__(

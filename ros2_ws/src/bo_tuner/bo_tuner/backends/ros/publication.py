@@ -65,13 +65,7 @@ class Publication:
         listener: Node | None,
         is_stop: bool,
     ) -> "Publication":
-        """Find the subscribers and make the publisher, unless it is in `topics`.
-
-        Raises
-        ------
-        StudyError
-            If nothing subscribes, or the messages do not have the fields.
-        """
+        """Find the subscribers and make the publisher, unless it is in `topics`."""
         node = tuner.node
         topic = node.resolve_topic_name(publish.topic)
 

@@ -19,15 +19,7 @@ QUERY = 0.1
 
 
 class Publishers:
-    """The publishers of a topic, as the graph has them; a guard, which is silent, is none.
-
-    Parameters
-    ----------
-    node
-        A node of the tuner's.
-    topic
-        Full name of the topic.
-    """
+    """The publishers of a topic, as the graph has them; a guard, which is silent, is none."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
@@ -115,24 +107,7 @@ def several_on(node: Node, topic: str, signals: Iterable[Signal]) -> bool:
 def expected_publishers(
     node: Node, topic: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]
 ) -> list[TopicEndpointInfo]:
-    """Return the publishers that a signal is of, at least one.
-
-    Parameters
-    ----------
-    node
-        A node of the tuner's.
-    topic
-        Full name of the signal's topic.
-    spec
-        The signal.
-    wait
-        Waits until a condition holds; whether it did in time.
-
-    Raises
-    ------
-    StudyError
-        If there are none, or such of several nodes, which would mix.
-    """
+    """Return the publishers that a signal is of, at least one."""
     publishers = Publishers(node, topic)
     if not wait(lambda: bool(publishers.now())):
         near = others.instead(topic, others.topics(node), node)

@@ -44,24 +44,10 @@ class Reader(Protocol):
 class FieldReader:
     """Reads a field, or with none the whole message.
 
-    Parameters
-    ----------
-    spec
-        The signal.
-    cls
-        Class of the messages.
-    node
-        Full name of the node whose messages count; empty for all.
-
     Attributes
     ----------
     missing : ItemMissingError or None
         What the last message that had not what the signal needs did not have.
-
-    Raises
-    ------
-    StudyError
-        If the messages do not have what the signal needs.
     """
 
     def __init__(self, spec: Signal, cls: Any, node: str = "") -> None:
@@ -128,22 +114,7 @@ class TransformFeed:
 
 
 class FramesReader:
-    """Reads where one frame is in another, whenever the latest time at which that is known goes on.
-
-    Parameters
-    ----------
-    spec
-        The signal, with frames.
-    cls
-        Class of the messages.
-    feed
-        Has the transforms.
-
-    Raises
-    ------
-    StudyError
-        If the messages have no transforms, or these not what the signal needs.
-    """
+    """Reads where one frame is in another, whenever that is known of a later time."""
 
     def __init__(self, spec: Signal, cls: Any, feed: TransformFeed) -> None:
         if type_name(cls) not in (TREE, SINGLE):
@@ -207,24 +178,7 @@ class FramesReader:
 def reader_of(
     spec: Signal, cls: Any, node: Node, feeds: dict[str, TransformFeed]
 ) -> FieldReader | FramesReader:
-    """Return what reads a signal.
-
-    Parameters
-    ----------
-    spec
-        The signal.
-    cls
-        Class of the messages.
-    node
-        A node of the tuner's, in whose namespace names are.
-    feeds
-        The transforms of each topic that signals with frames share.
-
-    Raises
-    ------
-    StudyError
-        If the messages do not have what the signal needs.
-    """
+    """Return what reads a signal."""
     if spec.frames is None:
         return FieldReader(spec, cls, node_of(node, spec) if spec.publisher else "")
     topic = node.resolve_topic_name(spec.topic)

@@ -44,13 +44,7 @@ class Reconfiguration(Protocol):
 
 
 def reconfiguration_of(tuner: TunerNode, spec: NodeSpec) -> Reconfiguration | None:
-    """Return how a node that was just discovered is configured; None if it has no lifecycle.
-
-    Raises
-    ------
-    StudyError
-        If there is nothing in the graph that does it as the study says.
-    """
+    """Return how a node that was just discovered is configured; None if it has no lifecycle."""
     with under("reconfigure"):
         if spec.reconfigure == CONTROLLER_MANAGER:
             return ControlledNode.prepare(tuner, spec.node)
@@ -97,17 +91,7 @@ class CalledSteps:
 
 
 class ControlledNode:
-    """A controller of ros2_control, by the services of its manager.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    node
-        Name of the controller's node, relative to the namespace.
-    services
-        Types and clients of the manager's services, by their names.
-    """
+    """A controller of ros2_control, by the services of its manager."""
 
     goes_on = False
 

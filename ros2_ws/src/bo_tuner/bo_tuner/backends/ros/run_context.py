@@ -18,21 +18,7 @@ from bo_tuner.backends.workers.workers import Bench
 
 @contextlib.contextmanager
 def run_context(ros_arguments: Sequence[str], benches: Sequence[Bench]) -> Iterator[Context]:
-    """Join the domain of the environment, or a free one; yields the context of a node there.
-
-    Parameters
-    ----------
-    ros_arguments
-        ``--ros-args`` of the node.
-    benches
-        Running nodes of the run, if it has some: it is seen as they are, but in none of their
-        places, where a worker is.
-
-    Raises
-    ------
-    BackendError
-        If another tuner has the domain in this namespace, or ROS does not take the arguments.
-    """
+    """Join the domain of the environment, or a free one; yields the context of a node there."""
     namespace, domain = namespace_of(ros_arguments), domain_of_environment()
     if benches:
         domain = domain or 0

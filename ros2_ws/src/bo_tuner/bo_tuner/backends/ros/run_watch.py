@@ -31,29 +31,6 @@ OVERLAP = 0.5
 class RunWatch:
     """Judges the run in progress by its signals, its goals and the clock.
 
-    Parameters
-    ----------
-    run
-        What makes up a run: when it is to be aborted, and when it ends.
-    signals
-        The study's signals by name.
-    tuner
-        The tuner's node.
-    recorder
-        Hears the signals.
-    clock
-        The clock of the run.
-    goals
-        Goals sent in runs; others may be sent during the run.
-    topics
-        What the steps publish.
-    streams
-        What streams while steps go on.
-    so_far
-        Computes the metrics that only grow.
-    player
-        Plays the bag of the run; None if it is no bag.
-
     Attributes
     ----------
     aborted : float or None
@@ -114,13 +91,7 @@ class RunWatch:
                 raise DisturbedError(foreign)
 
     def begin(self, largest_gaps: Mapping[str, float]) -> None:
-        """Start a run, with the recorder.
-
-        Parameters
-        ----------
-        largest_gaps
-            Longest time [s] without a message, of signals for which the study has none.
-        """
+        """Start a run, with the recorder."""
         self._judged = self._looked = 0.0
         self._largest_gaps = largest_gaps
         self.aborted = None
@@ -135,18 +106,7 @@ class RunWatch:
             self._tuner.spin_once(min(POLL_PERIOD, end - now))
 
     def wait_for_end(self) -> float:
-        """Watch the run until it comes to its end; raises what `judge` raises.
-
-        Returns
-        -------
-        float
-            The time of its end [s].
-
-        Raises
-        ------
-        FailedRunError
-            If it does not end in time.
-        """
+        """Watch the run until it comes to its end; raises what `judge` raises."""
         end = self._run.end
         if end.after is not None:
             self.wait_until(end.after)
@@ -172,21 +132,7 @@ class RunWatch:
         return player.duration
 
     def judge(self, end: float = np.inf) -> float:
-        """See whether the run may go on, which ends at `end` [s] at the latest; returns the time.
-
-        Raises
-        ------
-        CutShortError
-            If its outcome is decided.
-        FailedRunError
-            If it is to be aborted, a goal has failed, or the signals will not be whole.
-        LostError
-            If the server of a goal, or the publisher of a signal, is gone, or the clock stands
-            still.
-        DisturbedError
-            If the clock was set, the stamps of a signal do not go on, or others publish what a
-            step publishes.
-        """
+        """See whether the run may go on, to `end` [s] at the latest; returns the time."""
         now = self._now
         self.expect_own_messages()
         self._streams.check()
@@ -222,15 +168,7 @@ class RunWatch:
             raise CutShortError(recording.end, self._so_far.of(recording))
 
     def look_for_abort(self, now: float, seen: float) -> None:
-        """Take the messages that are here, and see whether the run is to be aborted by them.
-
-        Parameters
-        ----------
-        now
-            Time of the run [s].
-        seen
-            Time of the run [s] that is judged.
-        """
+        """Take the messages that are here, and see whether the run is to be aborted by them."""
         self._recorder.poll()
         if self.aborted is None:
             # Whatever its stamp, a message that is here shows a state of the machine.

@@ -23,29 +23,7 @@ def parks_after_runs(study: Study) -> bool:
 
 
 class SafeState:
-    """The safe state of a study's nodes.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    client
-        Sets the parameters.
-    parameters
-        By node key the safe parameters.
-    held
-        By node key all that the node must have besides.
-    procedure
-        Runs of the study. Of a study without one nothing is to be stopped: its nodes end an
-        evaluation themselves.
-    suspension
-        Watched while the machine is stopped, which no interruption ends.
-    look
-        Called while the nodes are parked. A node that has ended does not keep the others from
-        being parked.
-    """
+    """The safe state of a study's nodes."""
 
     def __init__(
         self,

@@ -61,17 +61,6 @@ class SignalRecorder:
     Messages wait in the middleware, which notes when they came in, until `poll` takes them; none
     of them wakes up the tuner.
 
-    Parameters
-    ----------
-    context
-        ROS context of the tuner.
-    signals
-        The study's signals.
-    guarded
-        Topics that a guard would publish: its silent publisher does not count.
-    keep
-        Is handed each message as it came; None where nobody needs them.
-
     Attributes
     ----------
     node : Node
@@ -100,22 +89,7 @@ class SignalRecorder:
         self._watch = Stopwatch(self._clock)
 
     def connect(self, clock: RunClock, wait: Callable[[Callable[[], bool]], bool]) -> None:
-        """Subscribe to every signal.
-
-        Parameters
-        ----------
-        clock
-            Tells the time of the runs, which is also that of headers.
-        wait
-            Waits until a condition holds; whether it did in time.
-
-        Raises
-        ------
-        StudyError
-            If a topic has no publisher, or several nodes publish it and the study does not say
-            which one counts, or its messages have another type, or not the item of an array or the
-            frame of the signal.
-        """
+        """Subscribe to every signal."""
         self._clock = clock
         for name, spec in self._signals.items():
             with under("signals", name):
@@ -217,15 +191,7 @@ class SignalRecorder:
     def forget_ended(
         self, also: Collection[str], wait: Callable[[Callable[[], bool]], bool]
     ) -> None:
-        """Forget what was said by publishers that are gone: it holds for no run of the next ones.
-
-        Parameters
-        ----------
-        also
-            Names of nodes that are there, and of which it does not hold either.
-        wait
-            Waits until a condition holds: a publisher may be gone a moment after its node.
-        """
+        """Forget what was said by publishers that are gone: it holds for no further run."""
         names = {UNKNOWN_NODE} | {name for name, _ in self.node.get_node_names_and_namespaces()}
         topics = self._topics.values()
         ended = [t for t in topics if not (t.publishers and names.intersection(t.nodes))]
@@ -273,13 +239,7 @@ class SignalRecorder:
         return (max(stamps, default=self._began) - self._began) * 1e-9
 
     def poll(self) -> None:
-        """Take what came in.
-
-        Raises
-        ------
-        FailedRunError
-            If a message does not have the item of an array that a signal is.
-        """
+        """Take what came in."""
         if problem := self.take():
             raise FailedRunError(problem)
 

@@ -31,17 +31,6 @@ FAULTS = (RefusedError, LostError, StudyError, BackendError)
 class StartValues:
     """Has nodes with ``at_start`` run with their values.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        The nodes' parameters.
-    started
-        Starts nodes; None if they are attached.
-
     Attributes
     ----------
     restart : callable
@@ -77,13 +66,7 @@ class StartValues:
         self._starts: list[float] = []
 
     def reset(self, safe: Values | None = None) -> None:
-        """Have nodes that are started next begin with safe values, given once.
-
-        Raises
-        ------
-        StudyError
-            If the study does not say how the tuner starts such a node.
-        """
+        """Have nodes that are started next begin with safe values, given once."""
         self._safe = self._safe if safe is None else safe
         self._in_force.clear()
         if self._started is None:
@@ -102,13 +85,7 @@ class StartValues:
             self._started.in_braces = {**safe_in_braces(self._study), **values}
 
     def settle_all(self) -> None:
-        """`settle` all nodes, once they are there.
-
-        Raises
-        ------
-        StudyError
-            Also if one is attached, and has no lifecycle, or a value in braces in what starts it.
-        """
+        """`settle` all nodes, once they are there."""
         if self._started is None:
             for key, spec in self._study.nodes.items():
                 for path, name in spec.names_in_braces:
@@ -127,17 +104,7 @@ class StartValues:
                 )
 
     def settle(self, key: str) -> None:
-        """See that a node that was just started has its values, and bring it up by its lifecycle.
-
-        Raises
-        ------
-        StudyError
-            If it does not read its parameter file.
-        RefusedError
-            If it has another value of its own accord, or cannot be configured with these.
-        LostError
-            If it does not answer.
-        """
+        """See that a node just started has its values, and bring it up by its lifecycle."""
         if key not in self._names or self._started is None:
             return
         given = self._started.values[key]
@@ -187,24 +154,7 @@ class StartValues:
         return others | dict(self._in_force.get(key, {}))
 
     def bring(self, wanted: Values, keys: Collection[str] | None = None) -> None:
-        """Bring values into force, on nodes that do not run with them.
-
-        Parameters
-        ----------
-        wanted
-            By node key all that a node is to have.
-        keys
-            Of the nodes; all that are `due` unless given.
-
-        Raises
-        ------
-        RefusedError
-            If a node does not come up with the values, or has others then.
-        StudyError
-            If it does not read its parameter file.
-        LostError
-            If it does not come back, or does not answer.
-        """
+        """Bring values into force, on nodes that do not run with them."""
         due = self.due(wanted) if keys is None else keys
         restarts = [key for key in due if not (self._reconfigures(key) and self._is_given(key))]
         for starter in dict.fromkeys(map(self._starter, restarts)):

@@ -21,17 +21,6 @@ from bo_tuner.trials import Value
 class StartedNodes:
     """Starts the nodes of a study, and ends them.
 
-    Parameters
-    ----------
-    study
-        The study.
-    namespace
-        Namespace of the nodes that are started as an executable.
-    log_directory
-        Takes what they print.
-    worker
-        Number of the worker that has them.
-
     Attributes
     ----------
     processes : dict from str to NodeProcess
@@ -54,15 +43,7 @@ class StartedNodes:
         self._given: dict[str, dict[str, Value]] = {}
 
     def start(self) -> None:
-        """Start all nodes that do not start along with another one.
-
-        Raises
-        ------
-        StudyError
-            If the study does not say how to start a node, or there is no ``ros2 launch``.
-        BackendError
-            If one cannot be started.
-        """
+        """Start all nodes that do not start along with another one."""
         if self._study.folder and not Path(self._study.folder).is_dir():
             raise StudyError(f"there is no folder {self._study.folder}", ("folder",))
         commands = {key: self._command(key) for key in self._nodes}
@@ -115,13 +96,7 @@ class StartedNodes:
         return any(process.exit_reason is not None for process in self.processes.values())
 
     def check(self) -> None:
-        """Check that all still run.
-
-        Raises
-        ------
-        DiedError
-            If one has ended.
-        """
+        """Check that all still run."""
         for key, process in self.processes.items():
             if process.exit_reason is not None:
                 raise DiedError(process.exit_reason, key)

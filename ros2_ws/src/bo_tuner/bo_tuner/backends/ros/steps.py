@@ -62,13 +62,7 @@ class ServiceCall:
 
     @classmethod
     def prepare(cls, tuner: TunerNode, call: Call, path: KeyPath) -> "ServiceCall":
-        """Find the service, and make the request.
-
-        Raises
-        ------
-        StudyError
-            If there is no such service, or its requests or answers do not have the fields.
-        """
+        """Find the service, and make the request."""
         with under("call", "service"):
             kind, client = service_at(tuner, call.service)
         with under("call", "request"):
@@ -126,13 +120,7 @@ class LifecycleChange:
 
     @classmethod
     def prepare(cls, tuner: TunerNode, spec: Lifecycle) -> "LifecycleChange":
-        """Find the node.
-
-        Raises
-        ------
-        StudyError
-            If it is not there, or is no lifecycle node.
-        """
+        """Find the node."""
         clients = [
             tuner.node.create_client(kind, f"{spec.node}/{name}")
             for kind, name in (

@@ -131,28 +131,7 @@ class Jitter:
 
 
 class Stream:
-    """A reference that streams, ready to begin; again and again.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    publish
-        What streams.
-    publications
-        Of each of its topics.
-    ticks
-        Tells the time.
-    folder
-        The study's, for files of profiles.
-    longest
-        Time [s] up to which values are checked ahead.
-
-    Raises
-    ------
-    StudyError
-        If a file of a profile is not as it should be, or its values are not what the field takes.
-    """
+    """A reference that streams, ready to begin; again and again."""
 
     def __init__(
         self,
@@ -273,15 +252,7 @@ class Stream:
             self._thread = None
 
     def check(self) -> None:
-        """Raise an error if it is not as it should be.
-
-        Raises
-        ------
-        DisturbedError
-            If it cannot go on, or does not keep its rate.
-        UnheardError
-            If nobody hears it any more.
-        """
+        """Raise an error if it is not as it should be."""
         if self._fault:
             raise DisturbedError(f"the stream on {self.name}: {self._fault}")
         self._expect_heard()
@@ -377,26 +348,14 @@ class Stream:
 
 
 class Streams:
-    """The references in progress: of each topic, the latest one.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    """
+    """The references in progress: of each topic, the latest one."""
 
     def __init__(self, tuner: TunerNode) -> None:
         self._tuner = tuner
         self._streams: list[Stream] = []
 
     def begin(self, stream: Stream) -> None:
-        """Begin one, in place of what was published on its topics.
-
-        Raises
-        ------
-        UnheardError
-            If nobody hears it.
-        """
+        """Begin one, in place of what was published on its topics."""
         if unheard := stream.wait_until_heard():
             raise unheard.unheard
         for topic in stream.topics:
@@ -407,13 +366,7 @@ class Streams:
         stream.begin()
 
     def perform(self, stream: Stream, poll: Callable[[], object]) -> None:
-        """Let one go by from beginning to end, which brings the machine to rest.
-
-        Raises
-        ------
-        UnheardError
-            If nobody hears it; its last message is published all the same.
-        """
+        """Let one go by from beginning to end, which brings the machine to rest."""
         try:
             self.begin(stream)
         except UnheardError:

@@ -23,15 +23,6 @@ LONGEST_LEASE = 21.0
 class StudyClient:
     """The tuner's connection to the nodes of a study.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    started
-        Starts the nodes; None if they are attached.
-
     Attributes
     ----------
     parameters : NodeParameters
@@ -79,13 +70,7 @@ class StudyClient:
         return keys
 
     def renew(self, keys: Iterable[str]) -> None:
-        """Read the parameters of nodes that were started anew, before any of them is set.
-
-        Raises
-        ------
-        LostError
-            If one does not answer.
-        """
+        """Read the parameters of nodes that were started anew, before any of them is set."""
         for key in list(keys):
             self.parameters.read_anew(key)
             self._renewed.discard(key)
@@ -97,35 +82,7 @@ class StudyClient:
         run: Callable[[], object] | None = None,
         leave: Callable[[], object] = lambda: None,
     ) -> dict[str, dict[str, object]]:
-        """Set parameters, run an evaluation, and see that it ran with them.
-
-        Parameters
-        ----------
-        wanted
-            By node key the values that its parameters must have, whether the study sets them or
-            not.
-        kept
-            By node key the names of those that the study does not set.
-        run
-            Runs once, in place of the trigger; then no node says anything.
-        leave
-            Leaves the nodes as they are to be after a run; called once it is known what they had.
-
-        Returns
-        -------
-        dict
-            By node key the results that the node reported; none for a run without a trigger.
-
-        Raises
-        ------
-        RefusedError
-            If a node refuses its parameters, or has another value right after one was set.
-        DisturbedError
-            If somebody else changed a parameter, a node runs more than once, or two of them report
-            the same evaluation.
-        LostError
-            If a node does not answer, is started anew, or gives no result.
-        """
+        """Set parameters, run an evaluation, and see that it ran with them."""
         self.restarted()
         for key in self._renewed:
             self.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
@@ -166,13 +123,7 @@ class StudyClient:
             self.results.end()
 
     def assign_again(self, key: str) -> None:
-        """Set the parameters of this evaluation again on a node that the tuner has restarted.
-
-        Raises
-        ------
-        RefusedError, LostError
-            If it does not take it.
-        """
+        """Set the parameters of this evaluation again on a node that the tuner has restarted."""
         self.restarted()
         self.renew([key])
         self.start_values.settle(key)

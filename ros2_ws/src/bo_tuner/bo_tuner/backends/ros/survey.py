@@ -55,33 +55,7 @@ WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
 def survey(
     tuner: TunerNode, is_whole: Callable[[Seen], bool], named: Sequence[str] = ()
 ) -> tuple[Seen, list[str]]:
-    """Look at all that runs.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    is_whole
-        Whether nothing is missing that is known to run; else it is looked for, up to `DISCOVERY`.
-    named
-        Signals that are wanted in any case, such as ``/scan:ranges[0]``: an item of a long array,
-        or of one that is empty yet.
-
-    Returns
-    -------
-    Seen
-        Nodes in the tuner's namespace that have parameters, topics with numbers, services that
-        need no request, and actions.
-    list of str
-        What was left out, and why, a line each.
-
-    Raises
-    ------
-    BackendError
-        If there is no node with parameters.
-    StudyError
-        If the messages of a topic do not have what is named.
-    """
+    """Look at all that runs."""
     fields: dict[str, list[str]] = {}
     for name in named:
         topic, has_field, path = name.partition(":")
@@ -305,15 +279,6 @@ def _named(
     """Return a number that is named, by its field.
 
     Of an array that a run is to publish it comes with all items before it.
-
-    Parameters
-    ----------
-    topic, path
-        Of the signal.
-    message
-        A message of the topic; an empty one unless it was `heard`.
-    heard, silent
-        Whether there was one, and whether nobody publishes it.
     """
     try:
         parsed = parsed_field(path)

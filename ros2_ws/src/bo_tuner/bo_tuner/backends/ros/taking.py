@@ -57,13 +57,7 @@ class _Info(ctypes.Structure):
 
 
 class Taker:
-    """Takes the messages of a subscription that is in no executor.
-
-    Parameters
-    ----------
-    subscription
-        A subscription with ``raw=True``.
-    """
+    """Takes the messages of a subscription that is in no executor."""
 
     def __init__(self, subscription: Subscription) -> None:
         self._subscription = subscription
@@ -78,18 +72,7 @@ class Taker:
 
 
 class PublisherTaker:
-    """Takes the messages of a subscription that is in no executor, each with its publisher.
-
-    Parameters
-    ----------
-    subscription
-        A subscription with ``raw=True``.
-
-    Raises
-    ------
-    OSError
-        If the library of this ROS cannot be asked.
-    """
+    """Takes the messages of a subscription that is in no executor, each with its publisher."""
 
     def __init__(self, subscription: Subscription) -> None:
         self._rcl, self._rcutils = _libraries()

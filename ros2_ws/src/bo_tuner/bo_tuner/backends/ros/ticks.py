@@ -35,13 +35,7 @@ class Ticks(Protocol):
 
 
 class WallTicks:
-    """The clock of this machine.
-
-    Parameters
-    ----------
-    clock
-        The clock of the run, for headers.
-    """
+    """The clock of this machine."""
 
     remark = ""
 
@@ -63,13 +57,7 @@ class WallTicks:
 
 
 class SimTicks:
-    """The clock of a simulation; where it is set back, time goes on from what it had come to.
-
-    Parameters
-    ----------
-    node
-        Subscribes; it is not in an executor.
-    """
+    """The clock of a simulation; where it is set back, time goes on from what it had come to."""
 
     def __init__(self, node: Node) -> None:
         # Only the latest time of a fast simulation matters.

@@ -42,17 +42,7 @@ class Track:
     row_began: int = 0
 
     def add(self, stamp: int | None, value: Value, received: int) -> None:
-        """Take a value.
-
-        Parameters
-        ----------
-        stamp
-            When it was true [ns], by the message; None if that is when it came in.
-        value
-            The value.
-        received
-            When it came in [ns], by the machine's clock.
-        """
+        """Take a value."""
         self.newest = value
         if stamp is not None:
             self.offset = stamp - self.clock.at(received)

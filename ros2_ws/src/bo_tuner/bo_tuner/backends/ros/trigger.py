@@ -51,21 +51,7 @@ class TriggeredRun:
             self.service = tuner.node.create_client(Trigger, name)
 
     def run(self) -> dict[str, dict[str, object]]:
-        """Start an evaluation and return its results by node key.
-
-        Returns
-        -------
-        dict
-            What each node said of the evaluation: of all nodes that give metrics, or fewer as soon
-            as one says that it failed.
-
-        Raises
-        ------
-        LostError
-            If a node does not answer, or gives no result.
-        DisturbedError
-            If a result cannot be read.
-        """
+        """Start an evaluation and return its results by node key."""
         trigger = self._study.trigger
         if trigger is None or self.service is None:
             raise BackendError("the study has no trigger")

@@ -74,17 +74,6 @@ def full_name(namespace: str, name: str) -> str:
 class TunerNode:
     """The tuner's ROS node.
 
-    Parameters
-    ----------
-    domain
-        The ROS domain; None for that of the environment.
-    ros_arguments
-        ``--ros-args`` of the node.
-    watch
-        Called at least every `SPIN_PERIOD` seconds while waiting; raises what should end the wait.
-    name
-        Its name.
-
     Attributes
     ----------
     context : Context
@@ -93,11 +82,6 @@ class TunerNode:
         The node, which is served by `spin_once`.
     served : float
         Time [s] of `time.monotonic` at which that was last done.
-
-    Raises
-    ------
-    BackendError
-        If ROS does not take the arguments.
     """
 
     def __init__(
@@ -127,13 +111,7 @@ class TunerNode:
         return self.context.get_domain_id()
 
     def refuse_other_tuner(self) -> None:
-        """Refuse to work beside a tuner in this namespace, on whatever machine it runs.
-
-        Raises
-        ------
-        BackendError
-            If one has been discovered.
-        """
+        """Refuse to work beside a tuner in this namespace, on whatever machine it runs."""
         namespace = self.node.get_namespace()
         count = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
         if count > (self.node.get_name() == NODE_NAME):
@@ -201,14 +179,7 @@ class TunerNode:
         return True
 
     def call(self, client: Client, request: Any, name: str, timeout: float | None = None) -> Any:
-        """Call a service and return its answer; `name` is that of its node, for a complaint.
-
-        Raises
-        ------
-        SilentError
-            If it is not there, or does not answer, within `timeout` seconds each; `CALL_TIMEOUT`
-            unless given.
-        """
+        """Call a service and return its answer; `name` is that of its node, for a complaint."""
         limit = CALL_TIMEOUT if timeout is None else timeout
         # A request to a server that was started anew and is not discovered yet would be lost.
         if not self.wait_until(client.service_is_ready, limit):
@@ -226,15 +197,7 @@ class TunerNode:
             client.remove_pending_request(future)
 
     def complete(self, works: Sequence[Calls], timeout: float | None = None) -> list[Any]:
-        """Let calls be made and answered side by side; returns what came of each.
-
-        Parameters
-        ----------
-        works
-            The calls; the first exception ends them all.
-        timeout
-            Time [s] that all of them have together; `CALL_TIMEOUT` for each call unless given.
-        """
+        """Let calls be made and answered side by side; returns what came of each."""
         begun = time.monotonic()
         results: list[Any] = [None] * len(works)
         pending: dict[int, PendingCall | None] = dict.fromkeys(range(len(works)))

@@ -42,22 +42,7 @@ OWN: Mapping[str, object] = {
 
 @contextlib.contextmanager
 def local_cluster(workers: int, interrupted: Callable[[], None]) -> Iterator["Client"]:
-    """Start processes on this machine, which end with the block; yields the connection to them.
-
-    Parameters
-    ----------
-    workers
-        Their number.
-    interrupted
-        Asked while waiting; raises what shall end the wait.
-
-    Raises
-    ------
-    ImportError
-        If Dask, or what it takes for TLS, is not installed.
-    BackendError
-        If one does not come up.
-    """
+    """Start processes on this machine, which end with the block; yields the connection to them."""
     import dask
     from distributed import Client, LocalCluster, Security
 
@@ -154,21 +139,7 @@ class RunningCluster:
 
     @contextlib.contextmanager
     def connected(self, interrupted: Callable[[], None]) -> Iterator["Client"]:
-        """Connect to it, and check what it has; yields the connection.
-
-        Parameters
-        ----------
-        interrupted
-            Asked while waiting; raises what shall end the wait.
-
-        Raises
-        ------
-        ImportError
-            If Dask is not installed.
-        BackendError
-            If it does not answer, has too few workers, or one of them has another installation or
-            too few cores.
-        """
+        """Connect to it, and check what it has; yields the connection."""
         from distributed import Client
         from distributed.utils import silence_logging_cmgr
 

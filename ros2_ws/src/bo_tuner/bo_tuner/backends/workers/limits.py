@@ -23,19 +23,7 @@ def cores() -> int:
 
 
 def problem_of_workers(study: Study, backend: str, workers: Workers, *, attach: bool) -> str:
-    """Return why a study cannot be run by some workers, in a line; empty if it can.
-
-    Parameters
-    ----------
-    study
-        The study.
-    backend
-        One of `bo_tuner.study.parts.BACKENDS`.
-    workers
-        Those asked for.
-    attach
-        Whether nodes that run already are used.
-    """
+    """Return why a study cannot be run by some workers, in a line; empty if it can."""
     count = workers.count
     if attach and count > len(workers.benches or (1,)):
         return (

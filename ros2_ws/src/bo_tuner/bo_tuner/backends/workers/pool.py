@@ -46,21 +46,6 @@ class WorkerPool:
 
     A worker is a process with a backend of its own. What one had that dies is run again, on any
     worker. On this machine it is started anew.
-
-    Parameters
-    ----------
-    name
-        Of the backends.
-    workers
-        Their number.
-    make
-        Makes the backend of a worker, in its process.
-    interrupted
-        Asked while waiting; raises what shall end the wait.
-    patience
-        Time [s] that the backends have to close.
-    cluster
-        The cluster that has the workers; None for processes of this machine.
     """
 
     def __init__(
@@ -90,13 +75,7 @@ class WorkerPool:
         self._latest: Answer | None = None
 
     def open(self) -> None:
-        """Start the workers, and open their backends.
-
-        Raises
-        ------
-        BackendError
-            If Dask is not installed, a process does not come up, or a backend cannot be opened.
-        """
+        """Start the workers, and open their backends."""
         try:
             self._start()
             addresses = sorted(workers_of(self._client, self._interrupted))[: self.workers]
@@ -144,13 +123,6 @@ class WorkerPool:
 
         More are taken whenever a worker is free. Where there are no more it ends, after one result
         at least; a later call yields those that still run.
-
-        Raises
-        ------
-        RunError
-            If a worker that had to be started anew cannot be, or the workers are gone.
-        MetricsError
-            If a function returns something else than a number for each metric.
         """
         if self._client is None:
             raise BackendError("the backend is not open")
@@ -194,13 +166,7 @@ class WorkerPool:
             self._submit(planned)
 
     def _look_around(self) -> None:
-        """Raise what shall end a wait: a request, or that there have been no workers for long.
-
-        Raises
-        ------
-        RunError
-            If there have been none.
-        """
+        """Raise what shall end a wait: a request, or that there have been no workers for long."""
         self._interrupted()
         if time.monotonic() <= self._next_look:
             return
@@ -248,17 +214,7 @@ class WorkerPool:
         return answer.evaluation
 
     def _fetched(self, future: Any) -> Answer:
-        """Return what a worker has answered.
-
-        Raises
-        ------
-        _ResultLost
-            If that is lost with its process, which has died or answers no more.
-        KilledWorker
-            If processes have died in it.
-        RunError
-            If the workers are gone.
-        """
+        """Return what a worker has answered."""
         from distributed import KilledWorker
 
         def check() -> None:
@@ -287,13 +243,7 @@ class WorkerPool:
         )
 
     def park(self) -> list[str]:
-        """Have each worker set the safe parameters, once its evaluation has ended.
-
-        Returns
-        -------
-        list of str
-            What went wrong, each in a line.
-        """
+        """Have each worker set the safe parameters, once its evaluation has ended."""
         addresses = workers_of(self._client, self._interrupted)
         answers = self._ask_each(self._process.park, addresses)
         return [
@@ -346,13 +296,7 @@ class WorkerPool:
         return str(int(str(known[address]["name"])) + 1)
 
     def close(self) -> None:
-        """Break off what runs, close the backends, and end the processes.
-
-        Raises
-        ------
-        BackendError
-            If running nodes could not be left as they were; all else is closed then.
-        """
+        """Break off what runs, close the backends, and end the processes."""
         self._interrupted = lambda: None
         problems: list[str] = []
         try:

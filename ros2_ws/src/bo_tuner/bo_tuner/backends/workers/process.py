@@ -76,13 +76,7 @@ class Order:
 
 
 class OwnBackend(WorkerPlugin):
-    """The backend of a worker, made in its process, also in one that takes the place of another.
-
-    Parameters
-    ----------
-    order
-        What to make, and how.
-    """
+    """The backend of a worker, made in its process, also in one that takes the place of another."""
 
     def __init__(self, order: Order) -> None:
         self.order = order
@@ -149,13 +143,7 @@ class OwnBackend(WorkerPlugin):
         return self._backend is not None
 
     def _check_installation(self, needs: Needs) -> None:
-        """Refuse to run other code than the run has.
-
-        Raises
-        ------
-        BackendError
-            If this process came with some after the run had looked.
-        """
+        """Refuse to run other code than the run has."""
         found = identity(needs.packages, needs.modules, needs.folder)
         if text := differences(self.order.expected, found):
             raise BackendError(f"does not have what the run has: {text}")
@@ -203,15 +191,7 @@ class OwnBackend(WorkerPlugin):
 
 
 class EndWithRun(SchedulerPlugin):
-    """Has the workers of a cluster let go of a run whose process is gone.
-
-    Parameters
-    ----------
-    run
-        Name of the run.
-    client
-        Identifier of its connection.
-    """
+    """Has the workers of a cluster let go of a run whose process is gone."""
 
     def __init__(self, run: str, client: str) -> None:
         self.name = f"{run}-end"

@@ -142,13 +142,7 @@ class Certificate:
         return certificate_html(self)
 
     def check_names(self, study: Study) -> None:
-        """Refuse one whose constraints, parameters or contexts are not those of a study.
-
-        Raises
-        ------
-        ValueError
-            With the first that differs.
-        """
+        """Refuse one whose constraints, parameters or contexts are not those of a study."""
         for side in self.sides.values():
             _check("constraints", [c.name for c in side.constraints], study.constraints)
             _check("parameters", side.parameters, study.parameters)

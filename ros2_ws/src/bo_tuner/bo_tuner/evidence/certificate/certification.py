@@ -50,19 +50,6 @@ def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> M
 class Certification:
     """Collects the evidence for a certificate.
 
-    Parameters
-    ----------
-    study
-        The study.
-    driver
-        Carries out the plans.
-    confidence
-        Confidence of each bound.
-    attempt
-        Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
-    finishing
-        Returns whether no more runs are to be begun.
-
     Attributes
     ----------
     cut_short
@@ -90,18 +77,6 @@ class Certification:
 
         The draws end when they are clear for every subject. Without a worst-case constraint, or
         for a subject that the draws let fail, there is no search.
-
-        Parameters
-        ----------
-        subjects
-            The parameter sets.
-        draws
-            Largest number of draws, and of evaluations in each context that may be the worst.
-
-        Raises
-        ------
-        RunError
-            If three evaluations in a row were lost with their nodes or disturbed.
         """
         case = Case(self._study, self._confidence, self._attempt, draws)
         repeats = RepeatedDraws(case, subjects)

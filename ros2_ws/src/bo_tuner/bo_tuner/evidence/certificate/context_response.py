@@ -58,17 +58,7 @@ class _Conditioned:
 
 
 class ContextResponse:
-    """Posterior of the mean of a metric over the context, a mixture of `KEPT` processes.
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, e)
-        Contexts in the unit cube; equal rows are replicates.
-    values : ndarray, shape (N,)
-        The metric.
-    rng
-        Source of the hyperparameters.
-    """
+    """Posterior of the mean of a metric over the context, a mixture of `KEPT` processes."""
 
     def __init__(self, points: Array, values: Array, rng: np.random.Generator) -> None:
         fitted = PooledProcess.fit(
@@ -93,21 +83,7 @@ class ContextResponse:
         return mean
 
     def sample(self, x: Array, count: int, rng: np.random.Generator) -> Array:
-        """Draw the mean jointly at contexts x (m, e) of the unit cube.
-
-        Parameters
-        ----------
-        x : ndarray, shape (m, e)
-        count
-            Number of samples from each of the `KEPT` processes.
-        rng
-            Source of the samples.
-
-        Returns
-        -------
-        ndarray, shape (KEPT * count, m)
-            In the metric's unit.
-        """
+        """Draw the mean jointly at contexts x (m, e) of the unit cube."""
         samples = []
         for process in self._mixture:
             theta = process.hyperparameters

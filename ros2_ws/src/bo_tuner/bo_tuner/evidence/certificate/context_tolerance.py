@@ -161,22 +161,7 @@ class ContextTolerance:
 def context_tolerances(
     study: Study, evaluations: Sequence[Evaluation]
 ) -> tuple[ContextTolerance, ...]:
-    """Rank the context variables by their effect, and return how far each may drift.
-
-    Parameters
-    ----------
-    study
-        The study.
-    evaluations
-        Of one parameter set, of any stage; the complete ones in the first `MOST_CONTEXTS`
-        different contexts are used.
-
-    Returns
-    -------
-    tuple of ContextTolerance
-        One for each worst-case constraint; empty without contexts that are numbers, or with too few
-        evaluations.
-    """
+    """Rank the context variables by their effect, and return how far each may drift."""
     complete = _first_contexts(e for e in evaluations if e.outcome.complete)
     if not study.context_space().ordered or len(complete) < FEWEST_EVALUATIONS:
         return ()

@@ -44,19 +44,7 @@ class Deaths:
 def deaths_in(
     study: Study, of_set: Sequence[Evaluation], others: Sequence[Evaluation], confidence: float
 ) -> Deaths | None:
-    """Return how often nodes died in the runs of a parameter set; None if no death is ignored.
-
-    Parameters
-    ----------
-    study
-        The study.
-    of_set
-        Runs of the set, in their order.
-    others
-        Runs of other sets.
-    confidence
-        Of the bound, which holds after every run.
-    """
+    """Return how often nodes died in the runs of a parameter set; None if no death is ignored."""
     if all(spec.death != IGNORE for spec in study.nodes.values()):
         return None
     events = _events(of_set)

@@ -27,27 +27,7 @@ def decide_draws(
     confidence: float,
     earlier: Earlier = NOTHING,
 ) -> bool | None:
-    """Return whether the draws so far decide the verdict: True or False; None if not yet.
-
-    Parameters
-    ----------
-    study
-        The study.
-    drawn
-        The draws so far, in their order.
-    most
-        Largest number of draws.
-    confidence
-        Of all bounds, between 0 and 1.
-    earlier
-        What was known of the parameter set before.
-
-    Returns
-    -------
-    bool or None
-        True if they show all constraints over the contexts, and do not leave a worst-case one
-        contradicted by earlier draws. False if a PASS is out of reach.
-    """
+    """Return whether the draws so far decide the verdict: True or False; None if not yet."""
     if failed_runs(drawn):
         return False if is_failed(drawn) else None
     if contradiction(study, drawn):
@@ -78,26 +58,7 @@ def decide_context(
     most: int,
     confidence: float,
 ) -> bool | None:
-    """Return whether a worst-case constraint holds in a context: True or False; None if open.
-
-    Parameters
-    ----------
-    study, constraint
-        The study, and one of its constraints.
-    evidence
-        The evaluations so far, with one at least in the context.
-    place
-        Index of the context among those of ``evidence.repeated``.
-    most
-        Largest number of draws.
-    confidence
-        Of all bounds, between 0 and 1.
-
-    Returns
-    -------
-    bool or None
-        True if they show that it holds. False if a PASS is out of reach.
-    """
+    """Return whether a worst-case constraint holds in a context: True or False; None if open."""
     repeated = evidence.repeated[place]
     if failed_runs(repeated):
         return False if is_failed(repeated) else None

@@ -30,15 +30,6 @@ class DrawPlan(CertificatePlan):
 
     Draws that were planned before it was clear count, too.
 
-    Parameters
-    ----------
-    case
-        The certificate.
-    subjects
-        The parameter sets.
-    repeats
-        Of each of them, draws that were run with other seeds.
-
     Attributes
     ----------
     evaluations
@@ -93,13 +84,6 @@ class DrawPlan(CertificatePlan):
 
 class RepeatedDraws(CertificatePlan):
     """The first draws of all subjects with other seeds, which are to change nothing.
-
-    Parameters
-    ----------
-    case
-        The certificate.
-    subjects
-        The parameter sets.
 
     Attributes
     ----------

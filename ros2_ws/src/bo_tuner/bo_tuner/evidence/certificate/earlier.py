@@ -39,15 +39,6 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
 
     Where a limit was refuted counts whatever made the runs. The runs themselves count if they are
     of this backend: another one measures something else.
-
-    Parameters
-    ----------
-    record
-        The run, with its certificates in its folder.
-    parameters
-        The parameter set.
-    backend
-        On which it is to be certified.
     """
     study = record.study
     # A run that was cut short shows neither that a limit is kept nor that it is not.
@@ -77,17 +68,7 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
 def refutation(
     description: str, findings: Findings, evaluations: Iterable[Evaluation]
 ) -> Refutation:
-    """Return what a certificate failed on.
-
-    Parameters
-    ----------
-    description
-        Where, as a clause, such as ``certificate 0001 was a FAIL``.
-    findings
-        The findings of the certificate.
-    evaluations
-        Its evaluations.
-    """
+    """Return what a certificate failed on."""
     contexts: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
     for constraint in findings.constraints:
         if not constraint.passed:

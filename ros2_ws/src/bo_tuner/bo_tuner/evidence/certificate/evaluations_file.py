@@ -51,15 +51,7 @@ class Row:
 def evaluations_csv(
     evidence: Mapping[str, Evidence], contexts: Iterable[str], metrics: Iterable[str]
 ) -> str:
-    """Return all evaluations as CSV, a row each.
-
-    Parameters
-    ----------
-    evidence
-        By the name of its parameter set.
-    contexts, metrics
-        Names, in the order of the columns.
-    """
+    """Return all evaluations as CSV, a row each."""
     contexts, metrics = list(contexts), list(metrics)
     # A context and a metric may have the same name.
     columns = [*(_CONTEXT + name for name in contexts), *(_METRIC + name for name in metrics)]
@@ -82,13 +74,7 @@ def evaluations_csv(
 
 
 def read_evaluations(certificate: Path) -> list[Row]:
-    """Read the evaluations of a certificate.
-
-    Raises
-    ------
-    RunRecordError
-        If they cannot be read. One line.
-    """
+    """Read the evaluations of a certificate."""
     path = evaluations_path(certificate)
     try:
         with path.open(encoding="utf-8", newline="") as file:

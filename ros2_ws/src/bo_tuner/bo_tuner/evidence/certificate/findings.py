@@ -15,15 +15,7 @@ TAIL = 0.95
 
 
 def widest(side: str, bounds: Iterable[float]) -> float:
-    """Return the bound, of those in several contexts, that decides whether a limit is kept.
-
-    Parameters
-    ----------
-    side
-        Which limit it is: ``upper`` or ``lower``.
-    bounds
-        One for each context.
-    """
+    """Return the bound, of those in several contexts, that decides whether a limit is kept."""
     return max(bounds) if side == UPPER else min(bounds)
 
 

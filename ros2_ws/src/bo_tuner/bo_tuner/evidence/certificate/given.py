@@ -15,36 +15,13 @@ from bo_tuner.trials import Trial, TrialState, Value
 def given_values(
     study: Study, values: Mapping[str, Value], folder: Path, backend: str
 ) -> tuple[RunRecord, Trial]:
-    """Return a record without a trial, and the trial that stands for the values.
-
-    Parameters
-    ----------
-    study
-        The study.
-    values
-        By name; what is left out is the default.
-    folder
-        Where the certificates are kept.
-    backend
-        On which they are made.
-
-    Raises
-    ------
-    StudyError
-        If the values are no parameter set of the study.
-    """
+    """Return a record without a trial, and the trial that stands for the values."""
     trial = Trial(0, study.complete_set(values), "given", TrialState.COMPLETE)
     return record_of_study(study, folder, backend), trial
 
 
 def check_folder(record: RunRecord) -> None:
-    """Refuse a folder of anything but certificates of given values by this study.
-
-    Raises
-    ------
-    RunRecordError
-        If it is that of a run, or has certificates of another study.
-    """
+    """Refuse a folder of anything but certificates of given values by this study."""
     folder = record.path
     if (folder / JOURNAL).exists():
         raise RunRecordError(f"{folder}: is the folder of a run; name another one")

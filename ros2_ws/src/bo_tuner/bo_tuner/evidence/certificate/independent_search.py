@@ -112,34 +112,7 @@ def find_worst_contexts(
     limit: float,
     rng: np.random.Generator,
 ) -> Search:
-    """Find contexts in which a metric may be the largest.
-
-    Parameters
-    ----------
-    space
-        The context space.
-    drawn
-        Contexts that are already evaluated, with the metric.
-    known
-        Contexts suspected to be the worst, such as stage two's.
-    limit
-        Upper limit of the metric.
-    rng
-        Draws the space-filling design and the starts.
-
-    Yields
-    ------
-    list of dict
-        Contexts to evaluate, in any order. Sent back are the values of the metric in them, None
-        where the evaluation failed.
-
-    Returns
-    -------
-    list of dict
-        At most `most_candidates` contexts: the largest prediction over the box and over its
-        corners, the largest observation, the known ones, those that are there in any case, then
-        others in the order of their predictions.
-    """
+    """Find contexts in which a metric may be the largest."""
     if space.is_discrete:
         return _every_context(space, drawn, known)
     tried = _Tried(space, drawn[:MOST_MODELLED])
@@ -174,24 +147,7 @@ def worst_of_all(
     candidates: Sequence[Context],
     rng: np.random.Generator,
 ) -> list[Context]:
-    """Return the contexts with the largest posterior means, of all in which there was a run.
-
-    Parameters
-    ----------
-    space
-        The context space.
-    contexts, values
-        Of each run, with the metric; at least one. Those in one context are replicates.
-    candidates
-        Contexts that are known already; those close to one of them are left out.
-    rng
-        Starts the fit.
-
-    Returns
-    -------
-    list of dict
-        At most `CARRIED` contexts, the largest mean first.
-    """
+    """Return the contexts with the largest posterior means, of all in which there was a run."""
     if space.dimension == 0:
         return []
     points = space.cube_of(contexts)

@@ -101,17 +101,7 @@ def least_evaluations(study: Study, confidence: float) -> int:
 
 
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
-    """Judge the evaluations of a parameter set.
-
-    Parameters
-    ----------
-    study
-        The study, whose constraints are judged.
-    evidence
-        The evaluations; at least one draw.
-    confidence
-        Confidence of all bounds, between 0 and 1.
-    """
+    """Judge the evaluations of a parameter set."""
     metric = study.objective.metric
     values = values_of(evidence.drawn, metric)
     sign = study.objective.sign

@@ -51,27 +51,7 @@ def make_certificate(
     backend: str,
     best_sha256: str | None,
 ) -> Certificate:
-    """Judge the evidence, and compare it with the estimates of the run.
-
-    Parameters
-    ----------
-    record
-        The run.
-    trial
-        The trial whose parameter set is judged.
-    evidence
-        Evaluations of the parameter set `TUNED` and, if it was evaluated, of `DEFAULT`.
-    draws
-        Largest number of draws.
-    confidence
-        Confidence over all attempts.
-    attempt
-        Number of this one, from 1.
-    backend
-        Backend on which the evaluations were run.
-    best_sha256
-        Digest of the ``best.yaml`` that holds it; None if that holds another trial's.
-    """
+    """Judge the evidence, and compare it with the estimates of the run."""
     study, ranking = record.study, recorded_method(record).ranking
     tuned = evidence[TUNED]
     level = spent(confidence, attempt, len(evidence))
@@ -142,20 +122,6 @@ def write_certificate(
 
     Earlier certificates stay. The file of the certificate comes last: without it, after a crash,
     its evaluations are no certificate.
-
-    Parameters
-    ----------
-    folder
-        The run folder, locked.
-    certificate
-        The certificate.
-    evidence
-        Evaluations by the name of their parameter set.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
     """
     path = next_path(folder, certificate.attempt)
     table = evaluations_csv(evidence, certificate.contexts, certificate.metrics)

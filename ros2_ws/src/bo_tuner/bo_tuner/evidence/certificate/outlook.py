@@ -72,26 +72,7 @@ def outlook(
     drawn: Sequence[Evaluation] = (),
     worst_cases: Mapping[str, WorstCase] | None = None,
 ) -> Outlook | None:
-    """Return how many evaluations the certificate of a parameter set probably takes.
-
-    Parameters
-    ----------
-    study
-        The study.
-    most
-        Largest number of draws, and of runs in a context.
-    confidence
-        Of each bound.
-    drawn
-        Evaluations of the parameter set in draws, such as those of the validation.
-    worst_cases
-        What is estimated of it, by the name of a worst-case constraint.
-
-    Returns
-    -------
-    Outlook or None
-        None if almost no simulated certificate passes.
-    """
+    """Return how many evaluations the certificate of a parameter set probably takes."""
     rng = np.random.default_rng(0)
     simulation = _Simulation(study, most, confidence, drawn, worst_cases or {}, rng)
     counts = [simulation.evaluations() for _ in range(SIMULATIONS)]
@@ -105,15 +86,7 @@ def outlook(
 def probable_certificate(
     study: Study, worst_cases: Mapping[str, WorstCase] | None = None
 ) -> Outlook | None:
-    """Return how many evaluations the first certificate of a result probably takes, as `outlook`.
-
-    Parameters
-    ----------
-    study
-        The study, which says how many draws and what confidence it is to have.
-    worst_cases
-        What is estimated of the result; None if nothing is.
-    """
+    """Return how many evaluations the first certificate probably takes, as `outlook`."""
     confidence = study.certificate.confidence
     draws = required_draws(study, confidence)
     return outlook(study, draws, spent(confidence, 1), worst_cases=worst_cases)

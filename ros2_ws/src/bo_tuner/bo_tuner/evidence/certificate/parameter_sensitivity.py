@@ -115,22 +115,7 @@ def change_in_words(study: Study, optimum: Neighbour, neighbour: Neighbour) -> s
 def parameter_sensitivity(
     study: Study, parameters: Mapping[str, Value], models: Surrogates
 ) -> ParameterSensitivity | None:
-    """Predict objective and constraints one step away from a parameter set in each parameter.
-
-    Parameters
-    ----------
-    study
-        The study.
-    parameters
-        The optimum.
-    models
-        Surrogates of all trials.
-
-    Returns
-    -------
-    ParameterSensitivity or None
-        None while there is no model of the objective.
-    """
+    """Predict objective and constraints one step away from a parameter set in each parameter."""
     if models.objective is None:
         return None
     space = study.search_space()

@@ -44,15 +44,7 @@ class Mean:
 
 
 def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
-    """Return the mean of independent values, its standard error and its confidence bounds.
-
-    Parameters
-    ----------
-    values
-        Shape (n,).
-    confidence
-        Of each bound, between 0 and 1.
-    """
+    """Return the mean of independent values, its standard error and its confidence bounds."""
     sample = np.asarray(values, dtype=np.float64)
     count = len(sample)
     if count < 2:
@@ -70,13 +62,6 @@ def conditional_value_at_risk(values: Sequence[float] | Array, level: float) -> 
 
     If that is not a whole number of values, the smallest of them has a fractional weight
     (Rockafellar and Uryasev 2000, for a discrete distribution).
-
-    Parameters
-    ----------
-    values
-        Shape (n,); larger is worse. An empty sample gives NaN.
-    level
-        Between 0 and 1; 0.95 averages the worst 5 %.
     """
     sample = np.sort(np.asarray(values, dtype=np.float64))[::-1]
     if not len(sample):

@@ -52,15 +52,7 @@ class SearchWidth:
 
 
 def search_widths(space: ContextSpace, contexts: Sequence[Context]) -> tuple[SearchWidth, ...]:
-    """Return which widths of a violation evaluations in some contexts meet.
-
-    Parameters
-    ----------
-    space
-        The context space; without a continuous variable there is no width, and nothing is returned.
-    contexts
-        Those that were evaluated, at least one.
-    """
+    """Return which widths of a violation evaluations in some contexts meet."""
     if all(isinstance(item, Discrete) for item in space.distributions):
         return ()
     distance = distances(space, contexts)

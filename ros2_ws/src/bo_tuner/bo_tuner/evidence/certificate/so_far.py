@@ -14,17 +14,7 @@ from bo_tuner.study.study import Study
 
 
 def so_far(study: Study, evidence: Evidence, confidence: float) -> Iterator[str]:
-    """Yield what the runs of an undecided certificate show, a line for each limit.
-
-    Parameters
-    ----------
-    study
-        The study.
-    evidence
-        The runs.
-    confidence
-        Of each bound.
-    """
+    """Yield what the runs of an undecided certificate show, a line for each limit."""
     runs = text.counted(len(evidence.evaluations), "run")
     if not evidence.drawn:
         yield f"nothing is shown by {runs}"

@@ -59,11 +59,6 @@ def next_path(folder: Path, attempt: int = 1) -> Path:
     """Return the path for a new certificate, with the number of its attempt, and make its folder.
 
     An attempt that was given up has a number, and no certificate.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made.
     """
     directory = folder / CERTIFICATES
     with writing(directory):
@@ -97,13 +92,7 @@ def certificate_text(certificate: Certificate) -> str:
 
 
 def read_certificate(path: Path, study: Study) -> Certificate:
-    """Read a certificate of a study.
-
-    Raises
-    ------
-    RunRecordError
-        If it is not a certificate of `validate` for a study with these names. One line.
-    """
+    """Read a certificate of a study."""
     try:
         content = json.loads(read_text(path))
         known = isinstance(content, dict) and content.get("format") == FORMAT
@@ -128,13 +117,7 @@ def read_certificate(path: Path, study: Study) -> Certificate:
 
 
 def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
-    """Return the latest certificate of a trial's parameter set; None if there is none.
-
-    Raises
-    ------
-    RunRecordError
-        If a later one cannot be read: it may be of the same parameter set.
-    """
+    """Return the latest certificate of a trial's parameter set; None if there is none."""
     for path in certificate_paths(record.path):
         if read_certificate(path, record.study).is_of(trial):
             return path
@@ -174,27 +157,7 @@ def required_draws(study: Study, confidence: float) -> int:
 def draws_of(
     study: Study, confidence: float, attempt: int, draws: int | None = None, *, sets: int = 1
 ) -> int:
-    """Return the largest number of draws, which must be able to show every chance constraint.
-
-    Parameters
-    ----------
-    study
-        The study.
-    confidence
-        Confidence of all certificates of the run together.
-    attempt
-        Number of the certificate in the run, from 1.
-    draws
-        As asked for; None for as many as the study requires.
-    sets
-        Number of parameter sets that it is about.
-
-    Raises
-    ------
-    StudyError
-        With the path `DRAWS_KEY` if these are too few or too many, else if the study asks for what
-        no number of draws can show.
-    """
+    """Return the largest number of draws, which must be able to show every chance constraint."""
     needed, constraint = most_draws_needed(study, spent(confidence, attempt, sets))
     if needed > maxima.DRAWS:
         raise StudyError(

@@ -9,19 +9,7 @@ from bo_tuner.trials import DEFAULT, TUNED, Trial
 def subjects_of(
     record: RunRecord, trial: Trial, backend: str, *, with_default: bool
 ) -> list[Subject]:
-    """Return the parameter set of a trial as a subject, after the default if that is asked for.
-
-    Parameters
-    ----------
-    record
-        The run, with its certificates in its folder.
-    trial
-        Whose parameter set is certified.
-    backend
-        On which it is certified.
-    with_default
-        Whether the default is certified, too, in the same draws.
-    """
+    """Return the parameter set of a trial as a subject, after the default if that is asked for."""
     study = record.study
     suspected = tuple(
         trial.worst_cases[constraint.name].context

@@ -62,15 +62,7 @@ def certificate_rows(study: Study, certificate: Certificate) -> list[Row]:
 def certificate_lines(
     verdict: Verdict, study: Study, certificate: Certificate, most: int
 ) -> list[str]:
-    """Return what a terminal says of a certificate: of each limit, and what speaks against it.
-
-    Parameters
-    ----------
-    verdict, study, certificate
-        The certificate, of which study, and the verdict by it.
-    most
-        Largest number of lines; limits that are not proven come first.
-    """
+    """Return what a terminal says of a certificate: of each limit, and what speaks against it."""
     others = [*earlier_in_words(certificate)][:1]
     others += [f"{gain(q)}; {basis(q)}" for q in verdict.quantities if q.objective][:1]
     others += [of_default(verdict)] if certificate.default is not None else []

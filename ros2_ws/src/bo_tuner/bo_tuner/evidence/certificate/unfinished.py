@@ -95,22 +95,10 @@ class Unfinished(RunObserver):
     Evaluations that were lost or disturbed are left out: they end a certificate without a verdict,
     and are made anew.
 
-    Parameters
-    ----------
-    folder
-        The run folder, locked.
-    study, parameters, backend, attempt
-        What the certificate is of. Evaluations of anything else, or of other code, are discarded.
-
     Attributes
     ----------
     evaluations
         Those on record already.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
     """
 
     def __init__(

@@ -64,19 +64,7 @@ class Gap:
 def training_gaps(
     study: Study, trial: Trial, predicted: float, findings: Findings
 ) -> tuple[Gap, ...]:
-    """Compare training and validation, for the objective and, if there is one, the worst case.
-
-    Parameters
-    ----------
-    study
-        The study.
-    trial
-        The trial, without the evaluations that checked it as a candidate.
-    predicted
-        Mean of the objective by the surrogates of all trials, in its unit; NaN without.
-    findings
-        Findings for the trial's parameter set.
-    """
+    """Compare training and validation, for the objective and, if there is one, the worst case."""
     metric = study.metrics[study.objective.metric]
     seen = np.array(trial.observations(metric.name))
     gaps = [

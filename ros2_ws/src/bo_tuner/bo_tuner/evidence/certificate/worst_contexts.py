@@ -44,17 +44,6 @@ class _Suspects:
 class WorstCasePlan(CertificatePlan):
     """The search for the worst contexts of a subject, then repeated runs in them.
 
-    Parameters
-    ----------
-    case
-        The certificate.
-    number
-        Of the subject.
-    subject
-        The parameter set.
-    evidence
-        Of its draws.
-
     Attributes
     ----------
     evidence
@@ -178,19 +167,7 @@ class WorstCasePlan(CertificatePlan):
 
 
 class RepeatPlan(Plan[Run]):
-    """Repeated runs in contexts that may be the worst, in their order, until each is clear.
-
-    Parameters
-    ----------
-    case
-        The certificate.
-    number
-        Of the subject.
-    evidence
-        Of its draws and its search, with an empty group of runs for each context.
-    suspects
-        The contexts.
-    """
+    """Repeated runs in contexts that may be the worst, in their order, until each is clear."""
 
     def __init__(self, case: Case, number: int, evidence: Evidence, suspects: _Suspects) -> None:
         self._case = case

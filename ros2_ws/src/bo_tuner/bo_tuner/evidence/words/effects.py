@@ -23,15 +23,7 @@ def title_of(study: Study, effect: Effect) -> str:
 
 
 def effects_in_words(study: Study, parameters: Sequence[ParameterEffects]) -> tuple[str, ...]:
-    """Return sentences on the parameters that a run has not seen to move any metric.
-
-    Parameters
-    ----------
-    study
-        The study.
-    parameters
-        Its parameters; there is nothing to say of those that move one.
-    """
+    """Return sentences on the parameters that a run has not seen to move any metric."""
     sentences = [f"{not_seen(study, item)}." for item in parameters if item.unseen]
     sentences += proposals(study, parameters)
     if open_ := [

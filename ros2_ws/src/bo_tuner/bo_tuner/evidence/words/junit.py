@@ -15,15 +15,7 @@ ALL = "all limits"
 
 
 def verdict_in_junit(study: Study, verdict: Verdict) -> bytes:
-    """Return the XML of the verdict of a certificate.
-
-    Parameters
-    ----------
-    study
-        The study, whose limits are the test cases.
-    verdict
-        By a certificate.
-    """
+    """Return the XML of the verdict of a certificate."""
     suite = _suite(study)
     for quantity in verdict.quantities:
         if quantity.limit_verdict is None or quantity.limit_verdict.standing is Standing.SHOWN:

@@ -30,13 +30,6 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
 
     Wider bounds are a further run, and come last: where the result is at one, or the models expect
     feasible sets beyond it.
-
-    Parameters
-    ----------
-    verdict
-        The verdict on the result of the run.
-    run
-        Path of the run folder, or of that of the certificates of given values.
     """
     where = shlex.quote(run)
     if verdict.given:

@@ -24,17 +24,7 @@ from bo_tuner.trials import Value
 def print_verdict(
     console: Console, study: Study, verdict: Verdict, tuned: Mapping[str, Value]
 ) -> None:
-    """Print the verdict with its numbers.
-
-    Parameters
-    ----------
-    console
-        Where to print.
-    study, verdict
-        The study, and the verdict on its result.
-    tuned
-        The tuned parameter set.
-    """
+    """Print the verdict with its numbers."""
     console.print(headline(verdict))
     for sentence in sentences(verdict):
         print_line(console, f"  {sentence}", "  ")

@@ -21,18 +21,7 @@ from bo_tuner.trials import Trial
 
 
 def certificate(record: RunRecord, answer: Trial | None) -> tuple[Certificate, Section] | None:
-    """Read the latest certificate of a run's answer, or else of another trial, with its section.
-
-    Returns
-    -------
-    tuple of Certificate and Section, or None
-        None without any.
-
-    Raises
-    ------
-    RunRecordError
-        If it cannot be read.
-    """
+    """Read the latest certificate of a run's answer, or else of another trial, with its section."""
     paths = certificate_paths(record.path)
     if not paths:
         return None

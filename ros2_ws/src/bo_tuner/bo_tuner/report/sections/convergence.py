@@ -296,11 +296,6 @@ def known_incumbents(incumbents_by_count: Mapping[int, Candidate | None]) -> Kno
 
     Those of more than `FITTED_EACH` trials are left out: where a run has recorded no
     hyperparameters, they depend on the models of all trials.
-
-    Parameters
-    ----------
-    incumbents_by_count
-        By the number of trials known then.
     """
     return Known(
         {count: best for count, best in incumbents_by_count.items() if count <= FITTED_EACH}
@@ -390,21 +385,7 @@ def _good(analysis: Analysis) -> list[bool]:
 def scale_end(
     good: Sequence[bool], seen: Array, scale: Scale, sign: float, lines: Sequence[float]
 ) -> float:
-    """Return the end of the scale on the side of the worse values: those beyond are off the scale.
-
-    Parameters
-    ----------
-    good
-        Which of n trials are within limits.
-    seen
-        Values (n,) of the trials.
-    scale
-        That of the axis.
-    sign
-        1 if large values are the worse ones, so that the edge is the top; -1 if small ones are.
-    lines
-        Values that are to be on the scale, whatever the trials are.
-    """
+    """Return the end of the scale on the side of the worse values."""
     if sign < 0:
         # Either is its own inverse.
         turned = np.reciprocal if scale is Scale.LOG else np.negative

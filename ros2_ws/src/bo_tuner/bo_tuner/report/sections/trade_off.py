@@ -182,13 +182,7 @@ def _nothing_gained(
 
 
 def pareto_front(cost: Array, worst: Array) -> list[int]:
-    """Return the indices of points that no other one dominates, by increasing `worst`.
-
-    Parameters
-    ----------
-    cost, worst
-        Both (n,); smaller is better.
-    """
+    """Return the indices of points that no other one dominates, by increasing `worst`."""
     front = np.flatnonzero(nondominated(np.column_stack([worst, cost])))
     return sorted(front.tolist(), key=lambda k: float(worst[k]))
 

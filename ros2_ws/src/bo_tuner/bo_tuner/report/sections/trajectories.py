@@ -57,25 +57,13 @@ class TracingBackend(InProcessBackend):
     """An in-process backend that also returns the signals of its last evaluation."""
 
     def check(self) -> None:
-        """Check that there are signals, before an evaluation is run in vain.
-
-        Raises
-        ------
-        NoTraceError
-            If the trigger's object has no ``trace()``.
-        """
+        """Check that there are signals, before an evaluation is run in vain."""
         key = triggered(self._study)
         if getattr(self._objects[key], "trace", None) is None:
             raise NoTraceError(f"the object of node '{key}' has no trace()")
 
     def trace(self) -> Trace:
-        """Return the signals of the last evaluation.
-
-        Raises
-        ------
-        NoTraceError
-            If there is no ``trace()``, or it raises or returns something else.
-        """
+        """Return the signals of the last evaluation."""
         self.check()
         key = triggered(self._study)
         try:
@@ -252,13 +240,7 @@ def _from_bags(
 
 
 def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
-    """Run evaluations in this process and return the signals of each.
-
-    Raises
-    ------
-    NoTraceError, StudyError, BackendError
-        If there are no signals.
-    """
+    """Run evaluations in this process and return the signals of each."""
     if not is_trusted(study):
         programs = ", ".join(foreign_programs(study))
         raise NoTraceError(
@@ -279,17 +261,7 @@ def panels(
     styles: Mapping[str, Style],
     limits_of: Study | None,
 ) -> list[Panel]:
-    """Return a panel for each group of signals and each column.
-
-    Parameters
-    ----------
-    columns
-        By the title of a column, its traces by the names of their lines.
-    styles
-        Colour and dash of the lines by these names.
-    limits_of
-        The study, the limits of which are drawn where a trace says how; None draws none.
-    """
+    """Return a panel for each group of signals and each column."""
     every = [trace for sides in columns.values() for trace in sides.values()]
     groups = dict.fromkeys(_group(name) for trace in every for name in trace if name != TIME)
     return [

@@ -35,13 +35,6 @@ class AbortCondition:
 
     A signal of which nothing was heard decides nothing, and is looked for again and again: its
     publisher may start only with a run.
-
-    Parameters
-    ----------
-    node
-        Subscribes; it is in no executor, which would take the messages away.
-    plan
-        What the guard holds.
     """
 
     def __init__(self, node: Node, plan: Plan) -> None:
@@ -62,13 +55,7 @@ class AbortCondition:
         return sorted(self._wanted.keys() - heard)
 
     def holds(self, seconds: float) -> bool:
-        """Whether it holds for what came in since this was last asked.
-
-        Parameters
-        ----------
-        seconds
-            Time [s] since the start of the run.
-        """
+        """Whether it holds for what came in since this was last asked."""
         if self._condition is None:
             return False
         if self.missing and time.monotonic() - self._searched > SEARCH:

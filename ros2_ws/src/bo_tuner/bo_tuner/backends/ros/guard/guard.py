@@ -117,27 +117,7 @@ class TopicBeats:
 
 
 class Guard:
-    """Guards the nodes of a plan.
-
-    Parameters
-    ----------
-    plan
-        What it holds.
-    ros_arguments
-        ``--ros-args`` of its node.
-    beats
-        Heartbeats of the tuner.
-    name
-        Its own, by which the tuner knows it; random unless given.
-    patience
-        Time [s] without a heartbeat after which it acts.
-    attached
-        Whether the nodes run by themselves: those that a tuner has started come and go with it.
-    record
-        File that takes a line for each act; None for no file.
-    say
-        Is passed what it does, a line each.
-    """
+    """Guards the nodes of a plan."""
 
     def __init__(
         self,
@@ -182,22 +162,7 @@ class Guard:
         return self._state.nodes
 
     def open(self, *, wait: bool, alone: bool = True) -> None:
-        """Find the nodes and who hears the stop messages.
-
-        Parameters
-        ----------
-        wait
-            Wait for nodes that are not there yet, for as long as it takes.
-        alone
-            Refuse nodes that another guard has.
-
-        Raises
-        ------
-        BackendError
-            If another guard has one of the nodes, or one is not there.
-        StudyError
-            If a stop message has no listener, or not the fields of its type.
-        """
+        """Find the nodes and who hears the stop messages."""
         tuner, plan = self._tuner, self._plan
         if isinstance(self._beats, TopicBeats):
             self._beats.connect(tuner, self._name)

@@ -193,17 +193,6 @@ class _Topic:
 class GuardLink:
     """The connection to the guard of a study's nodes, which is joined or started.
 
-    Parameters
-    ----------
-    tuner
-        The tuner's node. While a run is in progress, heartbeats are sent as long as it is served.
-    plan
-        What is to be held.
-    folder
-        Takes log and record of a guard that is started.
-    attached
-        Whether the nodes run by themselves.
-
     Attributes
     ----------
     unheeded : GuardActedError or None
@@ -245,23 +234,7 @@ class GuardLink:
         ros_arguments: Sequence[str],
         values: Mapping[str, Mapping[str, object]] | None = None,
     ) -> None:
-        """Take the guard that is there, or start one, and let it watch from now on.
-
-        Parameters
-        ----------
-        study
-            The study, of which the plan is.
-        ros_arguments
-            ``--ros-args`` of a guard that is started.
-        values
-            What nodes have, by node key: a guard is started that gives them that back, whether
-            there is another one or not.
-
-        Raises
-        ------
-        BackendError
-            If a guard of another study has one of the nodes, or none can be started.
-        """
+        """Take the guard that is there, or start one, and let it watch from now on."""
         self._thread = threading.Thread(target=self._go_on, name="heartbeat", daemon=True)
         self._thread.start()
         if values is not None or not self._find():
@@ -297,23 +270,7 @@ class GuardLink:
             self._turn(IDLE)
 
     def look(self, *, at_rest: bool) -> None:
-        """See whether the guard is there and has not acted.
-
-        Parameters
-        ----------
-        at_rest
-            Whether the machine has no values of a trial yet, so that a guard that is silent can be
-            waited for.
-
-        Raises
-        ------
-        GuardActedError
-            Once, if it has acted.
-        GuardSilentError
-            Once, if it has to be waited for: first the machine is to be left safe.
-        BackendError
-            If it has ended.
-        """
+        """See whether the guard is there and has not acted."""
         if self._ended:
             raise BackendError(self._ended)
         if self._wire is None or not self._is_begun:

@@ -36,13 +36,7 @@ class Patience(NamedTuple):
 
 
 def patience(study: Study) -> Patience:
-    """Return the time without a heartbeat after which a guard acts.
-
-    Raises
-    ------
-    BackendError
-        If the environment names one that is none.
-    """
+    """Return the time without a heartbeat after which a guard acts."""
     of_study = patience_of(study.guard)
     given = os.environ.get(PATIENCE, "")
     if not given:

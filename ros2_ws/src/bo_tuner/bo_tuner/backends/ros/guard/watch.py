@@ -37,11 +37,6 @@ class Watch:
     It watches from the first beat to the one that says that no further one comes. Times [s] are of
     a steady clock, and given by the caller. On a busy computer beats come late: it waits longer by
     the largest delay that it has seen lately.
-
-    Parameters
-    ----------
-    patience
-        Time [s] without a beat after which the tuner counts as hung.
     """
 
     def __init__(self, patience: Patience) -> None:

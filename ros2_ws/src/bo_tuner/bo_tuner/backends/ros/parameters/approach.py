@@ -18,15 +18,6 @@ class Approach:
     A study without a ramp has none of this. Times are by the machine's clock, in which a
     simulation may pause: it does so between two runs.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        Sets and reads those of the nodes.
-
     Attributes
     ----------
     announce : callable
@@ -53,15 +44,7 @@ class Approach:
         self._go(wanted, assign)
 
     def as_far_as_possible(self, wanted: Values, timeout: float) -> None:
-        """Bring nodes near what they are to have; one that does not take a step ends the way.
-
-        Parameters
-        ----------
-        wanted
-            By node key.
-        timeout
-            Time [s] that all nodes have together for each step.
-        """
+        """Bring nodes near what they are to have; one that does not take a step ends the way."""
         # What is lost is told by what follows.
         with contextlib.suppress(LostError):
             self._go(wanted, lambda step: not self._parameters.assign_side_by_side(step, timeout))

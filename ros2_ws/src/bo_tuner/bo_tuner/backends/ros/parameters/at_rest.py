@@ -26,15 +26,6 @@ class InitialParameters:
 
     All methods raise `StudyError` if a node does not take a value, and `LostError` if it does not
     answer.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        Sets and reads those of the nodes.
     """
 
     def __init__(self, study: Study, tuner: TunerNode, parameters: NodeParameters) -> None:
@@ -51,13 +42,7 @@ class InitialParameters:
                 raise self._named(key, refusal, ("nodes", key, "parameters")) from refusal
 
     def set_undeclared(self, declared: Mapping[str, Mapping[str, object]]) -> None:
-        """Set safe values of undeclared parameters: one that is never taken costs all trials.
-
-        Parameters
-        ----------
-        declared
-            What the nodes have declared, by key.
-        """
+        """Set safe values of undeclared parameters: one that is never taken costs all trials."""
         safe = self._study.nominal_assignments(self._study.safe_parameters)
         for key, values in safe.items():
             undeclared = {name: v for name, v in values.items() if name not in declared[key]}
@@ -125,35 +110,7 @@ def take_over(
     *,
     is_repeat: bool,
 ) -> TakenOver:
-    """Note what the nodes of a study have, then set constant and safe parameters.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        Sets and reads those of the nodes.
-    approach
-        Takes the nodes to their safe parameters.
-    previous
-        Notes what attached nodes have; None of nodes that the tuner has started.
-    folder
-        Log directory of the run, with what its nodes had when it began.
-    is_repeat
-        Whether it is that of an earlier run, which is only read.
-
-    Raises
-    ------
-    BackendError
-        If, attached, a parameter that the study does not set is not what it was, or a node does
-        not take back what it had before a tuner that was killed.
-    LostError
-        If a node does not answer.
-    StudyError
-        If a node does not take its parameters.
-    """
+    """Note what the nodes of a study have, then set constant and safe parameters."""
     current = {key: parameters.read_anew(key) for key in study.nodes}
     if previous is not None:
         previous.undo_killed(current)
@@ -211,27 +168,6 @@ def _compare_with_earlier(folder: Path, values: Values, *, refuse: bool, note: b
     """Compare parameters with those that were noted down first in a folder, or note them down.
 
     A validation, or the rest of a run, on attached nodes would else measure something else.
-
-    Parameters
-    ----------
-    folder
-        Takes the file.
-    values
-        Parameters by node key.
-    refuse
-        Whether to refuse nodes that have other ones.
-    note
-        Whether to note them down where there is nothing yet; else the folder is only read.
-
-    Returns
-    -------
-    bool
-        Whether there was nothing yet to compare with.
-
-    Raises
-    ------
-    BackendError
-        If one is not what it was, with its name.
     """
     file = folder / HELD_PARAMETERS
     try:

@@ -91,20 +91,7 @@ class Readback:
     own: Mapping[str, Collection[str]]
 
     def check(self, assigned: Mapping[str, Collection[str]] | None = None) -> None:
-        """Compare what the nodes had with what they are held at.
-
-        Parameters
-        ----------
-        assigned
-            By node key the names of what was set right before.
-
-        Raises
-        ------
-        RefusedError
-            If it is the node that has not taken what was set.
-        DisturbedError
-            If somebody else changed one, or an event cannot be read.
-        """
+        """Compare what the nodes had with what they are held at."""
         if self.problem:
             raise DisturbedError(self.problem)
         for key, values in self.held.items():
@@ -125,15 +112,7 @@ class Readback:
 
 
 class ParameterWatch:
-    """Listens on ``/parameter_events`` for values that are not as expected.
-
-    Parameters
-    ----------
-    node
-        The tuner's node.
-    nodes
-        Names of the watched nodes, relative to its namespace, by their keys in the study.
-    """
+    """Listens on ``/parameter_events`` for values that are not as expected."""
 
     def __init__(self, node: Node, nodes: Mapping[str, str]) -> None:
         self._keys: dict[str, list[str]] = {}

@@ -42,15 +42,7 @@ def named_values(parameters: Iterable[ParameterMessage]) -> dict[str, object]:
 def to_messages(
     values: Mapping[str, object], types: Mapping[str, int] | None = None
 ) -> list[ParameterMessage]:
-    """Make the messages that set parameters.
-
-    Parameters
-    ----------
-    values
-        Values by name.
-    types
-        `ParameterType` of the node's own values, by name: an empty array does not show its type.
-    """
+    """Make the messages that set parameters."""
     messages = []
     for name, value in values.items():
         kind = Parameter.Type.from_parameter_value(value)

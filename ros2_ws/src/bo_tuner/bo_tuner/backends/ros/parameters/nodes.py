@@ -26,18 +26,6 @@ Unset = RefusedError | LostError
 class NodeParameters:
     """The parameters of some nodes: only what a node does not have already is set.
 
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    nodes
-        Names of the nodes by their keys in the study.
-    own
-        By the same keys the names of the parameters that are set; nodes need not list those that
-        they have.
-    is_unwatched
-        Whether a parameter, by the key of its node and its name, is none of the tuner's business.
-
     Attributes
     ----------
     clients : dict from str to ParameterClient
@@ -89,13 +77,7 @@ class NodeParameters:
         return self._known.get(key, {})
 
     def present(self, keys: Iterable[str]) -> dict[str, Mapping[str, object]]:
-        """Return the values that nodes are known to have, by key; others are asked.
-
-        Raises
-        ------
-        LostError
-            If one does not answer.
-        """
+        """Return the values that nodes are known to have, by key; others are asked."""
         keys = list(keys)
         asked = [key for key in keys if key not in self._known]
         readings = self._tuner.complete([self._reading_all(key) for key in asked])
@@ -103,20 +85,7 @@ class NodeParameters:
         return {key: self._known[key] for key in keys}
 
     def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
-        """Set those parameters of a node that it does not have already, all of them or none.
-
-        Returns
-        -------
-        list of str
-            The names of those that were set.
-
-        Raises
-        ------
-        RefusedError
-            If the node refuses them.
-        LostError
-            If it does not answer.
-        """
+        """Set those parameters of a node that it does not have already, all of them or none."""
         (names,) = self._tuner.complete([self._assigning(key, values)])
         return list(names)
 
@@ -124,18 +93,6 @@ class NodeParameters:
         """Set parameters of nodes at the same time, and read them back.
 
         A node that hangs does not keep the others waiting.
-
-        Parameters
-        ----------
-        values
-            By node key.
-        timeout
-            Time [s] that all of them have together.
-
-        Returns
-        -------
-        dict
-            By key why a node does not have its values; what it has is forgotten.
         """
         failed: dict[str, Unset] = {}
 
@@ -150,15 +107,7 @@ class NodeParameters:
         return {key: failed[key] for key in values if key in failed}
 
     def assign_and_read_back(self, key: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a node, which must then have these values.
-
-        Raises
-        ------
-        RefusedError
-            If the node refuses them, or has others then.
-        LostError
-            If it does not answer.
-        """
+        """Set parameters of a node, which must then have these values."""
         self._tuner.complete([self._assigning_and_reading_back(key, values)])
 
     def unset_side_by_side(
@@ -168,18 +117,6 @@ class NodeParameters:
 
         A request to set nothing deletes a parameter, which no node's author expects of one that
         was declared.
-
-        Parameters
-        ----------
-        names
-            By node key.
-        timeout
-            Time [s] that all of them have together.
-
-        Returns
-        -------
-        dict
-            By key, and name, of a parameter that is still there why.
         """
         kept: dict[str, dict[str, str]] = {key: {} for key in names}
 
@@ -198,19 +135,7 @@ class NodeParameters:
     def park(
         self, values: Values, held: Values, timeout: float, later: Collection[str] = ()
     ) -> dict[str, Unset]:
-        """Set safe values on all nodes at the same time, whatever somebody else has changed.
-
-        Parameters
-        ----------
-        values
-            By node key.
-        timeout
-            Time [s] that all of them have together.
-        held
-            By node key all that the node must have besides.
-        later
-            Keys of nodes that are started anew next, and get their values then.
-        """
+        """Set safe values on all nodes at the same time, whatever somebody else has changed."""
         self._changed, self._before = {}, {}
         self.expect({key: {**held.get(key, {}), **values[key]} for key in values})
         now = {key: values[key] for key in values if key not in later}
@@ -219,25 +144,7 @@ class NodeParameters:
         return failed
 
     def hold(self, wanted: Values, kept: Mapping[str, Collection[str]]) -> None:
-        """Set what nodes must have from now on, until this or `park` is called again.
-
-        Parameters
-        ----------
-        wanted
-            By node key the values.
-        kept
-            By node key the names of those that have the same value always, unless somebody else
-            changes them.
-
-        Raises
-        ------
-        RefusedError
-            If a node refuses them, or has another value right after one was set.
-        DisturbedError
-            If somebody else changed one, which may be why it refuses others.
-        LostError
-            If a node does not answer.
-        """
+        """Set what nodes must have from now on, until this or `park` is called again."""
         changed = {key: {**v, **self._changed.get(key, {})} for key, v in wanted.items()}
         self.expect(changed)
         assigned = self.assign_held(changed, kept)
@@ -253,23 +160,11 @@ class NodeParameters:
         return {key: self._assign_held(key, of_node, kept[key]) for key, of_node in values.items()}
 
     def hold_again(self, key: str) -> None:
-        """Set what a node that was started anew must have, and read it back.
-
-        Raises
-        ------
-        RefusedError, LostError
-            If it does not take it.
-        """
+        """Set what a node that was started anew must have, and read it back."""
         self.assign_and_read_back(key, self._expected.get(key, {}))
 
     def change(self, key: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a node that is held, and hold it at these until `give_back` or `park`.
-
-        Raises
-        ------
-        RefusedError, LostError
-            If the node does not take them.
-        """
+        """Set parameters of a node, and hold it at these until `give_back` or `park`."""
         before = self._before.setdefault(key, {})
         for name in values:
             before.setdefault(name, self._expected.get(key, {}).get(name))
@@ -283,13 +178,7 @@ class NodeParameters:
             self._change(key, {name: v for name, v in values.items() if v is not None})
 
     def read_back(self) -> Readback:
-        """Read what nodes have that are held, and what they had since this was last called.
-
-        Raises
-        ------
-        LostError
-            If one does not answer.
-        """
+        """Read what nodes have that are held, and what they had since this was last called."""
         values = self._read(self._expected)
         self._known |= {key: dict(of_node) for key, of_node in values.items()}
         seen, problem = self._watch.take_seen(), self._watch.problem
@@ -309,13 +198,7 @@ class NodeParameters:
         return set(self._own[key]) - set(self._names[key])
 
     def expect_answer(self, key: str) -> None:
-        """Ask a node for no parameter.
-
-        Raises
-        ------
-        SilentError
-            If it does not answer.
-        """
+        """Ask a node for no parameter."""
         self._tuner.complete([self.clients[key].values([])])
 
     def _change(self, key: str, values: Mapping[str, object]) -> None:

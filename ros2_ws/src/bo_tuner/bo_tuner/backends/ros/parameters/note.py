@@ -34,13 +34,6 @@ class ParameterNote:
     (``assigned``), and what of that they had before the first of several tuners that left it parked
     (``original``), and which they had not declared (``undeclared``). Nodes of other studies stay in
     it.
-
-    Parameters
-    ----------
-    domain
-        The ROS domain.
-    namespace
-        The namespace of the tuner.
     """
 
     def __init__(self, domain: int, namespace: str) -> None:
@@ -131,15 +124,7 @@ class ParameterNote:
     def leave(
         self, node: str, parked: Mapping[str, object], original: Mapping[str, object]
     ) -> None:
-        """Take note that a node has what it had, but for what it is left parked with.
-
-        Parameters
-        ----------
-        node
-            Its name.
-        parked, original
-            What it is left with, and what it had before any tuner, by parameter.
-        """
+        """Take note that a node has what it had, but for what it is left parked with."""
         known = {name: original[name] for name in parked if name in original}
         self.note(node, {}, {name: [value] for name, value in parked.items()}, known)
 

@@ -22,17 +22,7 @@ PAUSE = 0.25
 
 
 class PreviousParameters:
-    """Notes what the nodes of a study have and what is set on them, and sets them back.
-
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node, alone in its domain and namespace.
-    parameters
-        Sets and reads those of the nodes.
-    """
+    """Notes what the nodes of a study have and what is set on them, and sets them back."""
 
     def __init__(self, study: Study, tuner: TunerNode, parameters: NodeParameters) -> None:
         self._study = study
@@ -50,18 +40,6 @@ class PreviousParameters:
 
         A parameter that has another value by now, since the node was started anew or somebody has
         set it, stays as it is.
-
-        Parameters
-        ----------
-        current
-            What nodes have, by key; changed along with them.
-
-        Raises
-        ------
-        BackendError
-            If a node refuses.
-        LostError
-            If it does not answer.
         """
         for key in current:
             spec = self._study.nodes[key]
@@ -132,18 +110,6 @@ class PreviousParameters:
         What had no value has none again, as far as a node allows that; the rest is returned.
 
         A node may refuse these beside the others. It gets back all that it had then.
-
-        Parameters
-        ----------
-        timeout
-            Time [s] that all of them have to answer.
-        approach
-            Brings nodes near what they get back, with the same time to answer.
-
-        Returns
-        -------
-        list of str
-            What went wrong, each in a line; the note keeps what these nodes had.
         """
         previous, study = self._previous, self._study
         if not previous:
@@ -196,19 +162,7 @@ class PreviousParameters:
         safe: Values,
         timeout: float,
     ) -> None:
-        """Take back what had no value, by node key, and warn where that is not possible.
-
-        Parameters
-        ----------
-        names
-            Of those parameters.
-        undeclared
-            Names of what was not even declared. What was, its author expects to be there.
-        safe
-            What those have that keep a value, in place of that of the last trial.
-        timeout
-            Time [s] that all nodes have.
-        """
+        """Take back what had no value, by node key, and warn where that is not possible."""
         kept = {
             key: {
                 name: "it is declared, and would be no longer"

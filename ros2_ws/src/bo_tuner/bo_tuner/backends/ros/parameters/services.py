@@ -64,16 +64,6 @@ class ParameterClient:
     What gives `Calls` is for `TunerNode.complete`. Nodes that are no full ROS nodes, such as those
     on a microcontroller, lack some of the services or take one parameter at a time.
 
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    node
-        Name of the other one, relative to the namespace or in full.
-    services
-        Those that are used beside that which reads; of the two that set parameters the atomic one
-        stands for both.
-
     Attributes
     ----------
     on_request, on_refusal : callable
@@ -321,11 +311,6 @@ def meet(tuner: TunerNode, node: str, deadline: float) -> None:
     What it publishes before is lost, even if its publishers are known here. But it discovers the
     subscriptions in the order in which they were made, so one that answers a new client knows all
     earlier ones. One without parameter services is not waited for.
-
-    Raises
-    ------
-    SilentError
-        If it does not answer until `deadline`, a time of `monotonic`.
     """
     client = ParameterClient(tuner, node, GetParameters)
     try:

@@ -38,22 +38,12 @@ class Message(NamedTuple):
 class Bag:
     """A bag, read anew each time that it is played.
 
-    Parameters
-    ----------
-    path
-        Its folder or file.
-
     Attributes
     ----------
     types : mapping from str to str
         Types of its topics, without those that are not played.
     start, end : int
         Times [ns] of its first message, and after its last one.
-
-    Raises
-    ------
-    StudyError
-        If it cannot be read, or has no message.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,18 +67,7 @@ class Bag:
         return begins > DATED and begins < ends
 
     def check(self, stamped: Collection[str]) -> None:
-        """Read it once, and refuse what cannot be played.
-
-        Parameters
-        ----------
-        stamped
-            Topics whose messages begin with a header.
-
-        Raises
-        ------
-        StudyError
-            If it is cut off, or stamps go back or are of another time than the bag.
-        """
+        """Read it once, and refuse what cannot be played."""
         newest: dict[str, int] = {}
         for message in self.messages(self.types, 0.0, None, {}, {}):
             if message.topic not in stamped:
@@ -114,24 +93,7 @@ class Bag:
         delay: Mapping[str, float],
         drop: Mapping[str, float],
     ) -> Iterator[Message]:
-        """Yield the messages of some topics in the order of their times.
-
-        Parameters
-        ----------
-        topics
-            Names of topics in the bag.
-        begin, end
-            Times [s] in the bag at which it begins and ends.
-        delay
-            Times [s] by which messages of topics come later.
-        drop
-            Shares of the messages of topics that are left out, each time the same ones.
-
-        Raises
-        ------
-        StudyError
-            If the rest of it cannot be read.
-        """
+        """Yield the messages of some topics in the order of their times."""
         first = self.start + round(begin * 1e9)
         last = self.end if end is None else min(self.end, self.start + round(end * 1e9))
         try:

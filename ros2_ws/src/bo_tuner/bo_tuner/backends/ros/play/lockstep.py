@@ -41,13 +41,6 @@ class Lockstep:
     the node has published meanwhile has come by then, too.
 
     `settle` is for the thread that plays; the others are for that of the tuner, ahead of it.
-
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    stopped
-        Ends each wait when it is set.
     """
 
     def __init__(self, tuner: TunerNode, stopped: threading.Event) -> None:
@@ -68,13 +61,7 @@ class Lockstep:
         self._sent: dict[str, int] = {}
 
     def hear(self, topic: str) -> None:
-        """Count the answers on a topic.
-
-        Raises
-        ------
-        StudyError
-            If nothing publishes it.
-        """
+        """Count the answers on a topic."""
         if topic in self._counts:
             return
         node = self._tuner.node
@@ -94,13 +81,7 @@ class Lockstep:
         self._node.create_subscription(cls, topic, count, qos, raw=True)
 
     def begin(self, topics: Iterable[str], answers: dict[str, Answer]) -> None:
-        """Find the nodes that hear some topics, of which some are answered by messages.
-
-        Raises
-        ------
-        StudyError
-            If a node can neither be asked nor answers.
-        """
+        """Find the nodes that hear some topics, of which some are answered by messages."""
         followers = {topic: list(self._hearing(topic)) for topic in topics if topic not in answers}
         nodes = {name for names in followers.values() for name in names}
         followers[CLOCK] = [name for name in self._hearing(CLOCK) if name in nodes]
@@ -117,15 +98,7 @@ class Lockstep:
         self._sent = dict.fromkeys(answers, 0)
 
     def settle(self, topic: str, timeout: float) -> None:
-        """Wait until nodes are done with a message on a topic.
-
-        Raises
-        ------
-        LostError
-            If one is not within `timeout` seconds.
-        StoppedError
-            If the run has ended.
-        """
+        """Wait until nodes are done with a message on a topic."""
         if topic in self._answers:
             self._settle_by_answer(topic, self._answers[topic], timeout)
             return

@@ -10,13 +10,7 @@ from bo_tuner.backends.ros.own_topics import OwnTopic
 
 
 class PlayClock:
-    """The time of the bag in a run; between two runs time passes as on the machine.
-
-    Parameters
-    ----------
-    topic
-        What it is published on.
-    """
+    """The time of the bag in a run; between two runs time passes as on the machine."""
 
     coarse = True
 

@@ -54,32 +54,10 @@ class _Known:
 class Player:
     """Plays the bag of each run in a thread of its own.
 
-    Parameters
-    ----------
-    tuner
-        The tuner's node.
-    play
-        What is played, with values for names in braces.
-    folder
-        The study's.
-    signals
-        The study's signals, which may be of topics of the bag.
-    topics
-        What the steps publish, by topic; those of the bags are added.
-    clock
-        The time of the bag.
-    listener
-        Hears whether others publish them; None not to listen.
-
     Attributes
     ----------
     duration : float
         Time [s] that the bag in play takes.
-
-    Raises
-    ------
-    StudyError
-        If a bag cannot be read, or no node hears it, or not as the study says.
     """
 
     def __init__(
@@ -112,13 +90,7 @@ class Player:
             raise
 
     def fill(self, play: Play) -> None:
-        """Play another bag, or otherwise, in the next run.
-
-        Raises
-        ------
-        StudyError
-            If it cannot be read, or no node hears it, or not as the study says.
-        """
+        """Play another bag, or otherwise, in the next run."""
         play = self._in_full(play)
         if play.bag not in self._known:
             self._known[play.bag] = self._add(play)
@@ -136,13 +108,7 @@ class Player:
         return self._over.is_set()
 
     def begin(self) -> None:
-        """Begin to play, once the nodes are connected.
-
-        Raises
-        ------
-        LostError
-            If a node is not there.
-        """
+        """Begin to play, once the nodes are connected."""
         known = self._known[self._play.bag]
         deadline = time.monotonic() + CONNECT_TIMEOUT
         for topic in known.heard:
@@ -160,15 +126,7 @@ class Player:
         self._thread.start()
 
     def check(self) -> None:
-        """Raise why the bag is not played on.
-
-        Raises
-        ------
-        LostError
-            If a node does not follow.
-        StudyError
-            If the rest of the bag cannot be read.
-        """
+        """Raise why the bag is not played on."""
         if self._fault is not None:
             raise self._fault
 
