@@ -14,6 +14,7 @@ from bo_tuner.cli.common import RUNS, Parser, ended, guarded, opened, split_ros_
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.cli.study_on_nodes import is_running
 from bo_tuner.cli.study_options import add_attach_argument, read_study, trust_given
+from bo_tuner.codec import checks
 from bo_tuner.errors import BackendError, ParameterError, StudyError
 from bo_tuner.evidence.single_run import SingleRun
 from bo_tuner.figures.figure import Panel
@@ -31,7 +32,7 @@ from bo_tuner.report.single_run import (
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study import strict_yaml
 from bo_tuner.study.parts import BACKENDS, IN_PROCESS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
