@@ -7,8 +7,7 @@ from typing import Annotated
 from bo_tuner.codec import checks
 from bo_tuner.codec.rules import Expected
 from bo_tuner.errors import StudyError
-from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
-from bo_tuner.study.measures import check_measure
+from bo_tuner.study.measures import check_measure_of_distance
 from bo_tuner.study.metric_keys import ScaledMetricKeys
 from bo_tuner.study.signals import Signal
 
@@ -53,10 +52,7 @@ class PathMetric(ScaledMetricKeys):
         if len(self.path) not in (2, 3):
             found = checks.show(self.path)
             raise StudyError(f"expected {COORDINATES}, found {found}", ("path",))
-        of_distance = [name for name in MEASURES if not options_of(name).get("target")]
-        known = [*of_distance, *(s for s, name in SYNONYMS.items() if name in of_distance)]
-        checks.choice(self.measure, known, "measure")
-        check_measure(self)
+        check_measure_of_distance(self)
 
     @property
     def signals(self) -> tuple[str, ...]:
