@@ -302,7 +302,12 @@ def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     code, _, err = validate()
     assert (code, "name some that were not used by --drives" in err) == (2, True)
     make_drives.write(tmp_path / "drive_11", 11, 3.0)
+    shutil.copytree(tmp_path / "drive_11", tmp_path / "copy")
+    code, _, err = validate(tmp_path / "drive_11", tmp_path / "copy")
+    assert (code, "copy is of a drive that is also named, drive_11" in err) == (2, True)
     code, out, _ = validate(tmp_path / "drive_11")
+    # 0.5^5 < 0.04 < 0.5^4.
+    assert "note: 1 drive cannot show 50 %, for which it takes 5 at least in this call" in out
     # One drive shows a share of 0.04, of the 0.5 that is asked for.
     assert (code, "FAIL: at least 4 % of drives are within all limits" in out) == (3, True)
     code, _, err = commands.run("apply", "latest", "--yes", folder=tmp_path)
