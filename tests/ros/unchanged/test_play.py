@@ -1,6 +1,7 @@
 """Bags that are played to an estimator, in lockstep: the filter of the robot in the examples."""
 
 import contextlib
+import shlex
 import shutil
 import subprocess
 import sys
@@ -226,6 +227,54 @@ def test_a_topic_that_no_node_hears(opened, drives):
     )
     play = {"bag": "drive_1", "remap": {"/fix": "/gps"}, "topics": ["/imu", "/fix"]}
     assert "topics[1]: nothing hears /gps" in refused(opened, drives, play)
+
+
+LATE = f"""
+import sys
+sys.path.insert(0, {str(FOLDER)!r})
+import ekf_node
+
+class Late(ekf_node.EkfNode):
+    def create_subscription(self, kind, topic, *rest):
+        hear = super().create_subscription
+        if topic == "/fix":
+            self.hear_fix = lambda: hear(kind, topic, *rest)
+            return self.create_timer(2.0, self.after_a_time) if "timer" in sys.argv else None
+        return hear(kind, topic, *rest)
+
+    def after_a_time(self):
+        self.subscriptions_[1].cancel()
+        self.hear_fix()
+
+    def take_rate(self, message):
+        if self.began is None and "timer" not in sys.argv:
+            self.hear_fix()
+        super().take_rate(message)
+
+ekf_node.EkfNode = Late
+ekf_node.main()
+"""
+"""The filter, which hears /fix once it has heard another message, or after a time."""
+
+
+def late_node(folder, *arguments):
+    (folder / "late.py").write_text(LATE)
+    command = shlex.join([sys.executable, str(folder / "late.py"), *arguments])
+    return {"ekf": {"node": "ekf", "command": command, "at_start": True}}
+
+
+def test_a_topic_that_is_heard_late(opened, drives, tmp_path):
+    """It was not played: the run would be that of another filter."""
+    backend = opened(drives, "drive_1", nodes=late_node(tmp_path))
+    with pytest.raises(StudyError, match="ekf hears /fix only after the bag was begun"):
+        run(backend)
+
+
+def test_topics_that_are_named_are_waited_for(opened, drives, tmp_path):
+    topics = ["/imu", "/ground_truth", "/wheel/odom", "/fix"]
+    play = {"bag": "drive_1", "topics": topics}
+    backend = opened(drives, play, nodes=late_node(tmp_path, "timer"))
+    assert complete(backend)["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
 
 
 def test_no_truth(opened, drives):

@@ -196,6 +196,7 @@ class Player:
                 self._topics[topic].publish(data)
                 if self._play.lockstep:
                     self._lockstep.settle(topic, self._play.timeout)
+            self._refuse_late()
         except StoppedError:
             pass
         except LostError as loss:
@@ -217,6 +218,19 @@ class Player:
         )
         for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
             yield message._replace(topic=known.topics[message.topic])
+
+    def _refuse_late(self) -> None:
+        """Raise `StudyError` if a node hears a topic by now that was therefore not played."""
+        known = self._known[self._play.bag]
+        for name in set() if self._play.topics else known.bag.types.keys() - known.topics.keys():
+            topic = self._play.remap.get(name, name)
+            infos = subscriptions(self._tuner, topic)
+            if infos and not self._publishers(topic):
+                raise StudyError(
+                    f"{infos[0].node_name} hears {topic} only after the bag was begun; name what "
+                    "is played, so that it is waited for",
+                    ("topics",),
+                )
 
     def _wait_until_due(self, at: int) -> None:
         """Wait until a time [ns] of the bag, and for a tuner that does not look at the run."""
@@ -262,7 +276,12 @@ class Player:
         def heard() -> list[str]:
             return [topic for topic in names.values() if subscriptions(self._tuner, topic)]
 
-        if not self._tuner.wait_until(lambda: bool(heard()), CONNECT_TIMEOUT):
+        def is_heard() -> bool:
+            # What is named is waited for.
+            named = set(names.values()) - self._signals if play.topics else set()
+            return bool(heard()) and named <= {*heard()}
+
+        if not self._tuner.wait_until(is_heard, CONNECT_TIMEOUT) and not heard():
             listed = ", ".join(sorted(names.values()))
             raise StudyError(
                 f"no node hears a topic of {checks.quoted(play.bag)}, which has {listed}", ("bag",)
