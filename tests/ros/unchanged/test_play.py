@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study import strict_yaml
 from bo_tuner.study.playing import with_bags
 from bo_tuner.study.study_file import study_from_mapping
@@ -218,6 +218,14 @@ def test_a_bag_that_is_cut_off(opened, drives, tmp_path):
     (file,) = (tmp_path / "cut").glob("*.mcap")
     file.write_bytes(file.read_bytes()[:20_000])
     assert "cannot be read" in refused(opened, tmp_path, "cut")
+
+
+def test_a_bag_that_disappears(opened, drives, tmp_path):
+    shutil.copytree(drives / "drive_1", tmp_path / "moved")
+    backend = opened(tmp_path, "moved")
+    shutil.rmtree(tmp_path / "moved")
+    with pytest.raises(BackendError, match=r"moved': there is no such file or folder"):
+        run(backend)
 
 
 def test_a_topic_that_no_node_hears(opened, drives):

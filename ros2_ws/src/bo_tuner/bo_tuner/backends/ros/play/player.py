@@ -22,7 +22,7 @@ from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
 from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.playing import Answer, Play
 from bo_tuner.study.signals import Signal
 
@@ -166,8 +166,10 @@ class Player:
         ------
         LostError
             If a node does not follow.
-        StudyError
+        BackendError
             If the rest of the bag cannot be read.
+        StudyError
+            If a node hears a topic that was not played.
         """
         if self._fault is not None:
             raise self._fault
@@ -216,8 +218,12 @@ class Player:
             {in_bag[topic]: float(amount) for topic, amount in amounts.items()}
             for amounts in (play.delay, play.drop)
         )
-        for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
-            yield message._replace(topic=known.topics[message.topic])
+        try:
+            for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
+                yield message._replace(topic=known.topics[message.topic])
+        except StudyError as error:
+            # It has been read before: it is gone or changed since.
+            raise BackendError(str(error)) from error
 
     def _refuse_late(self) -> None:
         """Raise `StudyError` if a node hears a topic by now that was therefore not played."""
