@@ -53,3 +53,16 @@ def test_ramps_count(capsys, sections, said, runs, sets):
     seconds = float(time) * {"s": 1.0, "min": 60.0, "h": 3600.0}[unit]
     # It is shown in whole hours at worst.
     assert seconds == pytest.approx(int(count) * runs + 7 * sets, rel=0.2)
+
+
+def test_bags_are_proven_on_others(capsys):
+    """By as many as it takes at least, and by no certificate, which `validate` refuses."""
+    run = {"start": [{"play": "{drive}"}], "end": "played", "clock": "sim"}
+    contexts = {"drive": {"distribution": "discrete", "values": ["one", "two"]}}
+    study = study_from_mapping(signal_study(run=run, contexts=contexts))
+    outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0}, notes=Notes())
+    _estimate(study, [Evaluation(0, 0, Stage.NOMINAL, {"gain": 0.5}, {}, 1, outcome, seconds=1.0)])
+    out = " ".join(capsys.readouterr().out.split())
+    # 0.9^31 < 0.04 < 0.9^30.
+    assert "validate --drives with at least 31 drives that are not in the study" in out
+    assert "certificate:" not in out

@@ -12,6 +12,7 @@ from bo_tuner.evidence.next_drive import (
     NextDrive,
     attempt_in,
     drives_problem,
+    least_drives,
     share_shown,
     write_next_drive,
 )
@@ -41,6 +42,8 @@ def test_how_many_it_takes():
     # One beyond the limits takes many more.
     assert of(5, 1).missing == 46 - 6
     assert of(45, 1).passed
+    # The first call has 4 % of the 5 %: 0.9^31 < 0.04 < 0.9^30.
+    assert least_drives(0.9, spent(0.95, 1)) == 31
 
 
 def test_the_bound_is_exact():

@@ -54,6 +54,15 @@ def test_a_held_signal_by_hand(measure, expected):
     assert MEASURES[measure](TIME, VALUE) == pytest.approx(expected, rel=1e-14)
 
 
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.3])
+def test_a_mean_is_none_beyond_the_values(period):
+    """The sum of the products of 1 and the widths is rounded otherwise than the duration."""
+    for count in range(2, 1000):
+        time = 1.7e9 + period * np.arange(count)
+        assert metrics.mean(time - time[0], np.ones(count)) == 1.0
+        assert metrics.mean(np.cumsum(np.full(count, period)), np.ones(count)) == 1.0
+
+
 @pytest.mark.parametrize(
     ("percent", "expected"), [(0, -1), (57, -1), (58, 2), (85, 2), (86, 3), (100, 3)]
 )

@@ -1,6 +1,7 @@
 """Bags that are played to an estimator, in lockstep: the filter of the robot in the examples."""
 
 import contextlib
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study import strict_yaml
 from bo_tuner.study.playing import with_bags
 from bo_tuner.study.study_file import study_from_mapping
@@ -219,6 +220,14 @@ def test_a_bag_that_is_cut_off(opened, drives, tmp_path):
     assert "cannot be read" in refused(opened, tmp_path, "cut")
 
 
+def test_a_bag_that_disappears(opened, drives, tmp_path):
+    shutil.copytree(drives / "drive_1", tmp_path / "moved")
+    backend = opened(tmp_path, "moved")
+    shutil.rmtree(tmp_path / "moved")
+    with pytest.raises(BackendError, match=r"moved': there is no such file or folder"):
+        run(backend)
+
+
 def test_a_topic_that_no_node_hears(opened, drives):
     play = {"bag": "drive_1", "topics": ["/imu", "/ground_truth", "/wheel/odom", "/fixes"]}
     assert "run.start[0].play.topics[3]: there is no topic in the bag '/fixes'" in refused(
@@ -226,6 +235,54 @@ def test_a_topic_that_no_node_hears(opened, drives):
     )
     play = {"bag": "drive_1", "remap": {"/fix": "/gps"}, "topics": ["/imu", "/fix"]}
     assert "topics[1]: nothing hears /gps" in refused(opened, drives, play)
+
+
+LATE = f"""
+import sys
+sys.path.insert(0, {str(FOLDER)!r})
+import ekf_node
+
+class Late(ekf_node.EkfNode):
+    def create_subscription(self, kind, topic, *rest):
+        hear = super().create_subscription
+        if topic == "/fix":
+            self.hear_fix = lambda: hear(kind, topic, *rest)
+            return self.create_timer(2.0, self.after_a_time) if "timer" in sys.argv else None
+        return hear(kind, topic, *rest)
+
+    def after_a_time(self):
+        self.subscriptions_[1].cancel()
+        self.hear_fix()
+
+    def take_rate(self, message):
+        if self.began is None and "timer" not in sys.argv:
+            self.hear_fix()
+        super().take_rate(message)
+
+ekf_node.EkfNode = Late
+ekf_node.main()
+"""
+"""The filter, which hears /fix once it has heard another message, or after a time."""
+
+
+def late_node(folder, *arguments):
+    (folder / "late.py").write_text(LATE)
+    command = shlex.join([sys.executable, str(folder / "late.py"), *arguments])
+    return {"ekf": {"node": "ekf", "command": command, "at_start": True}}
+
+
+def test_a_topic_that_is_heard_late(opened, drives, tmp_path):
+    """It was not played: the run would be that of another filter."""
+    backend = opened(drives, "drive_1", nodes=late_node(tmp_path))
+    with pytest.raises(StudyError, match="ekf hears /fix only after the bag was begun"):
+        run(backend)
+
+
+def test_topics_that_are_named_are_waited_for(opened, drives, tmp_path):
+    topics = ["/imu", "/ground_truth", "/wheel/odom", "/fix"]
+    play = {"bag": "drive_1", "topics": topics}
+    backend = opened(drives, play, nodes=late_node(tmp_path, "timer"))
+    assert complete(backend)["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
 
 
 def test_no_truth(opened, drives):
@@ -302,7 +359,12 @@ def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     code, _, err = validate()
     assert (code, "name some that were not used by --drives" in err) == (2, True)
     make_drives.write(tmp_path / "drive_11", 11, 3.0)
+    shutil.copytree(tmp_path / "drive_11", tmp_path / "copy")
+    code, _, err = validate(tmp_path / "drive_11", tmp_path / "copy")
+    assert (code, "copy is of a drive that is also named, drive_11" in err) == (2, True)
     code, out, _ = validate(tmp_path / "drive_11")
+    # 0.5^5 < 0.04 < 0.5^4.
+    assert "note: 1 drive cannot show 50 %, for which it takes 5 at least in this call" in out
     # One drive shows a share of 0.04, of the 0.5 that is asked for.
     assert (code, "FAIL: at least 4 % of drives are within all limits" in out) == (3, True)
     code, _, err = commands.run("apply", "latest", "--yes", folder=tmp_path)

@@ -34,6 +34,7 @@ from bo_tuner.evidence.certificate.judgement import least_evaluations
 from bo_tuner.evidence.certificate.outlook import probable_certificate
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.evidence.next_drive import asked_of, least_drives
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.metrics.equal_runs import (
@@ -370,6 +371,10 @@ def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
     say(f"study: at most {counted(tuning, 'test run')}, {duration(seconds_of_study)}")
     for line in shortages(study):
         say(f"note: {line}")
+    if study.plays_bags:
+        least = least_drives(asked_of(study), spent(study.certificate.confidence, 1))
+        say(f"proof: validate --drives with at least {least} drives that are not in the study")
+        return
     at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
     if (probable := probable_certificate(study)) is not None:
         fewest = least_evaluations(study, spent(study.certificate.confidence, 1))

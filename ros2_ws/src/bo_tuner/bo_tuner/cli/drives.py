@@ -15,10 +15,18 @@ from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, early_end
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunError, StudyError
-from bo_tuner.evidence.next_drive import NextDrive, attempt_in, next_drive, write_next_drive
+from bo_tuner.evidence.next_drive import (
+    NextDrive,
+    asked_of,
+    attempt_in,
+    least_drives,
+    next_drive,
+    write_next_drive,
+)
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.record import RunRecord
@@ -61,6 +69,7 @@ def expect(
             interrupted=interruption.check,
         )
         number = attempt_in(folder.path)
+        _show_too_few(study, len(drives), number)
         defaults = study.search_space().defaults
         evaluations = [
             Evaluation(0, index, Stage.DRAWN, parameters, context, study.seed)
@@ -95,8 +104,8 @@ def refuse_used_bags(study: Study) -> None:
     """Raise `StudyError` if test runs of a study would play bags that the search has used."""
     if study.plays_bags:
         raise StudyError(
-            "plays bags, which the search has used, so that they prove nothing of other drives; "
-            "name some that were not used by --drives"
+            "the study plays bags, which the search has used, so that they prove nothing of other "
+            "drives; name some that were not used by --drives"
         )
 
 
@@ -125,17 +134,29 @@ def _contexts(study: Study, drives: Sequence[str]) -> list[Context]:
     (name,) = names
     values = variable.distribution.values
     used = [Bag(Path(study.folder) / play.filled({name: value}).bag) for value in values]
+    named: list[Bag] = []
     for drive in drives:
         bag = Bag(Path(drive))
-        for other in used:
-            if bag.overlaps(other) or bag.path == other.path.resolve():
-                raise StudyError(
-                    f"{drive} is of a drive that the search has used, {other.path.name}; expected "
-                    "others"
-                )
+        for others, what in ((used, "that the search has used"), (named, "that is also named")):
+            for other in others:
+                if bag.overlaps(other) or bag.path == other.path.resolve():
+                    raise StudyError(
+                        f"{drive} is of a drive {what}, {other.path.name}; expected others"
+                    )
+        named.append(bag)
     space = study.context_space()
     nominal = space.to_dict(space.nominal())
     return [{**nominal, name: drive} for drive in drives]
+
+
+def _show_too_few(study: Study, count: int, attempt: int) -> None:
+    """Say ahead of the runs that no outcome of them is a PASS, which costs later calls."""
+    asked, confidence = asked_of(study), spent(study.certificate.confidence, attempt)
+    if (least := least_drives(asked, confidence)) > count:
+        say(
+            f"note: {counted(count, 'drive')} cannot show {percent(asked)}, for which it takes "
+            f"{least} at least in this call, and more in a further one"
+        )
 
 
 def _show(study: Study, made: NextDrive) -> None:

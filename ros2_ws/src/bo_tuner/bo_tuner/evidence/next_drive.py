@@ -103,11 +103,8 @@ class NextDrive:
     @property
     def missing(self) -> int:
         """How many more drives within all limits would show it with these, in a further call."""
-        beyond = len(self.runs) - self.within
         count = len(self.runs)
-        while share_shown(count - beyond, count, self.further) < self.asked:
-            count += 1
-        return count - len(self.runs)
+        return least_drives(self.asked, self.further, count, count - self.within) - count
 
 
 def share_shown(within: int, count: int, confidence: float) -> float:
@@ -118,6 +115,16 @@ def share_shown(within: int, count: int, confidence: float) -> float:
     if within == 0:
         return 0.0
     return float(betaincinv(within, count - within + 1, 1.0 - confidence))
+
+
+def least_drives(asked: float, confidence: float, count: int = 1, beyond: int = 0) -> int:
+    """Return how many drives show the share that is asked for; `count` at least.
+
+    All but `beyond` of them are within the limits.
+    """
+    while share_shown(count - beyond, count, confidence) < asked:
+        count += 1
+    return count
 
 
 def asked_of(study: Study) -> float:

@@ -62,7 +62,9 @@ def rms(time: Array, value: Array) -> float:
 
 def mean(time: Array, value: Array) -> float:
     """Mean over time [unit]; undefined without duration."""
-    return float(value[:-1] @ np.diff(time)) / _positive_duration(time)
+    found = float(value[:-1] @ np.diff(time)) / _positive_duration(time)
+    # The rounding error of the sum must not lead out of the range of the values.
+    return float(np.clip(found, value[:-1].min(), value[:-1].max()))
 
 
 def minimum(time: Array, value: Array) -> float:

@@ -11,7 +11,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 
-from bo_tuner.codec import checks
 from bo_tuner.errors import StudyError
 from bo_tuner.text import one_line
 
@@ -54,8 +53,6 @@ class Bag:
                 self.types = {c.topic: c.msgtype for c in connections}
                 self.start, self.end = reader.start_time, reader.end_time
                 count = reader.message_count
-        except FileNotFoundError:
-            raise self._error("there is no such file or folder with metadata.yaml") from None
         except (ReaderError, OSError, ValueError) as error:
             raise self._unreadable(error) from None
         if not count:
@@ -123,13 +120,15 @@ class Bag:
                 yield Message(time + by, connection.topic, bytes(data))
 
     def _unreadable(self, error: Exception) -> StudyError:
+        if isinstance(error, FileNotFoundError) or not self.path.exists():
+            return self._error("there is no such file or folder with metadata.yaml")
         return self._error(
             f"cannot be read: {one_line(str(error))}; was its recording cut off? `ros2 bag "
             "reindex` or `mcap recover` mends that"
         )
 
     def _error(self, problem: str) -> StudyError:
-        return StudyError(f"{checks.quoted(str(self.path))}: {problem}", ("bag",))
+        return StudyError(f"'{self.path}': {problem}", ("bag",))
 
 
 def stamp_of(data: bytes) -> int:

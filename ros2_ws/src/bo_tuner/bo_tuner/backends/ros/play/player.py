@@ -22,7 +22,7 @@ from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
 from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.playing import Answer, Play
 from bo_tuner.study.signals import Signal
 
@@ -154,6 +154,7 @@ class Player:
                 self._topics[topic].publish(data)
                 if self._play.lockstep:
                     self._lockstep.settle(topic, self._play.timeout)
+            self._refuse_late()
         except StoppedError:
             pass
         except LostError as loss:
@@ -173,8 +174,25 @@ class Player:
             {in_bag[topic]: float(amount) for topic, amount in amounts.items()}
             for amounts in (play.delay, play.drop)
         )
-        for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
-            yield message._replace(topic=known.topics[message.topic])
+        try:
+            for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
+                yield message._replace(topic=known.topics[message.topic])
+        except StudyError as error:
+            # It has been read before: it is gone or changed since.
+            raise BackendError(str(error)) from error
+
+    def _refuse_late(self) -> None:
+        """Raise `StudyError` if a node hears a topic by now that was therefore not played."""
+        known = self._known[self._play.bag]
+        for name in set() if self._play.topics else known.bag.types.keys() - known.topics.keys():
+            topic = self._play.remap.get(name, name)
+            infos = subscriptions(self._tuner, topic)
+            if infos and not self._publishers(topic):
+                raise StudyError(
+                    f"{infos[0].node_name} hears {topic} only after the bag was begun; name what "
+                    "is played, so that it is waited for",
+                    ("topics",),
+                )
 
     def _wait_until_due(self, at: int) -> None:
         """Wait until a time [ns] of the bag, and for a tuner that does not look at the run."""
@@ -220,7 +238,12 @@ class Player:
         def heard() -> list[str]:
             return [topic for topic in names.values() if subscriptions(self._tuner, topic)]
 
-        if not self._tuner.wait_until(lambda: bool(heard()), CONNECT_TIMEOUT):
+        def is_heard() -> bool:
+            # What is named is waited for.
+            named = set(names.values()) - self._signals if play.topics else set()
+            return bool(heard()) and named <= {*heard()}
+
+        if not self._tuner.wait_until(is_heard, CONNECT_TIMEOUT) and not heard():
             listed = ", ".join(sorted(names.values()))
             raise StudyError(
                 f"no node hears a topic of {checks.quoted(play.bag)}, which has {listed}", ("bag",)
