@@ -15,6 +15,7 @@ from bo_tuner.backends.workers import limits
 from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli import tune, validate
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.session_options import options_of
 from bo_tuner.study.study_file import study_to_mapping, study_to_yaml
 
 
@@ -60,7 +61,7 @@ class TestAnswer:
     def test_the_window_is_as_wide_as_there_are_workers_and_stays(self, runs, capsys):
         runs.run("new", "--workers", 2, "--trials", 3)
         (session,) = read_journal(runs.latest("new") / "journal.sqlite").sessions
-        assert (session["workers"], session["window"]) == ("2", "2")
+        assert (options_of(session).workers, options_of(session).window) == (2, 2)
         line = complaint(tune, capsys, "--resume", runs.latest("new"), "--window", 3, "--trials", 4)
         assert "--window: expected 2, by which the trials of the run were planned" in line
 

@@ -4,12 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bo_tuner.evidence.busy import (
-    HIGH,
-    HighLoad,
-    computing_times,
-    high_load,
-)
+from bo_tuner.evidence.busy import COMPUTING, HIGH, HighLoad, high_load, times_by
 from bo_tuner.evidence.facts import ComputingTimes, Said
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.facts import in_words
@@ -86,13 +81,13 @@ def test_the_source_with_the_longest_common_beginning_counts(make_study):
     found = Evaluation(0, 0, Stage.DRAWN, {}, {}, 0, outcome)
     assert high_load(study, [found]) is None
     # Also of a time in a metric that is computed from it.
-    assert computing_times(study, [found]) == ["step", "both"]
+    assert times_by(study, [found], COMPUTING) == ["step", "both"]
 
 
 def test_computing_time_is_named_where_all_runs_have_it():
-    assert computing_times(STUDY, [run(None, "cpu"), run(None, "cpu")]) == ["return_time"]
-    assert computing_times(STUDY, [run(None, "cpu"), run(None, "measured")]) == []
-    assert computing_times(STUDY, []) == []
+    assert times_by(STUDY, [run(None, "cpu"), run(None, "cpu")], COMPUTING) == ["return_time"]
+    assert times_by(STUDY, [run(None, "cpu"), run(None, "measured")], COMPUTING) == []
+    assert times_by(STUDY, [], COMPUTING) == []
 
 
 def test_the_words():

@@ -14,6 +14,7 @@ from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvisor
 from bo_tuner.numerics.particle_swarm import maximize
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.session_options import options_of
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from tuning_benchmark.paper.method import PaperMethod
@@ -204,7 +205,7 @@ class TestStopEarly:
         content = read_journal(folder / "journal.sqlite")
         assert summary["stopped_early"] is True
         assert len(content.trials) == advice["trials"] < 40
-        assert content.sessions[0]["stop_early"] == "yes"
+        assert options_of(content.sessions[0]).stop_early
         assert "advice: stop here; " in err
         assert summary["checked_trials"]
         assert summary["tuned"]["draws"] == 5

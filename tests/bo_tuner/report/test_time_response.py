@@ -58,27 +58,37 @@ def lines(panel, name):
     return [e for e in panel.elements if isinstance(e, Line) and e.name == name]
 
 
+def panels_of(analysis):
+    """The panels of the first screen and those among the others, by their labels."""
+    (figure,) = trajectories(analysis).figures
+    shown = [*response(analysis).panels, *figure.panels]
+    by_label = {panel.y.label: panel for panel in shown}
+    # Each stands once.
+    assert len(by_label) == len(shown)
+    return by_label
+
+
 def test_all_signals_have_one_time_axis_and_are_held_to_the_end(tmp_path):
-    (figure,) = trajectories(analysis_of(tmp_path)).figures
-    assert [panel.x.limits for panel in figure.panels] == [(0.0, END)] * 2
-    drawn = [e for panel in figure.panels for e in panel.elements if isinstance(e, Line)]
+    shown = panels_of(analysis_of(tmp_path))
+    assert [panel.x.limits for panel in shown.values()] == [(0.0, END)] * 2
+    drawn = [e for panel in shown.values() for e in panel.elements if isinstance(e, Line)]
     assert all((line.x[0], line.x[-1]) == (0.0, END) for line in drawn)
-    (angle, *_) = lines(figure.panels[0], "default")
+    (angle, *_) = lines(shown["setpoint and angle"], "default")
     assert angle.y[-1] == angle.y[-2] == 1.0 - np.exp(-0.5 * 1.8)
 
 
 def test_the_set_point_is_drawn_once_over_the_signal_that_follows_it(tmp_path):
-    (figure,) = trajectories(analysis_of(tmp_path)).figures
-    assert [panel.y.label for panel in figure.panels] == ["setpoint and angle", "effort"]
-    (setpoint,) = lines(figure.panels[0], "setpoint")
+    shown = panels_of(analysis_of(tmp_path))
+    assert {*shown} == {"setpoint and angle", "effort"}
+    angle = shown["setpoint and angle"]
+    (setpoint,) = lines(angle, "setpoint")
     assert (list(setpoint.x), list(setpoint.y)) == ([0.0, END], [1.0, 1.0])
-    assert len(lines(figure.panels[0], "best so far")) == 1
+    assert len(lines(angle, "best so far")) == 1
 
 
 def test_what_is_over_a_limit_on_the_largest_value_is_shaded(tmp_path):
     analysis = analysis_of(tmp_path)
-    (figure,) = trajectories(analysis).figures
-    effort = figure.panels[1]
+    effort = panels_of(analysis)["effort"]
     (band,) = [e for e in effort.elements if isinstance(e, Band)]
     (limit,) = lines(effort, "limit of largest_effort")
     assert list(limit.y) == [0.5, 0.5]
