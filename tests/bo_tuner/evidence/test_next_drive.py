@@ -80,7 +80,11 @@ def test_what_opens_apply(tmp_path):
     assert attempt_in(tmp_path) == 2
     write_next_drive(tmp_path, 2, replace(failing, parameters={"gain": 0.7}))
     assert drives_problem(record, trial) == ""
-    path = write_next_drive(tmp_path, 3, replace(failing, parameters=trial.parameters))
+    # Too few, of which none is beyond a limit, say nothing against it.
+    write_next_drive(tmp_path, 3, replace(failing, parameters=trial.parameters))
+    assert drives_problem(record, trial) == ""
+    worse = replace(of(28, 1), parameters=trial.parameters)
+    path = write_next_drive(tmp_path, 4, worse)
     assert drives_problem(record, trial) == f"{path}: expected PASS, found FAIL"
     path.write_text("{", encoding="utf-8")
     assert drives_problem(record, trial).startswith(f"{path}: cannot be read")

@@ -178,9 +178,10 @@ def write_next_drive(folder: Path, number: int, made: NextDrive) -> Path:
 def drives_problem(record: RunRecord, trial: Trial) -> str:
     """Return in one line why no drives open `apply` to a parameter set; empty if some do.
 
-    They do if the latest statement on it is a PASS.
+    They do if the latest statement on it is a PASS. One by drives that are all within the limits,
+    and too few, speaks neither for nor against it.
     """
-    directory = record.path / DRIVES
+    directory, problem = record.path / DRIVES, ""
     for number in range(next_number(directory) - 1, 0, -1):
         path = numbered(directory, number)
         try:
@@ -188,9 +189,14 @@ def drives_problem(record: RunRecord, trial: Trial) -> str:
         except (RunRecordError, ValueError, StudyError) as error:
             # It may be a FAIL.
             return f"{path}: cannot be read: {error}"
-        if made.parameters == trial.parameters:
-            return "" if made.passed else f"{path}: expected {PASS}, found {FAIL}"
-    return (
+        if made.parameters != trial.parameters:
+            continue
+        if made.passed:
+            return ""
+        problem = problem or f"{path}: expected {PASS}, found {FAIL}"
+        if made.within < len(made.runs):
+            return problem
+    return problem or (
         f"{directory}: no drives that were not used are within the limits with trial "
         f"{trial.number}; run validate --drives BAG..."
     )
