@@ -1,11 +1,15 @@
 """The documents as a site, by Sphinx: `make site`. Its pages ask for nothing from elsewhere."""
 
+import dataclasses
 import re
 import shutil
+import typing
 from pathlib import Path
 
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
+
+import bo_tuner
 
 project = "bo_tuner"
 html_title = "Robust tuning of ROS 2 controllers"
@@ -37,8 +41,8 @@ suppress_warnings = ["misc.highlighting_failure", "myst.xref_ambiguous"]
 CONTENTS = {
     "Tutorials": ["tutorial_first_run", "tutorial_unchanged_system", "tutorial_your_own_node"],
     "How to": [
-        "live", "deploy", "identify", "guard", "safe_search", "procedure", "systems", "workers",
-        "cluster", "python", "campaigns", "security", "troubleshooting",
+        "live", "deploy", "identify", "guard", "safe_search", "procedure", "estimators",
+        "systems", "workers", "cluster", "python", "campaigns", "security", "troubleshooting",
     ],
     "Recipes": [
         "recipes/ros2_control", "recipes/px4", "recipes/ardupilot", "recipes/gazebo_nav2",
@@ -88,7 +92,19 @@ def _name_files(app: Sphinx, document: str, source: list[str]) -> None:
             source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{entries}\n```\n"
 
 
+def _leave_out_checks(app: Sphinx) -> None:
+    """Have the types of fields in the reference, without the checks beside them."""
+    for name in bo_tuner.__all__:
+        for cls in getattr(getattr(bo_tuner, name), "__mro__", ()):
+            if dataclasses.is_dataclass(cls):
+                for holder in (cls, cls.__init__):
+                    hints = typing.get_type_hints(holder)
+                    own = holder.__annotations__
+                    own.update({key: hints[key] for key in own if key in hints})
+
+
 def setup(app: Sphinx) -> None:
     """Register what differs between the documents and the pages."""
     app.connect("builder-inited", _copy_notebooks)
+    app.connect("builder-inited", _leave_out_checks)
     app.connect("source-read", _name_files)
