@@ -25,6 +25,7 @@ from bo_tuner.recording.retention import custom_data, is_bag, made_bags
 from bo_tuner.replay.recompute import differing, recompute
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
+from bo_tuner.storage.session_options import options_of
 from bo_tuner.study.study_file import (
     load_study,
     study_from_mapping,
@@ -219,7 +220,8 @@ def test_benches_in_namespaces(empty_domain, start_bench, make_peer, tmp_path, r
     # Those on record are taken.
     runs_here("tune", "--resume", "latest", "--trials", "7")
     (*_, last) = read_journal(tmp_path / "runs" / "latest" / "journal.sqlite").sessions
-    assert (last["benches"], last["workers"]) == ("/left,/right", "2")
+    options = options_of(last)
+    assert (options.benches, options.workers) == (("/left", "/right"), 2)
     for peer, heard in zip(peers, setpoints, strict=True):
         peer.spin_until(lambda heard=heard: any(m.data == 1.0 for m in heard), "a run")
 
