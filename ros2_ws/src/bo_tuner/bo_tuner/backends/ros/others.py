@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Sequence
 
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name, is_own
 from bo_tuner.codec import checks
@@ -73,6 +74,18 @@ def absent(missing: Sequence[str], node: Node, start: str = f": {START}") -> str
 def topics(node: Node) -> list[str]:
     """Return the topics of others."""
     return _others(name for name, _ in node.get_topic_names_and_types() if name not in OF_ROS)
+
+
+def publishers(node: Node, topic: str) -> list[TopicEndpointInfo]:
+    """Return who publishes a topic but the tuner's own nodes."""
+    infos = node.get_publishers_info_by_topic(topic)
+    return [info for info in infos if not is_own(info.node_name)]
+
+
+def subscribers(node: Node, topic: str) -> list[TopicEndpointInfo]:
+    """Return who subscribes to a topic but the tuner's own nodes, which may record it."""
+    infos = node.get_subscriptions_info_by_topic(topic)
+    return [info for info in infos if not is_own(info.node_name)]
 
 
 def services(node: Node) -> list[str]:

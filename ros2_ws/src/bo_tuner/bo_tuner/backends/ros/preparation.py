@@ -10,7 +10,7 @@ from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameters.nodes import NodeParameters
 from bo_tuner.backends.ros.play.play_clock import PlayClock
-from bo_tuner.backends.ros.play.player import Player, play_clock
+from bo_tuner.backends.ros.play.player import Player
 from bo_tuner.backends.ros.publication import Publication
 from bo_tuner.backends.ros.steps import (
     CONNECT_TIMEOUT,
@@ -63,7 +63,7 @@ class Preparation:
 
     def play_clock(self) -> PlayClock:
         """Make the clock of a run that plays a bag, by which what is prepared next goes."""
-        clock = play_clock(self._tuner, self.topics, self._listener)
+        clock = PlayClock(self._tuner, self.topics, self._listener)
         self._clock, self._ticks = clock, WallTicks(clock)
         return clock
 

@@ -69,19 +69,16 @@ class Publication:
         node = tuner.node
         topic = node.resolve_topic_name(publish.topic)
 
-        def subscribers() -> list[TopicEndpointInfo]:
-            endpoints = node.get_subscriptions_info_by_topic(topic)
-            # The tuner's own nodes, which record the topic, do not count.
-            return [info for info in endpoints if not is_own(info.node_name)]
-
         def of_type() -> list[TopicEndpointInfo]:
-            return [i for i in subscribers() if publish.type in ("", i.topic_type)]
+            infos = others.subscribers(node, topic)
+            return [info for info in infos if publish.type in ("", info.topic_type)]
 
-        if not tuner.wait_until(lambda: bool(of_type()), CONNECT_TIMEOUT) and not subscribers():
+        heard = tuner.wait_until(lambda: bool(of_type()), CONNECT_TIMEOUT)
+        if not heard and not others.subscribers(node, topic):
             near = others.instead(topic, others.topics(node), node)
             raise StudyError(f"nothing subscribes to {topic}; {near}", ("topic",))
         matching = of_type()
-        types = sorted({info.topic_type for info in matching or subscribers()})
+        types = sorted({info.topic_type for info in matching or others.subscribers(node, topic)})
         if not matching or len(types) > 1:
             expected = f"expected {publish.type}" if publish.type else "name one of them"
             raise StudyError(f"{topic} carries {' and '.join(types)}; {expected}", ("type",))

@@ -11,11 +11,10 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 
+from bo_tuner.backends.ros.others import OF_ROS
 from bo_tuner.errors import StudyError
 from bo_tuner.text import one_line
 
-UNPLAYED = ("/clock", "/rosout", "/parameter_events")
-"""Topics that are the run's own, or each node's."""
 STAMP = slice(4, 12)
 """Bytes of a message that are the stamp of its header, after those that tell the encoding."""
 DATED = 1_000_000_000 * 1_000_000_000
@@ -49,7 +48,7 @@ class Bag:
         self.path = path
         try:
             with Reader(path) as reader:
-                connections = [c for c in reader.connections if c.topic not in UNPLAYED]
+                connections = [c for c in reader.connections if c.topic not in OF_ROS]
                 self.types = {c.topic: c.msgtype for c in connections}
                 self.start, self.end = reader.start_time, reader.end_time
                 count = reader.message_count
@@ -63,10 +62,13 @@ class Bag:
         begins, ends = max(self.start, other.start), min(self.end, other.end)
         return begins > DATED and begins < ends
 
-    def check(self, stamped: Collection[str]) -> None:
-        """Read it once, and refuse what cannot be played."""
+    def check(self, topics: Collection[str], stamped: Collection[str]) -> None:
+        """Read some topics once, and refuse what cannot be played.
+
+        Messages of those that are `stamped` begin with a header.
+        """
         newest: dict[str, int] = {}
-        for message in self.messages(self.types, 0.0, None, {}, {}):
+        for message in self.messages(topics, 0.0, None, {}, {}):
             if message.topic not in stamped:
                 continue
             stamp = stamp_of(message.data)

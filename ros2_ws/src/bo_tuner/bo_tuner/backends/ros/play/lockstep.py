@@ -3,13 +3,13 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.heard_topic import weakest
@@ -21,7 +21,6 @@ from bo_tuner.backends.ros.tuner_node import (
     UNKNOWN_NODE,
     TunerNode,
     full_name,
-    is_own,
 )
 from bo_tuner.errors import StudyError
 from bo_tuner.study.playing import Answer
@@ -66,12 +65,12 @@ class Lockstep:
             return
         node = self._tuner.node
 
-        def offered() -> list[Any]:
-            return [i for i in node.get_publishers_info_by_topic(topic) if not is_own(i.node_name)]
+        def is_offered() -> bool:
+            return bool(others.publishers(node, topic))
 
-        if not self._tuner.wait_until(lambda: bool(offered()), CONNECT_TIMEOUT):
+        if not self._tuner.wait_until(is_offered, CONNECT_TIMEOUT):
             raise StudyError(f"nothing publishes {topic}", ("topic",))
-        infos = offered()
+        infos = others.publishers(node, topic)
 
         def count(message: bytes) -> None:
             self._counts[topic] += 1
@@ -132,7 +131,7 @@ class Lockstep:
             self._executor.spin_once(timeout_sec=POLL_PERIOD)
 
     def _hearing(self, topic: str) -> Iterator[str]:
-        for info in subscriptions(self._tuner, topic):
+        for info in others.subscribers(self._tuner.node, topic):
             if info.node_name != UNKNOWN_NODE:
                 yield full_name(info.node_namespace, info.node_name)
 
@@ -147,9 +146,3 @@ class Lockstep:
                 f"in answers on which topic it answers {topic}, or put lockstep: false",
                 ("run", "start", 0, "play", "lockstep"),
             )
-
-
-def subscriptions(tuner: TunerNode, topic: str) -> list[Any]:
-    """Return the subscriptions of others to a topic."""
-    infos = tuner.node.get_subscriptions_info_by_topic(topic)
-    return [info for info in infos if not is_own(info.node_name)]

@@ -3,10 +3,15 @@
 import time
 from bisect import bisect_right
 
+from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from bo_tuner.backends.ros.clock import to_stamp
+from bo_tuner.backends.ros.clock import TOPIC, to_stamp
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.tuner_node import TunerNode
+
+DEPTH = 1000
+"""Messages that may wait for a node."""
 
 
 class PlayClock:
@@ -14,8 +19,12 @@ class PlayClock:
 
     coarse = True
 
-    def __init__(self, topic: OwnTopic) -> None:
-        self.topic = topic
+    def __init__(
+        self, tuner: TunerNode, topics: dict[str, OwnTopic], listener: Node | None
+    ) -> None:
+        publisher = tuner.node.create_publisher(ClockMessage, TOPIC, DEPTH)
+        # Others that publish it as well are found as those of every topic that a step publishes.
+        self._topic = topics[TOPIC] = OwnTopic(publisher, ClockMessage, listener)
         self.start = 0
         """Time [ns] at which the next run begins."""
         self._received = [0]
@@ -66,4 +75,4 @@ class PlayClock:
         return True
 
     def _publish(self, stamp: int) -> None:
-        self.topic.publish(ClockMessage(clock=to_stamp(stamp)))
+        self._topic.publish(ClockMessage(clock=to_stamp(stamp)))

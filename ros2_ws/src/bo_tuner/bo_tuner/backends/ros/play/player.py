@@ -9,15 +9,15 @@ from pathlib import Path
 
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
-from rosgraph_msgs.msg import Clock as ClockMessage
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.messages import has_header, interface_class
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.play.bag import Bag, Message
-from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError, subscriptions
-from bo_tuner.backends.ros.play.play_clock import PlayClock
+from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError
+from bo_tuner.backends.ros.play.play_clock import DEPTH, PlayClock
 from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
 from bo_tuner.codec import checks
@@ -28,8 +28,6 @@ from bo_tuner.study.signals import Signal
 
 UNSERVED = 0.5
 """Time [s] after which it waits for a tuner that does not look at the run."""
-DEPTH = 1000
-"""Messages of a topic that may wait for a node."""
 MATCHED = 0.3
 """Time [s] that a node which was started anew has to see who hears it."""
 
@@ -186,8 +184,8 @@ class Player:
         known = self._known[self._play.bag]
         for name in set() if self._play.topics else known.bag.types.keys() - known.topics.keys():
             topic = self._play.remap.get(name, name)
-            infos = subscriptions(self._tuner, topic)
-            if infos and not self._publishers(topic):
+            infos = others.subscribers(self._tuner.node, topic)
+            if infos and not others.publishers(self._tuner.node, topic):
                 raise StudyError(
                     f"{infos[0].node_name} hears {topic} only after the bag was begun; name what "
                     "is played, so that it is waited for",
@@ -217,14 +215,14 @@ class Player:
                 )
         topics = self._find_topics(play, bag)
         stamped = {name for name, topic in topics.items() if self._offer(topic, bag.types[name])}
-        bag.check(stamped)
+        bag.check(topics, stamped)
         for key in ("answers", "delay", "drop"):
             for name in getattr(play, key):
                 checks.reference(name, "topic that is played", topics.values(), key, name)
         for name, spec in play.answers.items():
             with under("answers", name):
                 self._lockstep.hear(spec.topic)
-        heard = [topic for topic in topics.values() if subscriptions(self._tuner, topic)]
+        heard = [topic for topic in topics.values() if others.subscribers(self._tuner.node, topic)]
         return _Known(bag, topics, heard)
 
     def _find_topics(self, play: Play, bag: Bag) -> dict[str, str]:
@@ -236,7 +234,9 @@ class Player:
         names = {name: play.remap.get(name, name) for name in play.topics or bag.types}
 
         def heard() -> list[str]:
-            return [topic for topic in names.values() if subscriptions(self._tuner, topic)]
+            return [
+                topic for topic in names.values() if others.subscribers(self._tuner.node, topic)
+            ]
 
         def is_heard() -> bool:
             # What is named is waited for.
@@ -254,10 +254,10 @@ class Player:
             problem = ""
             if topic not in heard() and topic not in self._signals:
                 problem = f"nothing hears {topic}; heard are {', '.join(heard())}"
-            elif publishers := self._publishers(topic):
+            elif publishers := others.publishers(self._tuner.node, topic):
                 problem = (
-                    f"{publishers[0]} publishes {topic}, too, so that messages would mix; leave it "
-                    "out, or remap it"
+                    f"{publishers[0].node_name} publishes {topic}, too, so that messages would "
+                    "mix; leave it out, or remap it"
                 )
             else:
                 played[name] = topic
@@ -267,7 +267,7 @@ class Player:
 
     def _offer(self, topic: str, kind: str) -> bool:
         """Publish a topic; returns whether its messages begin with a header."""
-        infos = subscriptions(self._tuner, topic)
+        infos = others.subscribers(self._tuner.node, topic)
         with under("topics"):
             cls = interface_class(kind)
             for info in infos:
@@ -285,10 +285,6 @@ class Player:
             publisher = self._tuner.node.create_publisher(cls, topic, qos)
             self._topics[topic] = OwnTopic(publisher, cls, self._listener)
         return has_header(cls) and next(iter(cls.get_fields_and_field_types())) == "header"
-
-    def _publishers(self, topic: str) -> list[str]:
-        infos = self._tuner.node.get_publishers_info_by_topic(topic)
-        return [str(info.node_name) for info in infos if not is_own(info.node_name)]
 
     def _reaches_all(self, topic: str) -> bool:
         infos = self._tuner.node.get_subscriptions_info_by_topic(topic)
@@ -314,10 +310,3 @@ class Player:
 
     def _resolved(self, topic: str) -> str:
         return str(self._tuner.node.resolve_topic_name(topic))
-
-
-def play_clock(tuner: TunerNode, topics: dict[str, OwnTopic], listener: Node | None) -> PlayClock:
-    """Make the clock of a run that plays a bag; what it is published on is added to `topics`."""
-    publisher = tuner.node.create_publisher(ClockMessage, CLOCK, DEPTH)
-    topics[CLOCK] = OwnTopic(publisher, ClockMessage, listener)
-    return PlayClock(topics[CLOCK])
