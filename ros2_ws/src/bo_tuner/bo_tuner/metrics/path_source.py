@@ -10,8 +10,18 @@ from bo_tuner.metrics.stored_messages import decoded
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.polyline import distances
 from bo_tuner.numerics.signal_metrics import MEASURES, UndefinedMetricError
+from bo_tuner.study.distance_metric import DistanceMetric
 from bo_tuner.study.path_metric import PLAN_TYPE, PathMetric
 from bo_tuner.study.study import Study
+
+
+def measured(metric: DistanceMetric, time: Array, distance: Array) -> float:
+    """Return what a metric measures of distances (n,) at times (n,) [s]."""
+    options = {} if metric.percent is None else {"percent": metric.percent}
+    try:
+        return MEASURES[metric.measure](time, distance, **options)
+    except UndefinedMetricError as error:
+        raise MissingMetricError(f"metric {metric.name}: the distance {error}") from None
 
 
 class PathSource:
@@ -44,11 +54,7 @@ class PathSource:
             raise MissingMetricError(
                 f"metric {metric.name}: the distance to {metric.plan} is undefined at {when:.3f} s"
             )
-        options = {} if metric.percent is None else {"percent": metric.percent}
-        try:
-            return MEASURES[metric.measure](time, distance, **options)
-        except UndefinedMetricError as error:
-            raise MissingMetricError(f"metric {metric.name}: the distance {error}") from None
+        return measured(metric, time, distance)
 
     def _distance(self, recording: Recording) -> tuple[Array, Array]:
         """Return times (n,) [s] and distances (n,) [m], from where path and plan are known."""

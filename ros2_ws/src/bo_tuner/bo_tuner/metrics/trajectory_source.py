@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bo_tuner.metrics.path_source import measured
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.metrics.source import MissingMetricError, Results
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.signal_metrics import MEASURES, UndefinedMetricError
 from bo_tuner.numerics.trajectories import absolute_errors, relative_errors
 from bo_tuner.study.trajectory_metric import TrajectoryMetric
 
@@ -29,12 +29,7 @@ class TrajectorySource:
 
     def value(self, results: Results) -> float:
         """Return the value; `results` is not used."""
-        metric = self._metric
-        options = {} if metric.percent is None else {"percent": metric.percent}
-        try:
-            return MEASURES[metric.measure](*self._errors(self._recording()), **options)
-        except UndefinedMetricError as error:
-            raise MissingMetricError(f"metric {metric.name}: the distance {error}") from None
+        return measured(self._metric, *self._errors(self._recording()))
 
     def _errors(self, recording: Recording) -> tuple[Array, Array]:
         """Return times (n,) [s] and distances (n,) [m]."""

@@ -10,14 +10,6 @@ from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 OPTIONS = ("target", "percent", "band")
 
 
-def check_measure_of_distance(metric: Any) -> None:
-    """Refuse what `check_measure` does, and a measure that needs a target, which none has."""
-    of_distance = [name for name in MEASURES if not options_of(name).get("target")]
-    known = [*of_distance, *(s for s, name in SYNONYMS.items() if name in of_distance)]
-    checks.choice(metric.measure, known, "measure")
-    check_measure(metric)
-
-
 def check_measure(metric: Any) -> None:
     """Refuse the `measure` of a frozen metric, or its options, if it has them, and settle them.
 

@@ -15,6 +15,7 @@ from bo_tuner.codec import checks
 from bo_tuner.codec.rules import POSITIVE, SECONDS, Chosen, Matching
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study.distance_metric import DistanceMetric
 from bo_tuner.study.measures import check_measure
 from bo_tuner.study.metric_keys import MetricKeys, ScaledMetricKeys
 from bo_tuner.study.parts import LINEAR
@@ -330,15 +331,13 @@ StudyMetric = (
     | CombinedMetric
     | RelativeMetric
 )
-OF_DISTANCE = (PathMetric, TrajectoryMetric)
-"""Metrics that measure a distance between signals."""
 
 
 def signals_of(metric: object, signals: Iterable[str]) -> Iterator[str]:
     """Yield the names of the signals that a metric is computed from, of those of a study."""
     if isinstance(metric, PythonMetric):
         yield from signals
-    elif isinstance(metric, OF_DISTANCE):
+    elif isinstance(metric, DistanceMetric):
         yield from metric.signals
     elif isinstance(metric, SignalMetric):
         for text in metric.expressions:

@@ -2,22 +2,18 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Annotated
 
 from bo_tuner.codec import checks
-from bo_tuner.codec.rules import Expected
 from bo_tuner.errors import StudyError
-from bo_tuner.study.measures import check_measure_of_distance
-from bo_tuner.study.metric_keys import ScaledMetricKeys
+from bo_tuner.study.distance_metric import Coordinates, DistanceMetric
 from bo_tuner.study.signals import Signal
 
-COORDINATES = "two or three signals, as [x, y]"
 PLAN_TYPE = "nav_msgs/msg/Path"
 """Type of the messages that a plan may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathMetric(ScaledMetricKeys):
+class PathMetric(DistanceMetric):
     """A number that is computed from the distance of a path from the plan that holds at the time.
 
     The distance is that from the nearest point of the line through the plan's poses. At each
@@ -30,29 +26,10 @@ class PathMetric(ScaledMetricKeys):
         of the plan.
     plan : str
         A signal of whole messages, of the type `nav_msgs/msg/Path`.
-    measure : str
-        What is computed from the distance, such as `maximum`, `rms` or `percentile`.
-    percent : float, optional
-        Percentage of the time in which `percentile` is not exceeded, 0 to 100.
     """
 
-    path: Annotated[tuple[str, ...], Expected(COORDINATES)]
+    path: Coordinates
     plan: str
-    measure: str
-    unit: str = "m"
-    percent: float | None = None
-
-    reproducible = False
-    """Of measured signals no two runs give the same."""
-
-    measures_time = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.path) not in (2, 3):
-            found = checks.show(self.path)
-            raise StudyError(f"expected {COORDINATES}, found {found}", ("path",))
-        check_measure_of_distance(self)
 
     @property
     def signals(self) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study.braces import without_names
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.distance_metric import DistanceMetric
 from bo_tuner.study.metric_scale import check_limits
 from bo_tuner.study.metrics import (
     COMPUTED,
-    OF_DISTANCE,
     RelativeMetric,
     ReportedMetric,
     SignalMetric,
@@ -80,11 +80,11 @@ def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric |
         check_limit(constraint, metric.range)
         check_limits(metric, constraint)
     # A distance is never negative, and neither is any measure of it.
-    never_negative = isinstance(metric, OF_DISTANCE) or (
+    never_negative = isinstance(metric, DistanceMetric) or (
         isinstance(metric, SignalMetric) and metric.measure in NEVER_NEGATIVE
     )
     if (
-        isinstance(metric, (SignalMetric, *OF_DISTANCE))
+        isinstance(metric, SignalMetric | DistanceMetric)
         and never_negative
         and constraint.upper is not None
         and constraint.upper < 0.0
@@ -120,7 +120,7 @@ def check_signals(
     """Refuse expressions with signals that are not there, in metrics and in a run."""
     findings = Findings()
     for name, metric in metrics.items():
-        if isinstance(metric, (SignalMetric, *OF_DISTANCE)):
+        if isinstance(metric, SignalMetric | DistanceMetric):
             with findings.under("metrics", name):
                 metric.check_signals(signals)
     if run is not None:
@@ -135,7 +135,7 @@ def check_kinds(
     """Refuse whole messages where numbers are needed, and numbers where whole messages are."""
     findings = Findings()
     for name, metric in metrics.items():
-        if isinstance(metric, (SignalMetric, *OF_DISTANCE)):
+        if isinstance(metric, SignalMetric | DistanceMetric):
             with findings.under("metrics", name):
                 metric.check_kinds(signals)
     for text, path in () if run is None else run.conditions:

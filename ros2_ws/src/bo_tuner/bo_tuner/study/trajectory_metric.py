@@ -7,16 +7,14 @@ from typing import Annotated
 from bo_tuner.codec import checks
 from bo_tuner.codec.rules import POSITIVE, Expected
 from bo_tuner.errors import StudyError
-from bo_tuner.study.measures import check_measure_of_distance
-from bo_tuner.study.metric_keys import ScaledMetricKeys
-from bo_tuner.study.path_metric import COORDINATES
+from bo_tuner.study.distance_metric import Coordinates, DistanceMetric
 from bo_tuner.study.signals import Signal
 
 HEADINGS = "two signals, as [true_yaw, yaw]"
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrajectoryMetric(ScaledMetricKeys):
+class TrajectoryMetric(DistanceMetric):
     """A number that is computed from the distance of an estimated position from the true one.
 
     It is taken at the messages of the estimate; the truth is interpolated between its own.
@@ -27,8 +25,6 @@ class TrajectoryMetric(ScaledMetricKeys):
         The signals that are the true position, x and y or x, y and z [m].
     estimate : list of str
         Those that are the estimated one.
-    measure : str
-        What is computed from the distance, such as `rms`, `maximum` or `percentile`.
     align : bool
         Whether the estimate is turned and shifted as a whole, so that it fits best: for odometry,
         whose frame is its own.
@@ -37,29 +33,16 @@ class TrajectoryMetric(ScaledMetricKeys):
         began: the drift. It needs `yaw`.
     yaw : list of str
         The signals that are the true and the estimated heading [rad].
-    percent : float, optional
-        Percentage of the time in which `percentile` is not exceeded, 0 to 100.
     """
 
-    truth: Annotated[tuple[str, ...], Expected(COORDINATES)]
-    estimate: Annotated[tuple[str, ...], Expected(COORDINATES)]
-    measure: str
+    truth: Coordinates
+    estimate: Coordinates
     align: bool = False
     over: Annotated[float, POSITIVE] | None = None
     yaw: Annotated[tuple[str, ...], Expected(HEADINGS)] = ()
-    unit: str = "m"
-    percent: float | None = None
-
-    reproducible = False
-    """Of measured signals no two runs give the same."""
-
-    measures_time = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.truth) not in (2, 3):
-            found = checks.show(self.truth)
-            raise StudyError(f"expected {COORDINATES}, found {found}", ("truth",))
         if len(self.estimate) != len(self.truth):
             raise StudyError(
                 f"expected {len(self.truth)} signals, as truth has, found {len(self.estimate)}",
@@ -75,7 +58,6 @@ class TrajectoryMetric(ScaledMetricKeys):
                 raise StudyError("a drift is the same however it is turned", ("align",))
         elif self.yaw:
             raise StudyError("needs over", ("yaw",))
-        check_measure_of_distance(self)
 
     @property
     def signals(self) -> tuple[str, ...]:
