@@ -18,13 +18,13 @@ from bo_tuner.cli.common import (
     ended,
     in_namespace_of,
     named_metrics,
-    opened,
     read_result,
 )
-from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, early_end
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.extra_runs import complete
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
-from bo_tuner.errors import RunError, RunRecordError, StudyError
+from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.store import CERTIFICATES, read_certificate
 from bo_tuner.evidence.drift import (
@@ -37,8 +37,7 @@ from bo_tuner.evidence.drift import (
     result_of,
     write_drift,
 )
-from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.monitoring.certificate_progress import CertificateProgress
+from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.abort_bags import AbortBags
 from bo_tuner.storage.atomic import writing
@@ -47,8 +46,6 @@ from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
 from bo_tuner.text import counted
-from bo_tuner.tuning.driver import Driver
-from bo_tuner.tuning.gate import Gate
 
 RUNS = 20
 """Fresh runs, unless asked for."""
@@ -98,17 +95,10 @@ def compare(
         plan = DriftPlan(
             study, certificate.parameters, baseline, metrics, most, false_alarms, number
         )
-        shown = CertificateProgress(plain_console(stderr=True))
-        try:
-            with opened(nodes, interruption) as left, shown:
-                Driver(nodes, shown, gate=Gate(interruption.check, shown)).complete(plan)
-            drift = result_of(plan, path.name, started, _now())
-        except (Interrupted, RunError) as error:
-            headline, code = early_end(error)
-            say_error(headline)
-            notify(arguments.notify, folder.path, code, headline, say_error)
+        left, code = complete(plan, nodes, folder, arguments, interruption)
+        if code is not None:
             return code
-        folder.check()
+        drift = result_of(plan, path.name, started, _now())
         written = write_drift(folder.path, number, drift, plan.evaluations)
     _show(drift, most)
     say(f"comparison: {written}")

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,11 +9,12 @@ from rich.table import Table
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.ros.play.bag import Bag
-from bo_tuner.cli.common import Parser, allow_programs, attached, ended, in_namespace_of, opened
-from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, early_end
+from bo_tuner.cli.common import Parser, allow_programs, attached, ended, in_namespace_of
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.extra_runs import complete
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
-from bo_tuner.errors import RunError, StudyError
+from bo_tuner.errors import StudyError
 from bo_tuner.evidence.next_drive import (
     NextDrive,
     asked_of,
@@ -23,8 +23,8 @@ from bo_tuner.evidence.next_drive import (
     next_drive,
     write_next_drive,
 )
-from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.monitoring.certificate_progress import CertificateProgress
+from bo_tuner.evidence.words.next_drive import headline, percent, sentences
+from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
@@ -36,10 +36,8 @@ from bo_tuner.study.parts import ROS
 from bo_tuner.study.playing import is_bag
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
-from bo_tuner.text import counted, listed
+from bo_tuner.text import counted, listed, with_unit
 from bo_tuner.trials import Context, Evaluation, Stage, Trial
-from bo_tuner.tuning.driver import Driver
-from bo_tuner.tuning.gate import Gate
 
 
 def expect(
@@ -79,21 +77,16 @@ def expect(
                 for parameters in (trial.parameters, defaults)
             )
         ]
-        shown = CertificateProgress(plain_console(stderr=True))
-        try:
-            with opened(nodes, interruption) as left, shown:
-                driver = Driver(nodes, shown, gate=Gate(interruption.check, shown))
-                done = [task.evaluation for task in driver.run(Runs(evaluations, "runs"))]
-        except (Interrupted, RunError) as error:
-            reason, code = early_end(error)
-            say_error(reason)
-            notify(arguments.notify, folder.path, code, reason, say_error)
+        plan = Runs(evaluations, "runs")
+        left, code = complete(plan, nodes, folder, arguments, interruption)
+        if code is not None:
             return code
-        folder.check()
-        done.sort(key=lambda evaluation: evaluation.index)
+        done = plan.evaluations
         made = next_drive(study, trial.parameters, done[::2], done[1::2], drives, number)
         written = write_next_drive(folder.path, number, made)
     _show(study, made)
+    for sentence in sentences(made):
+        say(sentence)
     say(f"written: {written}")
     code = ended(left, EXIT_OK if made.passed else EXIT_INFEASIBLE)
     notify(arguments.notify, record.path, code, headline(made), say_error)
@@ -166,7 +159,7 @@ def _show(study: Study, made: NextDrive) -> None:
     table.add_column("drive")
     for name in metrics:
         unit = study.metrics[name].unit
-        table.add_column(f"{name} [{unit}]" if unit else name, justify="right")
+        table.add_column(with_unit(name, unit), justify="right")
         table.add_column("default", justify="right")
     table.add_column("")
     for run in made.runs:
@@ -178,34 +171,3 @@ def _show(study: Study, made: NextDrive) -> None:
         words = f"beyond {listed(run.beyond)}" if run.beyond else ""
         table.add_row(Path(run.drive).name, *cells, words)
     print_table(plain_console(), table)
-    count = len(made.runs)
-    say(f"within all limits: {made.within} of {counted(count, 'drive')}")
-    say(
-        f"the next drive is no worse than the worst of these with a probability of "
-        f"{percent(made.no_worse_on_average)} on average ({count} of {count + 1}); with "
-        f"{percent(made.confidence)} confidence, {percent(made.no_worse)} of all drives are not"
-    )
-    say(
-        "both hold if drives to come are like these: recorded by the same robot, in the same kind "
-        "of places, none chosen for how it went"
-    )
-    say(headline(made))
-    if not made.passed:
-        say(
-            f"{counted(made.missing, 'more drive')} within all limits would show it, in a call "
-            "with these"
-        )
-
-
-def headline(made: NextDrive) -> str:
-    """Return the verdict in a line."""
-    verdict = "PASS" if made.passed else "FAIL"
-    return (
-        f"{verdict}: at least {percent(made.shown)} of drives are within all limits, with "
-        f"{percent(made.confidence)} confidence; asked for are {percent(made.asked)}"
-    )
-
-
-def percent(share: float) -> str:
-    """Return a share in percent; it is rounded down."""
-    return f"{math.floor(1000.0 * share) / 10.0:g} %"

@@ -22,7 +22,7 @@ from bo_tuner.numerics.rank_drift import RankTest
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.plans import Plan, Run
 from bo_tuner.storage.atomic import write_atomically, writing
-from bo_tuner.storage.numbered_files import next_number, numbered
+from bo_tuner.storage.numbered_files import next_number, numbered_path
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNED, Evaluation, Outcome, Stage, Value
@@ -266,4 +266,4 @@ def write_drift(folder: Path, number: int, drift: Drift, runs: Sequence[Evaluati
         ],
     }
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    return write_atomically(numbered(directory, number), text)
+    return write_atomically(numbered_path(directory, number), text)

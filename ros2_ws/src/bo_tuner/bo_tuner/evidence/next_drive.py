@@ -19,7 +19,7 @@ from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import write_atomically, writing
-from bo_tuner.storage.numbered_files import next_number, numbered
+from bo_tuner.storage.numbered_files import next_number, numbered_path, numbered_paths
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.study.study import Study
@@ -172,7 +172,7 @@ def write_next_drive(folder: Path, number: int, made: NextDrive) -> Path:
         directory.mkdir(exist_ok=True)
     content = {"passed": made.passed, "shown": made.shown, **to_json(made)}
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    return write_atomically(numbered(directory, number), text)
+    return write_atomically(numbered_path(directory, number), text)
 
 
 def drives_problem(record: RunRecord, trial: Trial) -> str:
@@ -182,8 +182,7 @@ def drives_problem(record: RunRecord, trial: Trial) -> str:
     and too few, speaks neither for nor against it.
     """
     directory, problem = record.path / DRIVES, ""
-    for number in range(next_number(directory) - 1, 0, -1):
-        path = numbered(directory, number)
+    for path in numbered_paths(directory):
         try:
             made = read(NextDrive, json.loads(read_text(path)), JSON)
         except (RunRecordError, ValueError, StudyError) as error:

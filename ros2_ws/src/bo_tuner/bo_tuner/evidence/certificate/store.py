@@ -6,7 +6,6 @@ second. The numbers are in the order of making.
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.atomic import writing
+from bo_tuner.storage.numbered_files import next_number, numbered_path, numbered_paths
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
@@ -38,16 +38,10 @@ FEWEST_DRAWS = 2
 DRAWS_KEY = ("draws",)
 """Path of the number of draws in an error."""
 
-_NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
-
 
 def certificate_paths(folder: Path) -> list[Path]:
     """Return the certificates in a run folder, the latest first."""
-    directory = folder / CERTIFICATES
-    if not directory.is_dir():
-        return []
-    paths = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
-    return sorted(paths, key=_number, reverse=True)
+    return numbered_paths(folder / CERTIFICATES)
 
 
 def evaluations_path(certificate: Path) -> Path:
@@ -63,7 +57,7 @@ def next_path(folder: Path, attempt: int = 1) -> Path:
     directory = folder / CERTIFICATES
     with writing(directory):
         directory.mkdir(exist_ok=True)
-    return directory / f"{max(attempt, next_attempt(folder)):04d}.json"
+    return numbered_path(directory, max(attempt, next_attempt(folder)))
 
 
 def next_attempt(folder: Path) -> int:
@@ -71,7 +65,7 @@ def next_attempt(folder: Path) -> int:
 
     Evaluations alone, which a crash has left, are no attempt: it goes on with the same draws.
     """
-    return 1 + max(map(_number, certificate_paths(folder)), default=0)
+    return next_number(folder / CERTIFICATES)
 
 
 def certificate_text(certificate: Certificate) -> str:
@@ -217,7 +211,3 @@ def _mismatch(study: Study, path: Path, certificate: Certificate) -> str:
     made_by = certificate.provenance
     changed = changed_sources(made_by, sources(study, made_by.get("backend", "")))
     return f"the code of {', '.join(changed)} has changed since" if changed else ""
-
-
-def _number(path: Path) -> int:
-    return int(path.stem)
