@@ -19,7 +19,7 @@ def served(feed_axis_run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("served") / "runs"
     for name in ("first", "second"):
         shutil.copytree(feed_axis_run, folder / name)
-    pages = ServedRuns(folder)
+    pages = ServedRuns(folder, "--web-control")
     pages.folder = folder
     yield pages
     pages.end()
@@ -109,6 +109,27 @@ def test_sliders_count_together_where_the_models_are(chromium, page):
     asked = f"fetch('/runs/first/forecast?{values}').then(a => a.json())"
     told = chromium.evaluate(asked)
     chromium.wait_for(f"{same}({json.dumps(told['cells'])})")
+    assert chromium.errors == []
+
+
+def test_a_command_is_started_and_ended(chromium, page, axe):
+    page("runs/first", width=390)
+    assert chromium.evaluate("document.getElementById('started').hidden")
+    chromium.evaluate(
+        "[...document.querySelectorAll('.steps button.start')]"
+        ".find(b => b.parentElement.textContent.startsWith('validate')).click()"
+    )
+    said = "document.querySelector('#started .output').textContent"
+    chromium.wait_for(f"{said}.length > 0")
+    state = "document.querySelector('#started .state').textContent"
+    assert chromium.evaluate(state) == "Running"
+    assert axe(chromium) == []
+    assert chromium.evaluate("document.documentElement.scrollWidth") <= 390
+    chromium.evaluate("document.querySelector('#started .end').click()")
+    chromium.wait_for(f"{state} === 'Ended with exit code 130'")
+    # Whoever opens the page later sees the same.
+    page("runs/second")
+    chromium.wait_for(f"{state} === 'Ended with exit code 130'")
     assert chromium.errors == []
 
 

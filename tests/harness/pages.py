@@ -47,11 +47,17 @@ class Pages:
 class ServedRuns(Pages):
     """The runs in a folder, served by ``report --serve``."""
 
-    def __init__(self, folder, *options):
+    def __init__(self, folder, *options, **environment):
         self.said = folder.parent / "served.txt"
         with self.said.open("w") as said:
             self.process = Fork(
-                "report", "--serve", folder.name, *options, folder=folder.parent, stdout=said
+                "report",
+                "--serve",
+                folder.name,
+                *options,
+                folder=folder.parent,
+                stdout=said,
+                env=environment,
             )
         wait_until(lambda: ADDRESS.search(self.said.read_text()), "the address", self.process)
         super().__init__(self.said.read_text())

@@ -68,7 +68,7 @@ class TestWhoMayRead:
         status, _, text = run.ask(f"/requests/{name}", method="POST", **headers)
         assert (status, text) == (
             403,
-            "403: the page is read-only; tune --web-control allows requests\n",
+            "403: the page is read-only; --web-control allows requests\n",
         )
 
     @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])

@@ -8,7 +8,7 @@ from typing import NoReturn
 from bo_tuner.cli.common import Parser, guarded, read_result, trial_of, whole_number
 from bo_tuner.cli.exit_codes import EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
-from bo_tuner.cli.web_options import add_host_argument, port, tell_address
+from bo_tuner.cli.web_options import add_control_argument, add_host_argument, port, tell_address
 from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
@@ -29,6 +29,7 @@ from bo_tuner.storage.run_folder import JOURNAL, REPORT
 from bo_tuner.storage.trust import trust
 from bo_tuner.web.address import listen
 from bo_tuner.web.run_pages import serve_runs
+from bo_tuner.web.started import Started
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the result first, then the evidence for it, the
@@ -93,8 +94,8 @@ def make_parser() -> Parser:
         "--serve",
         type=Path,
         metavar="FOLDER",
-        help="serve all runs in this folder until Ctrl-C, on this machine only, at an address with "
-        "a token that is printed; only notes and tags can be changed",
+        help="serve all runs in this folder until Ctrl-C, read-only, on this machine only, at an "
+        "address with a token that is printed",
     )
     group.add_argument(
         "--web-port",
@@ -102,6 +103,8 @@ def make_parser() -> Parser:
         metavar="PORT",
         help="with --serve: take this port (default: any that is free)",
     )
+    starts = "start commands that it shows (validate, try, replay), one at a time, and end them"
+    add_control_argument(group, "--serve", starts)
     add_host_argument(group, "--serve")
     return parser
 
@@ -164,13 +167,14 @@ def _serve(arguments: argparse.Namespace, parser: Parser, interruption: Interrup
         raise RunRecordError(f"--serve {folder}: expected a folder of runs, found {found}")
     address = listen(arguments.web_port or 0, arguments.web_host, "--web-port")
     tell_address(address, f"runs in {folder}", say)
-    serve_runs(address, folder, interruption)
+    started = Started(say) if arguments.web_control else None
+    serve_runs(address, folder, interruption, started)
 
 
 def _refuse_without_serve(arguments: argparse.Namespace, parser: Parser) -> None:
     """Refuse what is of use with --serve alone, and no run without it."""
-    for name in ("web_port", "web_host"):
-        if getattr(arguments, name) is not None:
+    for name in ("web_port", "web_host", "web_control"):
+        if getattr(arguments, name) not in (None, False):
             parser.error(f"--{name.replace('_', '-')} needs --serve")
     if not arguments.run:
         parser.error("expected a run folder, or --serve FOLDER")

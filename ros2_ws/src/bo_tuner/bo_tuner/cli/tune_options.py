@@ -8,7 +8,7 @@ from bo_tuner.cli.common import RUNS, Group, Parser
 from bo_tuner.cli.notify import add_notify_argument
 from bo_tuner.cli.study_options import add_bounds_argument, add_budget_arguments
 from bo_tuner.cli.time_limit import TimeLimit, time_limit
-from bo_tuner.cli.web_options import add_host_argument, port
+from bo_tuner.cli.web_options import add_control_argument, add_host_argument, port
 from bo_tuner.cli.workers import add_workers_arguments
 from bo_tuner.method_names import DEFAULT_METHOD, SAFE, titles
 from bo_tuner.monitoring.display import Output
@@ -219,11 +219,7 @@ def _add_web(group: Group) -> None:
         "address with a token that is printed (default: any free port); it lists and "
         "compares the other runs in the same folder, too (report --serve does without a run)",
     )
-    group.add_argument(
-        "--web-control",
-        action="store_true",
-        help="with --web: the page may pause, continue and end the run, and answer --confirm",
-    )
+    add_control_argument(group, "--web", "pause, continue and end the run, and answer --confirm")
     add_host_argument(group, "--web")
 
 

@@ -21,6 +21,13 @@ def add_host_argument(group: Group, serves: str) -> None:
     )
 
 
+def add_control_argument(group: Group, serves: str, what: str) -> None:
+    """Add the option that pages may do `what`; `serves` is the option that serves them."""
+    group.add_argument(
+        "--web-control", action="store_true", help=f"with {serves}: the page may {what}"
+    )
+
+
 def port(text: str) -> int:
     """Read the number of a port; 0 stands for any."""
     if not text.isdecimal() or int(text) > LARGEST_PORT:

@@ -255,15 +255,17 @@ def render(
     parts: Sequence[Chapter],
     run: str | None = os.curdir,
     template: str = "report.html",
+    scripts: Sequence[str] = (),
     **more: Any,
 ) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path, if any.
 
-    A `template` that extends that of the report may need further content.
+    A `template` that extends that of the report may need further `scripts` and content.
     """
     content = answer(analysis)
     return fill(
         template,
+        [*OF_REPORTS, *scripts],
         sections=[],
         chapters=parts,
         study=analysis.study,

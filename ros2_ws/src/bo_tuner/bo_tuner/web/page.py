@@ -104,7 +104,7 @@ class Page(RequestHandler):
     def check_control(self) -> None:
         """Refuse a request to change something, unless it is from a page of ours."""
         if not self.access.control:
-            raise HTTPError(403, "the page is read-only; tune --web-control allows requests")
+            raise HTTPError(403, "the page is read-only; --web-control allows requests")
         if self.request.headers.get("Origin", "") != f"http://{self.request.host}":
             raise HTTPError(403, "the request is not from this page")
         given = self.request.headers.get("X-Control-Token", "")

@@ -7,6 +7,9 @@ HOME = "/"
 RUNS = "/runs"
 NEWS = "/news"
 """What changes in the list of runs; a run may have any name below `RUNS`."""
+STARTED = "/started"
+"""What the command that a page has started prints."""
+STOP = "/started/stop"
 COMPARED = "compared"
 """Behind `trials_address`, two trials side by side; their numbers are a query."""
 
@@ -34,6 +37,11 @@ def file_address(name: str, path: str) -> str:
 def forecasts_address(name: str) -> str:
     """Return the address of predictions for values of a run's parameters, a query behind it."""
     return f"{run_address(name)}/forecast"
+
+
+def start_address(name: str) -> str:
+    """Return the address to which a command is sent that a run's page shows, to be started."""
+    return f"{run_address(name)}/start"
 
 
 def trials_address(name: str) -> str:

@@ -1,7 +1,8 @@
 """Serves the pages about the runs in a folder: beside a run in progress, and by themselves.
 
-Nothing of a run can be changed. Files are given as downloads, never shown: what a
-stranger's run has named HTML would else be a page of ours.
+Nothing of a run can be changed; where it is allowed, its page may start commands that it shows.
+Files are given as downloads, never shown: what a stranger's run has named HTML would else be a page
+of ours.
 """
 
 import asyncio
@@ -23,13 +24,15 @@ from bo_tuner.interruption import LOOK_AROUND, Interruption
 from bo_tuner.report.content import Forecast
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.web.address import Address
-from bo_tuner.web.page import Access, Page, Route, start_server
-from bo_tuner.web.places import COMPARED, NEWS, RUNS
+from bo_tuner.web.page import Access, Page, Route, new_control_token, start_server
+from bo_tuner.web.places import COMPARED, NEWS, RUNS, STARTED, STOP
 from bo_tuner.web.runs import MOST_COMPARED, Runs
+from bo_tuner.web.started import RunningError, Started
 
 NO_RUN = "there is no such run here"
 NO_TRIAL = "there is no such trial here"
 NO_FILE = "there is no such file here"
+NOT_SHOWN = "the page of this run has no such command to start"
 PIECE = 1_000_000
 """Of a file that is sent at once [byte]."""
 
@@ -168,6 +171,52 @@ class RunFile(RunsHandler):
                 await self.flush()
 
 
+class StartHandler(Page):
+    """Base of what is about the command that a page has started."""
+
+    def initialize(self, **shared: Any) -> None:
+        """Take what starts commands, too."""
+        super().initialize(**shared)
+        self.started: Started = shared["started"]
+
+
+class Start(RunsHandler, StartHandler):
+    """A request to start a command that the page of a run shows."""
+
+    async def post(self, name: str) -> None:
+        """Start it, if it is the page that asks."""
+        self.check_control()
+        command = self.request.body.decode("utf-8", "replace")
+        words = await self.made(NOT_SHOWN, self.thread, self.runs.to_start, name, command)
+        try:
+            await self.started.start(words, self.request.remote_ip or "-")
+        except RunningError as error:
+            raise HTTPError(409, "%s", error) from None
+        self.set_status(202)
+
+
+class StartedNews(StartHandler):
+    """What the command has printed."""
+
+    async def get(self) -> None:
+        """Answer once there is more than at a version."""
+        version = self.get_query_argument("after", "-1")
+        if re.fullmatch(r"-1|[0-9]{1,9}", version) is None:
+            raise HTTPError(400, "after: expected a whole number")
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(await self.started.news(int(version))))
+
+
+class Stop(StartHandler):
+    """A request to end the command."""
+
+    def post(self) -> None:
+        """Ask it to end, if it is the page that asks."""
+        self.check_control()
+        self.started.stop()
+        self.set_status(202)
+
+
 def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
     """Return the routes of the pages about runs, which are made in a thread."""
     shared = {"runs": runs, "thread": thread}
@@ -185,17 +234,29 @@ def run_routes(runs: Runs, thread: ThreadPoolExecutor) -> list[Route]:
     return [(pattern, handler, shared) for pattern, handler in pages]
 
 
-def serve_runs(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
-    """Serve the runs in a folder until the end is asked for."""
-    asyncio.run(_serve(address, folder, interruption))
+def serve_runs(
+    address: Address, folder: Path, interruption: Interruption, started: Started | None = None
+) -> NoReturn:
+    """Serve the runs in a folder until the end is asked for; pages may start commands if given."""
+    asyncio.run(_serve(address, folder, interruption, started))
 
 
-async def _serve(address: Address, folder: Path, interruption: Interruption) -> NoReturn:
-    access = Access(address.token, address.host, address.port)
+async def _serve(
+    address: Address, folder: Path, interruption: Interruption, started: Started | None
+) -> NoReturn:
+    control = "" if started is None else new_control_token()
+    access = Access(address.token, address.host, address.port, control)
     thread = ThreadPoolExecutor(1)
-    runs = Runs(folder)
-    entrance: Route = (r"/", Entrance, {"runs": runs, "thread": thread})
-    server = start_server(address.socket, access, [entrance, *run_routes(runs, thread)])
+    runs = Runs(folder, control=control)
+    shared = {"runs": runs, "thread": thread, "started": started}
+    routes: list[Route] = [(r"/", Entrance, shared), *run_routes(runs, thread)]
+    if started is not None:
+        routes += [
+            (r"/runs/([^/]+)/start", Start, shared),
+            (STARTED, StartedNews, shared),
+            (STOP, Stop, shared),
+        ]
+    server = start_server(address.socket, access, routes)
     try:
         while True:
             interruption.check()
@@ -203,6 +264,8 @@ async def _serve(address: Address, folder: Path, interruption: Interruption) -> 
     finally:
         server.stop()
         thread.shutdown(wait=False, cancel_futures=True)
+        if started is not None:
+            await started.close()
 
 
 def _offer(page: Page, name: str) -> None:

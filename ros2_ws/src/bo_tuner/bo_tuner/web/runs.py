@@ -15,6 +15,7 @@ from bo_tuner.report.comparison import comparison, in_a_row
 from bo_tuner.report.content import Forecast, Table
 from bo_tuner.report.page import OF_LISTS, chapters, fill, list_html, render, trial_html
 from bo_tuner.report.sections.what_if import forecast
+from bo_tuner.report.to_start import to_start
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.report.two_trials import two_trials
 from bo_tuner.storage.run_files import BAGS, bag_name
@@ -26,11 +27,14 @@ from bo_tuner.web.places import (
     COMPARED,
     HOME,
     RUNS,
+    STARTED,
+    STOP,
     file_address,
     forecasts_address,
     list_address,
     news_address,
     run_address,
+    start_address,
     trials_address,
 )
 from bo_tuner.web.sections import read_as_it_stands
@@ -81,9 +85,10 @@ class _Known:
 class Runs:
     """Makes the pages about the runs in a folder; one thread at a time may use it."""
 
-    def __init__(self, folder: Path, present: str = "") -> None:
+    def __init__(self, folder: Path, present: str = "", control: str = "") -> None:
         self._folder = folder
         self._present = present
+        self._control = control
         self._known: dict[str, _Known] = {}
         # The runs that were looked at last, the latest at the end.
         self._open: dict[str, tuple[Signatures, Analysis]] = {}
@@ -191,6 +196,11 @@ class Runs:
             chapters(analysis),
             None,
             template="run.html",
+            scripts=["start.js"] if self._control else [],
+            control=self._control,
+            start=start_address(name),
+            started=STARTED,
+            stop=STOP,
             frame=frame,
             files=self._files(name),
             trials=trials_address(name),
@@ -243,6 +253,10 @@ class Runs:
     def forecast(self, name: str, values: Mapping[str, float]) -> Forecast | None:
         """Return what is predicted for values of a run's parameters; None if it has none such."""
         return None if name not in self.names() else forecast(self._analysis(name), values)
+
+    def to_start(self, name: str, command: str) -> list[str] | None:
+        """Return the words of a command that the page of a run has to start; None if it has not."""
+        return to_start(self._analysis(name), command) if name in self.names() else None
 
     def compared(self, names: Sequence[str]) -> str | None:
         """Return the page that compares runs; None if one does not exist."""

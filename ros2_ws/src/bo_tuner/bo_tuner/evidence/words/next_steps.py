@@ -8,6 +8,11 @@ from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.infeasible import half_as_many_again, promising
 from bo_tuner.storage.run_folder import STUDY
 
+STARTED = ("validate", "try", "replay")
+"""Commands that a page may start, if it is allowed to: they make runs, and then end by themselves.
+
+What goes on with a search is for a terminal, and what sets values that stay is asked there.
+"""
 LOOSER = "go on by a study with a looser limit, in a new run"
 
 
@@ -23,6 +28,12 @@ class Step:
         """The command by its name, with an option that says which of its uses it is."""
         first, second, *_ = (*self.command.split(), "")
         return f"{first} {second}" if second.startswith("--") else first
+
+    @property
+    def may_start(self) -> bool:
+        """Whether a page may start it as it stands, without a word to fill in."""
+        first, *others = self.command.split()
+        return first in STARTED and not any(word.endswith("...") for word in others)
 
 
 def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:

@@ -140,8 +140,7 @@ def answer(analysis: Analysis) -> Answer:
     result = analysis.answer
     parameters = {} if result is None else result.parameters
     usable = verdict.feasible and result is not None
-    # The page may be opened from any folder. Commands do not reach a function.
-    run = "" if record.backend == FUNCTION else str(record.path.resolve())
+    run = _run(analysis)
     return Answer(
         mark=mark_in_words(verdict),
         status=verdict.status,
@@ -163,7 +162,7 @@ def answer(analysis: Analysis) -> Answer:
             *(f"{capitalized(line)}." for line in bases(verdict)),
             *([] if verdict.certificate else _details(verdict)),
         ],
-        steps=next_steps(verdict, run) if run else (),
+        steps=steps(analysis),
         certified=analysis.certificate is not None or bool(analysis.certificate_problem),
         compare=f"report {run} OTHER_RUN" if run else "",
         files=[
@@ -172,6 +171,19 @@ def answer(analysis: Analysis) -> Answer:
             if (record.path / name).exists()
         ],
     )
+
+
+def steps(analysis: Analysis) -> tuple[Step, ...]:
+    """Return the commands that come next."""
+    run = _run(analysis)
+    return next_steps(analysis.verdict, run) if run else ()
+
+
+def _run(analysis: Analysis) -> str:
+    """Return the folder of the run for commands; empty where they do not reach what was run."""
+    record = analysis.record
+    # The page may be opened from any folder.
+    return "" if record.backend == FUNCTION else str(record.path.resolve())
 
 
 def _origin(analysis: Analysis) -> str:

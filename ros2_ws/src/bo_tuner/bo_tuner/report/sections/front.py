@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bo_tuner.evidence.words.next_steps import to_use
+from bo_tuner.evidence.words.next_steps import Step, to_use
 from bo_tuner.figures.figure import (
     Color,
     Dash,
@@ -67,16 +67,12 @@ def front(analysis: Analysis) -> Section | None:
 def _choices(analysis: Analysis, points: Sequence[Point], result: int | None) -> list[Choice]:
     """Return what to know of each point to choose it instead of the result."""
     by_number = {trial.number: trial for trial in analysis.trials}
-    run = str(analysis.record.path.resolve())
     return [
         Choice(
             trial=point.trial,
             title=_in_a_line(analysis.study, point, is_result=point.trial == result),
             values=_values(analysis, by_number[point.trial]),
-            # Commands do not reach a function, and those for the result stand with it.
-            steps=()
-            if analysis.record.backend == FUNCTION or point.trial == result
-            else to_use(run, point.trial),
+            steps=_steps(analysis, point, result),
             # A page of a run in progress does without: simulated, they take longer than a trial.
             figure=None
             if analysis.quick or place >= MOST_RESPONSES
@@ -84,6 +80,19 @@ def _choices(analysis: Analysis, points: Sequence[Point], result: int | None) ->
         )
         for place, point in enumerate(points)
     ]
+
+
+def steps_of_front(analysis: Analysis) -> list[Step]:
+    """Return the commands that the points of the front have."""
+    result = None if analysis.answer is None else analysis.answer.number
+    return [step for point in _points(analysis) for step in _steps(analysis, point, result)]
+
+
+def _steps(analysis: Analysis, point: Point, result: int | None) -> tuple[Step, ...]:
+    # Commands do not reach a function, and those for the result stand with it.
+    if analysis.record.backend == FUNCTION or point.trial == result:
+        return ()
+    return to_use(str(analysis.record.path.resolve()), point.trial)
 
 
 def _in_a_line(study: Study, point: Point, *, is_result: bool) -> str:

@@ -54,10 +54,10 @@ def what_if(analysis: Analysis) -> WhatIf | None:
         )
         for grid in grids
     ]
-    return WhatIf(sliders, _rows(analysis), along, _command(analysis))
+    return WhatIf(sliders, _rows(analysis), along, command(analysis))
 
 
-def _command(analysis: Analysis) -> str:
+def command(analysis: Analysis) -> str:
     """Return how to run a set once, up to the values of the sliders."""
     record, answer = analysis.record, analysis.answer
     if record.backend == FUNCTION or answer is None:

@@ -27,6 +27,7 @@
       if (!code) return;
       const set = sliders.map(({ name, values }, k) => `--set ${name}=${values[Number(inputs[k].value)]}`);
       code.textContent = [command, ...set].join(" ");
+      element.querySelector(".copy").dataset.copy = code.textContent;
     }
     tell();
 
