@@ -481,3 +481,25 @@ def test_axe_finds_a_fault(chromium, axe, tmp_path):
     page.write_text("<!doctype html><html><body><img></body></html>")
     chromium.open(page)
     assert ("image-alt", "critical") in axe(chromium)
+
+
+def test_a_response_is_played(chromium, feed_axis_page):
+    """What was measured comes up as time goes on; limits stand, and in the end all is as before."""
+    chromium.open(feed_axis_page)
+    figure = "document.querySelector('#answer figure')"
+    button = f"{figure}.querySelector('button.play')"
+    cut = (
+        f"[...{figure}.querySelectorAll('path')].filter(line => line.style.clipPath)"
+        ".map(line => line.closest('[data-name]').dataset.name)"
+    )
+    assert chromium.evaluate(cut) == []
+    chromium.evaluate(f"{button}.click()")
+    chromium.wait_for(f"{cut}.includes('default') && {cut}.includes('tuned')")
+    assert not any("limit" in name for name in chromium.evaluate(cut))
+    assert chromium.evaluate(f"{figure}.querySelectorAll('.cursor').length") > 0
+    chromium.evaluate(f"{button}.click()")
+    assert chromium.evaluate(cut) == []
+    assert chromium.evaluate(f"{figure}.querySelectorAll('.cursor').length") == 0
+    # Only where something moves in time.
+    assert chromium.evaluate("document.querySelectorAll('#contexts button.play').length") == 0
+    assert chromium.errors == []

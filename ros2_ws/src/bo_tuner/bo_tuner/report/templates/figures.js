@@ -7,6 +7,7 @@
   const BESIDE = 12; // between a point and its tip [px]
   const DRAGGED = 6; // from which a drag is one [px]
   const MOST_TICKS = 6;
+  const LONGEST = 10000; // of an animation [ms]; shorter responses are shown as fast as they were
   const KEYS = "Arrow keys go from point to point, Enter opens a trial";
   const number = (value) => String(Number(value.toPrecision(4)));
 
@@ -77,6 +78,8 @@
       const { left, top, width, height } = this.box;
       return [(clientX - left) / width, (clientY - top) / height];
     }
+    get isOfTime() { return this.labels[0].startsWith("time") && !this.x.log && !this.x.named; }
+    get measured() { return [...this.axes.querySelectorAll(".traced:not([stroke-dasharray])")]; }
     inView({ x, y }) {
       const [a, b, c, d] = this.view;
       return [(x - a) / (b - a), (y - c) / (d - c)];
@@ -252,9 +255,70 @@
     }
   }
 
+  // Lets what was measured, the lines without dashes, come up as time goes on.
+  class Animation {
+    constructor(plots, button) {
+      this.plots = plots;
+      this.button = button;
+      button.addEventListener("click", () => (this.frame ? this.stop() : this.start()));
+    }
+    start() {
+      this.cursors = this.plots.map(({ element }) => {
+        const cursor = document.createElement("div");
+        cursor.className = "cursor";
+        element.append(cursor);
+        return cursor;
+      });
+      const seconds = Math.max(...this.plots.map(({ x }) => x.value(1) - x.value(0)));
+      this.duration = Math.min(1000 * seconds, LONGEST);
+      this.begin = performance.now();
+      this.button.textContent = "Stop";
+      this.show();
+    }
+    show() {
+      const share = (performance.now() - this.begin) / this.duration;
+      if (share >= 1) return this.stop();
+      this.plots.forEach((plot, k) => {
+        const [from, to] = plot.view;
+        const at = Math.max(0, Math.min(1, (share - from) / (to - from)));
+        for (const line of plot.measured) {
+          const { x, width: length } = line.getBBox();
+          const seen = (share * SIDE - x) / length;
+          line.style.clipPath = `inset(-${SIDE}px ${100 * (1 - seen)}% -${SIDE}px 0) fill-box`;
+        }
+        const { left, top, width, height } = plot.box;
+        const outer = plot.element.getBoundingClientRect();
+        Object.assign(this.cursors[k].style, {
+          left: `${left - outer.left + at * width}px`, top: `${top - outer.top}px`, height: `${height}px`,
+        });
+      });
+      this.frame = requestAnimationFrame(() => this.show());
+    }
+    stop() {
+      cancelAnimationFrame(this.frame);
+      this.frame = 0;
+      this.button.textContent = "Play";
+      this.cursors.forEach((cursor) => cursor.remove());
+      for (const plot of this.plots) plot.measured.forEach((line) => { line.style.clipPath = ""; });
+    }
+  }
+
+  function play(figure, plots) {
+    const ofTime = plots.filter((plot) => plot.isOfTime && plot.measured.length);
+    if (!ofTime.length) return;
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "play small";
+    button.textContent = "Play";
+    button.setAttribute("aria-label", "Play as it went");
+    figure.querySelector("h3, h4").after(button);
+    new Animation(ofTime, button);
+  }
+
   function adopt(figure) {
     const texts = JSON.parse(figure.querySelector("script").textContent);
     const plots = [...figure.querySelectorAll(".plot")].map((element) => new Plot(element, texts));
+    play(figure, plots);
     // What can be reached by the keyboard is no picture any more.
     if (plots.some(({ told }) => told.length)) figure.querySelector(".panels").setAttribute("role", "group");
     for (const button of figure.querySelectorAll(".legend button")) {
