@@ -16,7 +16,7 @@ PUBLIC = {
 }  # fmt: skip
 OF = {
     "Study": {"defaults", "from_yaml", "name", "optimize", "to_yaml", "tuner"},
-    "Tuner": {"ask", "close", "fail", "folder", "lose", "result", "tell"},
+    "Tuner": {"add", "ask", "close", "fail", "folder", "lose", "result", "tell", "withdraw"},
     "Result": {
         "best", "certificate", "certify", "evaluations", "figures", "folder", "report", "trials",
         "verdict",

@@ -26,6 +26,40 @@ def reference(process):
     return regressor.fit(process.data.x, process.data.mean)
 
 
+class TestKnownErrors:
+    def test_posterior_is_that_of_an_independent_library(self):
+        """With the error of each response as its noise; some points have two responses."""
+        x, c, y = scattered(30)
+        errors = np.random.default_rng(1).uniform(0.01, 0.3, len(y))
+        start = fitted(x, c, y).warm_start
+        process = PooledProcess.condition(start, x, c, y, coding=PLAIN, errors=errors)
+        theta, scale = process.hyperparameters, process.scale
+        kernel = ConstantKernel(theta.signal**2) * RBF(theta.length_scales) + ConstantKernel(1.0)
+        regressor = GaussianProcessRegressor(kernel, alpha=(errors / scale) ** 2, optimizer=None)
+        regressor.fit(np.hstack([x, c]), (y - y.mean()) / scale)
+        at, which = np.array([[0.2], [0.7]]), np.array([1, 1])
+        mean, deviation = regressor.predict(np.hstack([at, CORNERS[which]]), return_std=True)
+        assert process.means(at, CORNERS)[:, 1] == pytest.approx(y.mean() + scale * mean, abs=1e-8)
+        variances = process.variances(at, CORNERS, which)
+        assert np.sqrt(variances) == pytest.approx(scale * deviation, rel=1e-4)
+
+    def test_noise_elsewhere_is_that_of_the_others(self):
+        """Half of the responses have a large error, which is known: others scatter by 0.01."""
+        x, c, y = scattered(80)
+        rng = np.random.default_rng(3)
+        known = np.where(np.arange(80) % 2, 0.5, np.nan)
+        y = y + np.nan_to_num(known) * rng.standard_normal(80)
+        at, which = np.full((1, 1), 0.5), np.array([1])
+        start = fitted(*scattered(80)).warm_start
+        with_errors = PooledProcess.condition(start, x, c, y, coding=PLAIN, errors=known)
+        without = PooledProcess.condition(start, x, c, y, coding=PLAIN)
+        true = 0.5 + 0.25
+        off = [abs(p.means(at, CORNERS)[0, 1] - true) for p in (with_errors, without)]
+        assert off[0] < 0.02 < off[1]
+        noise = [np.sqrt(p.noise(at, CORNERS, which)[0][0]) for p in (with_errors, without)]
+        assert noise[0] < 0.1 < noise[1]
+
+
 class TestPosterior:
     @pytest.fixture
     def process(self):

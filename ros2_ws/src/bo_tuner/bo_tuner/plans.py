@@ -32,6 +32,9 @@ class EventKind(StrEnum):
     STANDSTILL = "standstill"
     ACCEPT = "accept"
     REFUSE = "refuse"
+    ADD = "add"
+    WITHDRAW = "withdraw"
+    PART = "part"
 
 
 ON_REQUEST = ""
@@ -53,16 +56,26 @@ class Event:
     kind
         That the phase is to finish early, or to go on all the same in a later session; a
         pause, on request or because the guard had taken over, or its end; that the phase has ended
-        early because its plan cannot go on; that somebody has allowed a task, or has not.
+        early because its plan cannot go on; that somebody has allowed a task, or has not; that a
+        run was added, a trial withdrawn, or a part of the metrics of a run told.
     detail
         More in a line: `ON_REQUEST` or `TIME_UP`, what the guard says, why the plan cannot go on,
-        or as JSON who has allowed or refused which parameters, when and where.
+        or as JSON who has allowed or refused which parameters, when and where, or what was added,
+        withdrawn or told.
     """
 
     phase: str
     tasks: int
     kind: EventKind
     detail: str = ""
+
+
+@dataclass(frozen=True)
+class Withdrawal:
+    """What somebody says of a trial: its runs say nothing of its parameters, for a reason."""
+
+    trial: int
+    reason: str
 
 
 def finished_after(events: Iterable[Event], phase: Phase = Phase.TUNING) -> int | None:
@@ -165,6 +178,10 @@ class Plan(ABC, Generic[TaskT]):
     @abstractmethod
     def tell(self, task: TaskT) -> bool:
         """Take the result of a task, in the order of the tasks; returns whether it ends a step."""
+
+    def drop(self, task: TaskT) -> None:
+        """Take back the task that was planned last, of which nothing is run; it may come again."""
+        raise ValueError(f"no {self.what} can be dropped")
 
     def refuse(self, task: TaskT) -> None:
         """Take back the task that was asked for last; it is not carried out, nor asked for again.

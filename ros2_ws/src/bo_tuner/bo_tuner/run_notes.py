@@ -12,11 +12,12 @@ class Unusable(StrEnum):
     """Why a failed evaluation says nothing of its parameters.
 
     Somebody else acted on the nodes, or it did not begin: the steps before it failed with the safe
-    parameters, or the default failed, which a limit is relative to.
+    parameters, or the default failed, which a limit is relative to. Or somebody has withdrawn it.
     """
 
     DISTURBED = "disturbed"
     UNPREPARED = "unprepared"
+    WITHDRAWN = "withdrawn"
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,10 @@ class Notes:
         The default's metrics that others are relative to, in the same context with the same seed.
     carried_from
         The run that it was taken over from.
+    as_set
+        Parameters that had another value than they were to have, by name, with that value.
+    errors
+        Known standard errors of metrics, by name, each in its unit.
     remark
         What to know of its metrics, such as signals that were silent, in a line.
     park_problem
@@ -145,6 +150,8 @@ class Notes:
     at_least: Mapping[str, float] = field(default_factory=dict)
     default: Mapping[str, float] = field(default_factory=dict)
     carried_from: str = ""
+    as_set: Mapping[str, bool | int | float | str] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
     remark: str = ""
     park_problem: str = ""
     starts: int = 0

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from bo_tuner.codec.rules import Within
 from bo_tuner.processor_load import Load
-from bo_tuner.run_notes import Notes
+from bo_tuner.run_notes import Notes, Unusable
 
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
@@ -325,6 +325,11 @@ class Trial:
         )
 
     @property
+    def was_withdrawn(self) -> bool:
+        """Whether somebody has taken back what its runs say; see `withdrawn`."""
+        return any(e.outcome.notes.unusable is Unusable.WITHDRAWN for e in self.evaluations)
+
+    @property
     def disturbed(self) -> bool:
         """Whether it is unusable, but no node was lost, which may have died of the parameters."""
         return self.unusable and all(
@@ -358,6 +363,19 @@ class Trial:
         if self.failed_again and all(e.outcome.complete for e in tuning):
             return replace(self, evaluations=tuning, state=TrialState.COMPLETE, reason="")
         return replace(self, evaluations=tuning)
+
+
+def withdrawn(trial: Trial, reason: str) -> Trial:
+    """Return a trial of which somebody has said that its runs say nothing of its parameters."""
+    why = f"withdrawn: {reason}"
+    outcome = Outcome(EvaluationState.FAILED, reason=why, notes=Notes(unusable=Unusable.WITHDRAWN))
+    return replace(
+        trial,
+        state=TrialState.FAILED,
+        reason=why,
+        evaluations=tuple(replace(e, outcome=outcome) for e in trial.evaluations),
+        worst_cases={},
+    )
 
 
 def ended_as(outcome: Outcome) -> TrialState:

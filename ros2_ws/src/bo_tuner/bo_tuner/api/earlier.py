@@ -1,12 +1,12 @@
-"""Runs of earlier times, by whatever they were made, as the first trials of a new run."""
+"""Runs that were made by others, by whatever, as trials: ahead of a run, or while it goes on."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.codec import checks
-from bo_tuner.errors import MetricsError, StudyError
+from bo_tuner.errors import MetricsError, RunRecordError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.storage.record import record_of_study
 from bo_tuner.study.function_study import FUNCTION
@@ -24,10 +24,12 @@ from bo_tuner.trials import (
     count_trials,
     parameter_set,
 )
-from bo_tuner.tuning.carrying import Carried, carry_over
+from bo_tuner.tuning.carrying import Carried, carry_over, with_worst_cases
 
 EARLIER = "earlier"
 """Name of where they come from."""
+ADDED = "added"
+"""The same of one that comes while a run goes on."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,39 @@ class EarlierRun:
         In which it was, by name; what is left out was nominal.
     failure
         Why it failed; empty if it did not.
+    errors
+        Known standard errors of metrics, by name, each in its unit.
     """
 
     parameters: Mapping[str, Value]
     metrics: Mapping[str, float] = field(default_factory=dict)
     context: Mapping[str, Value] = field(default_factory=dict)
     failure: str = ""
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+def added_trial(
+    study: Study, method: Method, run: EarlierRun
+) -> Callable[[int, Sequence[Trial]], Trial]:
+    """Return what makes a trial of a run, by its number and the trials before it.
+
+    Raises as `first_trials`, at once.
+    """
+    (trial,) = _trials(study, [run])
+    record = replace(record_of_study(study, Path(ADDED), FUNCTION), trials=(trial,))
+    try:
+        (taken,) = carry_over(record, study, method, run=ADDED).trials
+    except RunRecordError as error:
+        raise StudyError(str(error).rpartition("1 trial ")[2], ("parameters",)) from None
+
+    def made(number: int, before: Sequence[Trial]) -> Trial:
+        last = replace(taken, number=len(before))
+        if taken.worst_cases:
+            last = with_worst_cases(study, method, [*before, last], [len(before)])[-1]
+        evaluations = (replace(e, trial=number) for e in taken.evaluations)
+        return replace(last, number=number, origin=ADDED, evaluations=tuple(evaluations))
+
+    return made
 
 
 def first_trials(study: Study, method: Method, runs: Iterable[EarlierRun]) -> Carried | None:
@@ -104,7 +133,7 @@ def _trials(study: Study, runs: Iterable[EarlierRun]) -> list[Trial]:
             outcome = (
                 failed(checks.text(run.failure, "failure"))
                 if run.failure
-                else returned.outcome(run.metrics)
+                else returned.outcome(run.metrics, run.errors)
             )
         except StudyError as error:
             raise error.under(EARLIER, index) from None

@@ -63,6 +63,8 @@ class OpenRun:
     ----------
     known
         Trials on record.
+    events
+        What has come from outside, as it is on record.
     on_record
         Evaluations on record that are not of these.
     observers
@@ -104,6 +106,7 @@ class OpenRun:
                 known = withdraw_lost(folder.journal, known)
             elif (carried := first_trials(study, self.method, earlier)) is not None:
                 known = carried.content
+            self.events = known.events
             self.on_record = OnRecord(study, known.to_give_again)
             self.known = continued(
                 study, self.method, known.trials, known.evaluations, stop_early=False

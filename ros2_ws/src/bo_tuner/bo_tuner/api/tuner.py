@@ -1,6 +1,7 @@
 """Ask and tell: a run whose evaluations somebody else carries out; the journal is its state."""
 
 import contextlib
+import json
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
@@ -10,21 +11,26 @@ from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
-from bo_tuner.api.earlier import EarlierRun
+from bo_tuner.api.earlier import ADDED, EarlierRun, added_trial
 from bo_tuner.api.result import Result, load
 from bo_tuner.api.run import OpenRun
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.backends.paired import DefaultBeside
 from bo_tuner.backends.protocol import Backend, opened_backend
 from bo_tuner.codec import checks
+from bo_tuner.codec.reading import JSON, read
+from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import (
+    ConditionError,
+    ParameterError,
+    RunError,
     RunRecordError,
     StudyError,
     UnknownRunError,
     WindowFull,
 )
 from bo_tuner.methods.registry import METHODS, method_of, problem_of
-from bo_tuner.plans import Phases, Plan
+from bo_tuner.plans import Event, EventKind, Phase, Phases, Plan, Withdrawal
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.ending_early import check_ends_early
@@ -86,6 +92,23 @@ class Run:
         )
 
 
+@dataclass(frozen=True)
+class _Part:
+    """Some metrics of a run that is waited for, and what else was told of it."""
+
+    metrics: Mapping[str, float]
+    errors: Mapping[str, float] = field(default_factory=dict)
+    as_set: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _PartOfRun:
+    """A part as the journal has it: the key of its run, and what was told."""
+
+    run: str
+    told: _Part
+
+
 @dataclass
 class _Pending:
     """A planned evaluation that was asked for, and which of its runs is due."""
@@ -94,6 +117,7 @@ class _Pending:
     runs: Generator[Evaluation, Outcome, Outcome]
     due: Evaluation
     asked_for: bool = False
+    parts: list[_Part] = field(default_factory=list)
     begin: float = field(default_factory=time.monotonic)
 
 
@@ -118,6 +142,11 @@ class Tuner:
         self._plan: Plan[Any] | None = None
         self._steps: Steps[Any] | None = None
         self._over = False
+        self._parts: dict[str, list[_Part]] = {}
+        for event in run.events:
+            if event.kind is EventKind.PART:
+                part = read(_PartOfRun, json.loads(event.detail), JSON)
+                self._parts.setdefault(part.run, []).append(part.told)
         with self._working():
             self._phases = self._all_phases()
             self._next_phase()
@@ -153,7 +182,15 @@ class Tuner:
                 raise WindowFull(f"tell a result first: {count} of {window} are waited for")
             return run
 
-    def tell(self, run: Run, metrics: Mapping[str, float]) -> None:
+    def tell(
+        self,
+        run: Run,
+        metrics: Mapping[str, float],
+        *,
+        parameters: Mapping[str, Value] | None = None,
+        errors: Mapping[str, float] | None = None,
+        more: bool = False,
+    ) -> None:
         """Take the result of a run.
 
         Parameters
@@ -163,6 +200,14 @@ class Tuner:
         metrics
             A number for each metric that is not computed from others. One that is not finite is a
             failed run.
+        parameters
+            Values that were really set, where they are not those that were asked for; the models
+            take these.
+        errors
+            Known standard errors of the metrics, by name, each in its unit: what the same run would
+            scatter by. The models take them in place of the noise that they find.
+        more
+            Whether other metrics come later, by a further call.
 
         Raises
         ------
@@ -170,11 +215,112 @@ class Tuner:
             If nobody waits for it: it was told already, or is of another tuner.
         MetricsError
             If these are no numbers for the metrics; the run is still waited for.
+        StudyError
+            If the study does not permit the parameters that were set, or the models of the
+            algorithm know of no such values or errors.
         RunError
             If the tuner is closed.
         """
-        self._awaited(run)
-        self.tell_outcome(run, self._returned.outcome(metrics))
+        pending = self._awaited(run)
+        errors, as_set = self._errors(errors), self._as_set(run, parameters)
+        if more:
+            told = _Part(self._returned.part(metrics), errors, as_set)
+            with self._one_thread, self._working():
+                pending.parts.append(told)
+                self._note_event(EventKind.PART, _PartOfRun(_text(pending.due), told))
+            return
+        parts = pending.parts
+        if parts and isinstance(metrics, Mapping):
+            metrics = _joined([*(part.metrics for part in parts), metrics])
+        errors = _joined([*(part.errors for part in parts), errors])
+        as_set = _joined([*(part.as_set for part in parts), as_set])
+        self.tell_outcome(run, self._returned.outcome(metrics, errors).noted(as_set=as_set))
+
+    def add(
+        self,
+        parameters: Mapping[str, Value],
+        context: Mapping[str, Value],
+        metrics: Mapping[str, float],
+        errors: Mapping[str, float] | None = None,
+        *,
+        failure: str = "",
+    ) -> None:
+        """Take a run that was not asked for, such as one that somebody has made by hand.
+
+        It becomes a trial of its own, which counts in the budget, and informs all that is proposed
+        from now on; a run that was asked for already is still waited for. Its context counts as one
+        of a search, since nobody knows how it was chosen.
+
+        Parameters
+        ----------
+        parameters
+            Its values by name; what is left out had the default.
+        context
+            In which it was, by name; what is left out was nominal.
+        metrics
+            As in `tell`; empty for a run that failed.
+        errors
+            As in `tell`.
+        failure
+            Why it failed; empty if it did not.
+
+        Raises
+        ------
+        StudyError
+            If the study does not permit the parameters or the context, or knows no such names.
+        MetricsError
+            As `tell`.
+        RunError
+            If the tuner is closed, or the trials have ended.
+        """
+        with self._one_thread:
+            self._run.check()
+            plan = self._trials()
+            added = EarlierRun(parameters, metrics, context, failure, self._errors(errors))
+            make = added_trial(self._run.study, self._run.method, added)
+            with self._working():
+                planned = self._take_back()
+                self._note_event(EventKind.ADD, added, planned)
+                plan.add(planned, make)
+                self._plan_anew()
+
+    def withdraw(self, trial: int, reason: str) -> None:
+        """Take back what a trial says of its parameters, as something was wrong with its runs.
+
+        It stays on record with the reason, does not count in the budget, and its parameter set may
+        be proposed again.
+
+        Parameters
+        ----------
+        trial
+            Its number.
+        reason
+            Why, in a line.
+
+        Raises
+        ------
+        UnknownRunError
+            If there is no such trial, it has not ended, or was withdrawn already.
+        RunError
+            If the tuner is closed, or the trials have ended.
+        """
+        with self._one_thread:
+            self._run.check()
+            plan = self._trials()
+            why = brief(checks.text(reason, "reason")) or "no reason given"
+            is_number = isinstance(trial, int) and not isinstance(trial, bool)
+            if not is_number or not 0 <= trial < len(plan.trials):
+                ended = f"0 to {len(plan.trials) - 1}" if plan.trials else "none"
+                raise UnknownRunError(
+                    f"trial {checks.show(trial)}: has not ended; those that have: {ended}"
+                )
+            if plan.trials[trial].was_withdrawn:
+                raise UnknownRunError(f"trial {trial}: {plan.trials[trial].reason}")
+            with self._working():
+                planned = self._take_back()
+                self._note_event(EventKind.WITHDRAW, Withdrawal(trial, why), planned)
+                plan.withdraw(trial, why)
+                self._plan_anew()
 
     def fail(self, run: Run, reason: str) -> None:
         """Take that a run failed for its parameters; raises as `tell`."""
@@ -242,6 +388,50 @@ class Tuner:
                     with self._working():
                         self._take(evaluation)
 
+    def _errors(self, given: Mapping[str, float] | None) -> Mapping[str, float]:
+        """Return known standard errors, checked."""
+        self._check_knows(given, "errors")
+        return self._returned.errors({} if given is None else given)
+
+    def _as_set(self, run: Run, given: Mapping[str, Value] | None) -> Mapping[str, Value]:
+        """Return the values that are not those of a run, checked."""
+        self._check_knows(given, "parameters")
+        if not given:
+            return {}
+        checks.mapping(given, "parameters")
+        try:
+            whole = self._run.study.search_space().permitted({**run.parameters, **given})
+        except (ParameterError, ConditionError) as error:
+            raise StudyError(str(error), ("parameters",)) from None
+        return {name: value for name, value in whole.items() if value != run.parameters[name]}
+
+    def _check_knows(self, given: object, what: str) -> None:
+        """Refuse what the models of some methods do not know."""
+        if given and not self._run.method.takes_parts():
+            raise StudyError(
+                "the models of this algorithm know none; boundary and safe do", (what,)
+            )
+
+    def _trials(self) -> TrialPlan:
+        """Return the trials, unless they have ended."""
+        if not isinstance(self._plan, TrialPlan):
+            raise RunError("the trials have ended; begin a new run with these as earlier ones")
+        return self._plan
+
+    def _take_back(self) -> int:
+        """Take back what nobody was asked for; returns how many tasks stay."""
+        return 0 if self._steps is None else self._steps.take_back()
+
+    def _plan_anew(self) -> None:
+        if self._steps is not None:
+            self._note(self._steps.begin())
+            self._go_on()
+
+    def _note_event(self, kind: EventKind, what: object, planned: int = 0) -> None:
+        """Put on record what has come from outside."""
+        phase = Phase.TUNING if self._plan is None else self._plan.phase
+        self._run.observers.event(Event(phase, planned, kind, json.dumps(to_json(what))))
+
     def _due(self) -> Iterator[Evaluation]:
         """Yield what can be run now; pulled when there is room for it."""
         while not self._over:
@@ -276,6 +466,7 @@ class Tuner:
                 return None
             runs = self._beside.runs(planned)
             waiting = _Pending(planned, runs, next(runs))
+            waiting.parts = self._parts.pop(_text(waiting.due), [])
             self._pending[_key(waiting.due)] = waiting
         waiting.asked_for = True
         return Run.of(waiting.due)
@@ -296,6 +487,11 @@ class Tuner:
         """Yield the plans of the run, one after the other: those of ``tune``."""
         run = self._run
         trials = TrialPlan(run.study, run.method, run.known)
+        had = sum(trial.origin == ADDED for trial in run.known)
+        for event in [e for e in run.events if e.kind is EventKind.ADD][had:]:
+            # It was to become a trial when the session ended.
+            added = read(EarlierRun, json.loads(event.detail), JSON)
+            trials.add(event.tasks, added_trial(run.study, run.method, added))
         yield trials
         return (yield from concluding(run.study, run.method, trials.trials))
 
@@ -327,6 +523,10 @@ class Tuner:
         """Note the trials among the tasks that a plan has the results of."""
         for task in tasks:
             if isinstance(self._plan, TrialPlan):
+                trial = self._plan.trials[-1]
+                if trial.origin == ADDED and not task.recorded:
+                    for evaluation in trial.evaluations:
+                        self._run.observers.evaluation(evaluation)
                 self._run.note_trial(self._plan.trials, recorded=task.recorded)
 
 
@@ -334,6 +534,16 @@ def _key(evaluation: Evaluation) -> tuple[object, ...]:
     """Return the key of a run among those that are waited for."""
     place = (Stage(evaluation.stage), evaluation.trial, evaluation.index, evaluation.seed)
     return (*place, parameter_set(evaluation.parameters))
+
+
+def _text(evaluation: Evaluation) -> str:
+    """Return the same as text."""
+    return json.dumps(to_json(_key(evaluation)))
+
+
+def _joined(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the entries of all of them; a later one replaces an earlier one."""
+    return {name: value for part in parts for name, value in part.items()}
 
 
 def opened(

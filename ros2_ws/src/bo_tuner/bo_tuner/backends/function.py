@@ -1,9 +1,11 @@
 """Evaluations by a Python function, which has no nodes."""
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from bo_tuner.backends.protocol import SequentialBackend
-from bo_tuner.errors import Failed, MetricsError
+from bo_tuner.codec import checks
+from bo_tuner.errors import Failed, MetricsError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.study.function_study import FUNCTION, problem_of_returned, returned_metrics
 from bo_tuner.study.named_code import described
@@ -23,16 +25,49 @@ class Returned:
         self._metrics = returned_metrics(study)
         self._collector = Collector(study)
 
-    def outcome(self, returned: object) -> Outcome:
-        """Judge what was returned; a value that is not finite is a failed evaluation."""
+    def outcome(self, returned: object, errors: Mapping[str, float] | None = None) -> Outcome:
+        """Judge what was returned; a value that is not finite is a failed evaluation.
+
+        `errors` are the known standard errors of metrics, by name.
+        """
         if problem := problem_of_returned(self._metrics, returned):
             raise MetricsError(brief(problem))
+        known = self.errors(errors or {})
         values: Mapping[str, object] = returned  # type: ignore[assignment]
         said: dict[str, dict[str, object]] = {}
         for name, metric in self._metrics.items():
             of_node = said.setdefault(metric.node, {"status": STATUS_OK})
             of_node[metric.key] = float(values[name])  # type: ignore[arg-type]
-        return self._collector.outcome(said)
+        return self._collector.outcome(said).noted(errors=known)
+
+    def part(self, returned: object) -> Mapping[str, float]:
+        """Return some of the metrics, checked."""
+        values: Mapping[str, Any] = returned if isinstance(returned, Mapping) else {}
+        if unknown := [name for name in values if name not in self._metrics]:
+            known = ", ".join(self._metrics)
+            raise MetricsError(brief(f"{unknown[0]!r} is no metric; expected some of {known}"))
+        of_part = {name: self._metrics[name] for name in values} or self._metrics
+        if problem := problem_of_returned(of_part, returned):
+            raise MetricsError(brief(problem))
+        return {name: float(value) for name, value in values.items()}
+
+    def errors(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return standard errors of metrics, checked."""
+        try:
+            checks.mapping(given)
+            known = {}
+            for name, error in given.items():
+                checks.reference(name, "metric", self._metrics, name)
+                known[name] = checks.number(error, name)
+                if known[name] <= 0.0:
+                    raise StudyError(
+                        f"expected a positive number, found {known[name]:g}; leave out what is "
+                        "not known",
+                        (name,),
+                    )
+        except StudyError as error:
+            raise MetricsError(str(error.under("errors"))) from None
+        return known
 
 
 def failed(reason: str) -> Outcome:

@@ -106,6 +106,7 @@ class ContextProcesses(Protocol):
         start: Sequence[float] | None = None,
         keep: bool = False,
         censored: Censored | None = None,
+        errors: Array | None = None,
     ) -> ContextProcess:
         """Fit to responses y (N,) of the parameter sets x (N, d) in contexts c (N, e).
 
@@ -127,6 +128,8 @@ class ContextProcesses(Protocol):
             Whether `start` is good enough as it is, since little is new since that fit.
         censored
             Further observations, of which lower bounds are known.
+        errors : ndarray, shape (N,), optional
+            Known standard errors of the responses, NaN where there is none.
         """
 
     def condition(

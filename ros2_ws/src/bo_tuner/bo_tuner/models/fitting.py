@@ -13,7 +13,11 @@ from bo_tuner.models.censoring import Censored
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
-from bo_tuner.models.observations import censored_observations, joint_observations
+from bo_tuner.models.observations import (
+    censored_observations,
+    complete_evaluations,
+    joint_observations,
+)
 from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
@@ -143,10 +147,12 @@ class Fitting:
         c: Array,
         y: Array,
         censored: Censored | None = None,
+        errors: Array | None = None,
     ) -> ContextProcess:
         """Fit the process of a response y (N,) of parameter sets x (N, d) in contexts c (N, e).
 
-        Of `censored` ones a lower bound is known.
+        Of `censored` ones a lower bound is known; `errors` (N,) are known standard errors of y, NaN
+        where there is none.
         """
         joint_minimum = np.append(self.minimum, np.zeros(c.shape[1]))
         process = processes.fit(
@@ -159,6 +165,7 @@ class Fitting:
             start=self._start.get(name),
             keep=self._keep,
             censored=censored,
+            errors=errors,
             priors=self._priors(joint_minimum) if self.study.is_noiseless else None,
         )
         self.models[name] = process
@@ -206,9 +213,13 @@ class Fitting:
     def joint_observations(
         self, trials: Sequence[Trial], metric: str
     ) -> tuple[Array, Array, Array]:
-        """Return what `observations.joint_observations` does."""
+        """Return what `observations.joint_observations` does, by the parameters that were set."""
         contexts = self.study.context_space()
-        return joint_observations(self.points(trials), contexts, trials, metric)
+        x, c, y = joint_observations(self.points(trials), contexts, trials, metric)
+        for row, evaluation in enumerate(complete_evaluations(trials)):
+            if as_set := evaluation.outcome.notes.as_set:
+                x[row] = self._space.to_cube({**evaluation.parameters, **as_set})
+        return x, c, y
 
     def censored_observations(self, trials: Sequence[Trial], metric: str) -> Censored:
         """Return what `observations.censored_observations` does."""

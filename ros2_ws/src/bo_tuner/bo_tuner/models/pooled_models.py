@@ -26,7 +26,7 @@ from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import Fitting
 from bo_tuner.models.logarithm import Logarithm
 from bo_tuner.models.model_scale import ModelScale, ScaleRule
-from bo_tuner.models.observations import searched_contexts
+from bo_tuner.models.observations import known_errors, searched_contexts
 from bo_tuner.models.pooled_process import PooledProcesses
 from bo_tuner.models.pooled_responses import (
     EveryContext,
@@ -189,8 +189,9 @@ class PooledModels:
                 censored = known.on_scale(objective.to_cost)
             name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
             runs = x, c, objective.to_cost(y)
+            errors = data.errors(objective.metric, y, objective.to_cost)
             process = data.process(
-                self.processes, name, objective.metric, runs, censored, objective.from_cost
+                self.processes, name, objective.metric, runs, censored, objective.from_cost, errors
             )
             costs[objective.metric] = ExpectedObjective(process, data.over, objective, data.tried)
         return costs
@@ -274,6 +275,11 @@ class _Data:
             c = np.hstack([c, self.covariates.columns(self.fitting.study, self.trials)])
         return x, c, y
 
+    def errors(self, metric: str, y: Array, apply: Callable[[Array], Array]) -> Array | None:
+        """Return the known standard errors (N,) of the values y (N,), on the scale of a model."""
+        known = known_errors(self.trials, metric)
+        return None if known is None else np.abs(apply(y + known) - apply(y))
+
     def process(
         self,
         processes: ContextProcesses,
@@ -282,6 +288,7 @@ class _Data:
         runs: tuple[Array, Array, Array],
         censored: Censored | None,
         restore: Callable[[Array], Array],
+        errors: Array | None,
     ) -> ContextProcess:
         """Fit the process of a metric; with a simulation, it is compared with that.
 
@@ -295,12 +302,14 @@ class _Data:
             Its `observations`, on the scale of the model.
         restore
             From that scale to the metric's unit.
+        errors : ndarray, shape (N,), or None
+            Of `errors`.
         """
         x, c, y = runs
         if self.covariates.simulated is None:
-            return self.fitting.process(processes, name, x, c, y, censored)
+            return self.fitting.process(processes, name, x, c, y, censored, errors)
         y, offset = moved(x, y, simulated_in(self.trials))
-        process = self.fitting.process(processes, name, x, c, y, censored)
+        process = self.fitting.process(processes, name, x, c, y, censored, errors)
         self.comparisons.setdefault(metric, Comparison(process, self.over, offset, restore))
         return process
 
@@ -339,7 +348,10 @@ class _Responses:
         censored = fitting.censored_observations(data.trials, limited.metric)
         censored = censored.on_scale(scale.apply)
         runs, metric = (x, c, scale.apply(y)), limited.metric
-        process = data.process(processes, limited.name, metric, runs, censored, scale.restore)
+        errors = data.errors(metric, y, scale.apply)
+        process = data.process(
+            processes, limited.name, metric, runs, censored, scale.restore, errors
+        )
         return process, scale
 
 

@@ -174,6 +174,7 @@ class PooledProcess:
         start: Sequence[float] | None = None,
         keep: bool = False,
         censored: Censored | None = None,
+        errors: Array | None = None,
         width: float = WIDTH,
         restarted: int = RESTARTED,
     ) -> Self:
@@ -195,12 +196,17 @@ class PooledProcess:
             Lower bounds of the parameters' length scales.
         censored
             Further observations.
+        errors : ndarray, shape (N,), optional
+            Known standard errors of the responses, NaN where there is none. They stand in the
+            posterior in place of the noise; noise elsewhere is that of the other responses.
         width, restarted
             Of the kernel around a place, and most observations with which a fit starts anew; see
             `WIDTH` and `RESTARTED`.
         """
         if keep and start is not None:
-            return cls.condition(start, x, c, y, coding=coding, censored=censored, width=width)
+            return cls.condition(
+                start, x, c, y, coding=coding, censored=censored, errors=errors, width=width
+            )
         minimum = None
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
@@ -224,6 +230,7 @@ class PooledProcess:
             c,
             width,
             censored,
+            errors,
             process.warnings,
         )
 
@@ -237,6 +244,7 @@ class PooledProcess:
         *,
         coding: Coding,
         censored: Censored | None = None,
+        errors: Array | None = None,
         width: float = WIDTH,
     ) -> Self:
         """Condition on data with given hyperparameters, a `warm_start` of an earlier fit."""
@@ -249,6 +257,7 @@ class PooledProcess:
             c,
             width,
             censored,
+            errors,
         )
 
     @classmethod
@@ -262,6 +271,7 @@ class PooledProcess:
         c: Array,
         width: float,
         censored: Censored | None = None,
+        errors: Array | None = None,
         warnings: tuple[str, ...] = (),
     ) -> Self:
         standardized = standardization.apply(y)
@@ -276,8 +286,20 @@ class PooledProcess:
         # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
+        known = None if errors is None else (errors / standardization.scale) ** 2
+        if known is not None:
+            # A known error says nothing of the noise of others.
+            unknown = np.bincount(data.index, np.isfinite(known), len(data.x)) == 0.0
+            degrees, squares = degrees * unknown, squares * unknown
         local = _local_ratio(data.x, data.x, columns, squares, degrees, width)
         error = error * local
+        if known is not None:
+            each = np.where(np.isfinite(known), known, (common * local)[data.index])
+            # Of observations at a point the more exact one counts more.
+            precision = np.bincount(data.index, 1.0 / each, len(data.x))
+            mean = np.bincount(data.index, standardized / each, len(data.x)) / precision
+            data, error = replace(data, mean=mean), 1.0 / precision
+            apart = standardized - mean[data.index]
         if censored is None or not len(censored):
             posterior = prior.condition(data.mean, error)
         else:
@@ -567,6 +589,7 @@ class PooledProcesses:
         start: Sequence[float] | None = None,
         keep: bool = False,
         censored: Censored | None = None,
+        errors: Array | None = None,
     ) -> PooledProcess:
         """Fit a process, see `PooledProcess.fit`."""
         return PooledProcess.fit(
@@ -580,6 +603,7 @@ class PooledProcesses:
             start=start,
             keep=keep,
             censored=censored,
+            errors=errors,
             width=self.width,
             restarted=self.restarted,
         )

@@ -150,6 +150,9 @@ class DesignedOptimizer:
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
         self.trials.append(trial)
+        if trial.was_withdrawn:
+            # As if nobody had tried it.
+            return
         key = self.space.key(trial.parameters)
         self._keys.add(key)
         if not trial.disturbed:

@@ -6,14 +6,14 @@ What was damaged, by a disk or a hand, ends the reading: everything before it is
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner import maxima
 from bo_tuner.errors import JournalError
-from bo_tuner.plans import Event
+from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage import rows
 from bo_tuner.storage.journal import (
     COLUMNS,
@@ -25,7 +25,7 @@ from bo_tuner.storage.journal import (
 )
 from bo_tuner.storage.session_options import options_of
 from bo_tuner.text import one_line
-from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place
+from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, latest_by_place, withdrawn
 
 # The header of the file, with page size and number of pages (sqlite.org/fileformat.html).
 _SQLITE = b"SQLite format 3\0"
@@ -98,6 +98,7 @@ def read_journal(path: Path) -> JournalContent:
             evaluations = in_order_of_plans(evaluations)
         trials = tuple(_trials(trial_rows, evaluations))
         events = tuple(rows.event_of(row) for row in event_rows)
+        trials, evaluations = _without_withdrawn(trials, evaluations, events)
     except ValueError as error:
         # The checksums are right, so no disk has damaged it: another program wrote this.
         raise JournalError(
@@ -112,6 +113,21 @@ def read_journal(path: Path) -> JournalContent:
         evaluations=tuple(evaluations),
         damage=f"{path.name}: {damage}" if damage else "",
         events=events,
+    )
+
+
+def _without_withdrawn(
+    trials: tuple[Trial, ...], evaluations: Sequence[Evaluation], events: Iterable[Event]
+) -> tuple[tuple[Trial, ...], Sequence[Evaluation]]:
+    """Return trials and evaluations, those that somebody has withdrawn as such."""
+    reasons = dict(rows.withdrawal_of(e) for e in events if e.kind is EventKind.WITHDRAW)
+    if not reasons:
+        return trials, evaluations
+    taken_back = {n: withdrawn(trials[n], why) for n, why in reasons.items() if n < len(trials)}
+    known = {(e.trial, e.index): e for trial in taken_back.values() for e in trial.evaluations}
+    return (
+        tuple(taken_back.get(trial.number, trial) for trial in trials),
+        [known.get((e.trial, e.index), e) if e.stage in TUNING else e for e in evaluations],
     )
 
 

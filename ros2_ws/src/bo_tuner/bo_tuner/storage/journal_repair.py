@@ -54,7 +54,7 @@ def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
     when it had been lost twice.
     """
     kept = len(content.trials)
-    while kept and content.trials[kept - 1].unusable:
+    while kept and (last := content.trials[kept - 1]).unusable and not last.was_withdrawn:
         kept -= 1
     if kept == len(content.trials):
         return content

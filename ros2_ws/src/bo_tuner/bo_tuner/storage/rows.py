@@ -16,7 +16,7 @@ from bo_tuner.codec.rules import Count
 from bo_tuner.codec.writing import changes
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
-from bo_tuner.plans import Event, EventKind
+from bo_tuner.plans import Event, EventKind, Withdrawal
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes
 from bo_tuner.study.study import Study
@@ -74,6 +74,12 @@ def event_of(row: Row) -> Event:
     """Make an event."""
     phase, detail = _cell(str, row, "phase"), _cell(str, row, "detail")
     return Event(phase, _cell(Count, row, "tasks"), _cell(EventKind, row, "kind"), detail)
+
+
+def withdrawal_of(event: Event) -> tuple[int, str]:
+    """Return the number of the trial that was withdrawn, and the reason."""
+    withdrawal: Withdrawal = _json(Withdrawal, {"detail": event.detail}, "detail", JSON)
+    return withdrawal.trial, withdrawal.reason
 
 
 def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:

@@ -22,7 +22,7 @@ bounds, another budget, limit or objective. What is made of it may not:
 import dataclasses
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.codec import checks
@@ -138,7 +138,7 @@ def carry_over(
             f"{record.path}: none of its {counted(len(record.trials), 'trial')} can be used: "
             f"{taking.left_out}"
         )
-    trials = _with_worst_cases(study, method, taken)
+    trials = _completed(study, method, taken)
     return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
 
 
@@ -321,20 +321,25 @@ class Taking:
         }
 
 
-def _with_worst_cases(study: Study, method: Method, trials: Sequence[Trial]) -> list[Trial]:
-    """Estimate the worst cases of complete trials that lack any, by all evaluations."""
+def _completed(study: Study, method: Method, trials: Sequence[Trial]) -> list[Trial]:
+    """Estimate the worst cases of complete trials that lack any."""
     names = {constraint.name for constraint in study.worst_case_constraints}
     lacking = [
         trial.number
         for trial in trials
         if trial.state is TrialState.COMPLETE and trial.worst_cases.keys() != names
     ]
-    if not lacking:
-        return list(trials)
+    return with_worst_cases(study, method, trials, lacking) if lacking else list(trials)
+
+
+def with_worst_cases(
+    study: Study, method: Method, trials: Sequence[Trial], numbers: Iterable[int]
+) -> list[Trial]:
+    """Estimate the worst cases of some of the trials, by their numbers, by all evaluations."""
     rng = generator(study.seed, Stream.SEARCH, len(trials))
     known = dict(method.hyperparameters(study, trials, rng))
     updated = list(trials)
-    for number in lacking:
+    for number in numbers:
         trial = trials[number]
         proposal = Proposal(dict(trial.parameters), trial.origin, hyperparameters=known)
         others = [other for other in trials if other.number != number]

@@ -100,7 +100,7 @@ class Steps(Generic[TaskT]):
         return not self._window.tasks
 
     def begin(self) -> Iterator[TaskT]:
-        """Plan the first tasks; yields those that have nothing to run, as `take` does."""
+        """Plan the first tasks, or more; yields those that have nothing to run, as `take` does."""
         self._fill()
         yield from self._tell()
 
@@ -115,6 +115,11 @@ class Steps(Generic[TaskT]):
         self._pass_gate()
         self._window.take(evaluation)
         yield from self._tell()
+
+    def take_back(self) -> int:
+        """Take back what nobody runs yet, for `begin` to plan anew; returns how many tasks stay."""
+        self._window.drop_unbegun()
+        return self._window.planned
 
     def _tell(self) -> Iterator[TaskT]:
         """Tell the plan of the tasks that have ended, and yield them, up to one that has not."""
@@ -167,6 +172,8 @@ class _Planned(Generic[TaskT]):
         Its next evaluation; None when it has ended.
     running
         Whether a backend has it.
+    begun
+        Whether a backend has, or had, one of its evaluations.
     lost
         The first of its evaluations that is unusable, if there is one.
     """
@@ -174,7 +181,7 @@ class _Planned(Generic[TaskT]):
     def __init__(self, task: TaskT, attempts: int) -> None:
         self.task = task
         self.next = task.ask()
-        self.running = False
+        self.running = self.begun = False
         self.lost: Evaluation | None = None
         self._attempts = attempts
         self._failed = self._died = self._died_anyway = 0
@@ -250,10 +257,16 @@ class _Window(Generic[TaskT]):
             if planned.next is not None:
                 self._observer.planned(self._plan.phase)
 
+    def drop_unbegun(self) -> None:
+        """Take back the latest tasks, up to one that has begun, or has ended without a run."""
+        while self.tasks and not (last := self.tasks[-1]).begun and last.next is not None:
+            self._plan.drop(self.tasks.pop().task)
+            self.planned -= 1
+
     def due(self) -> Iterator[Evaluation]:
         """Yield what can be run now, of the oldest task first; pulled when there is room for it."""
         while (planned := self._waiting()) is not None:
-            planned.running = True
+            planned.running = planned.begun = True
             if planned.next is not None:
                 yield planned.next
 

@@ -1,14 +1,14 @@
 """The trials of a run as a plan: parameter sets of stage one, each with stage two as its task."""
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bo_tuner.methods.protocol import Method
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
-from bo_tuner.optimizers.base import Proposal
+from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.plans import Phase, Plan
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -22,6 +22,7 @@ from bo_tuner.trials import (
     count_evaluations,
     count_trials,
     ended_as,
+    withdrawn,
 )
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.worst_case.constraint_searches import WorstCaseSearches
@@ -156,17 +157,18 @@ class TrialTask:
 
 
 class RecordedTask:
-    """A trial on record, which has ended as soon as it is planned.
+    """A trial on record, or one that was added, which has ended as soon as it is planned.
 
     Attributes
     ----------
     recorded
-        Whether it was on record already: True.
+        Whether it was on record already.
     """
 
-    recorded = True
-
-    def __init__(self, study: Study, method: Method, trial: Trial) -> None:
+    def __init__(
+        self, study: Study, method: Method, trial: Trial, *, recorded: bool = True
+    ) -> None:
+        self.recorded = recorded
         self._study = study
         self._method = method
         self._trial = trial
@@ -212,6 +214,10 @@ def trials_are_over(study: Study, trials: Sequence[Trial], finished: int | None)
     return study.budget.is_spent(count_trials(trials), count_evaluations(trials))
 
 
+AddedTrial = Callable[[int, Sequence[Trial]], Trial]
+"""Makes a trial of runs that somebody else has made, by its number and the trials before it."""
+
+
 class TrialPlan(Plan[TrialTask | RecordedTask]):
     """The trials of a study, up to its budget.
 
@@ -238,13 +244,31 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         self._study = study
         self._method = method
         self._recorded = tuple(recorded)
-        self._optimizer = method.optimizer(study)
-        for parameters in refused:
-            self._optimizer.refuse(parameters)
         self._finished = finished
+        self._refused = [dict(parameters) for parameters in refused]
+        self._added: list[tuple[int, AddedTrial]] = []
         self._planned = 0
         self.steps = study.budget.trials
         self.trials: list[Trial] = []
+        self._optimizer = self._informed()
+
+    def _informed(self) -> Optimizer:
+        """Return an optimizer that knows all trials that have ended, and what was refused."""
+        optimizer = self._method.optimizer(self._study)
+        for parameters in self._refused:
+            optimizer.refuse(parameters)
+        for trial in self.trials:
+            optimizer.tell(trial)
+        return optimizer
+
+    def add(self, number: int, added: AddedTrial) -> None:
+        """Take a trial that somebody else has made as the next one from a number on."""
+        self._added.append((number, added))
+
+    def withdraw(self, number: int, reason: str) -> None:
+        """Take from a trial that has ended what its runs say of its parameters."""
+        self.trials[number] = withdrawn(self.trials[number], reason)
+        self._optimizer = self._informed()
 
     def finish(self) -> bool:
         """Plan no more trials; those that are pending are run to their end."""
@@ -259,6 +283,11 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         if number < len(self._recorded):
             self._planned += 1
             return RecordedTask(self._study, self._method, self._recorded[number])
+        if self._added and number >= self._added[0][0]:
+            self._planned += 1
+            _, made = self._added.pop(0)
+            trial = made(number, self.trials)
+            return RecordedTask(self._study, self._method, trial, recorded=False)
         planned = [task.pending for task in pending]
         trials = count_trials(self.trials) + len(planned)
         evaluations = count_evaluations(self.trials) + sum(len(t.evaluations) for t in planned)
@@ -278,7 +307,12 @@ class TrialPlan(Plan[TrialTask | RecordedTask]):
         """Take back a trial; another parameter set is proposed in its place."""
         if isinstance(task, TrialTask):
             self._planned -= 1
+            self._refused.append(dict(task.parameters))
             self._optimizer.refuse(task.parameters)
+
+    def drop(self, task: TrialTask | RecordedTask) -> None:
+        """Take back a trial; what is proposed in its place may be the same."""
+        self._planned -= 1
 
     @property
     def standstill(self) -> str:  # noqa: D102

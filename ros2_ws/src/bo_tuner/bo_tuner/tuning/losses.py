@@ -13,6 +13,7 @@ HOW: Mapping[str, str] = {
     EvaluationState.LOST: "were lost with their nodes",
     Unusable.DISTURBED: "were disturbed",
     Unusable.UNPREPARED: "could not be prepared",
+    Unusable.WITHDRAWN: "were withdrawn",
 }
 
 
