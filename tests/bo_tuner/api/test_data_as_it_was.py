@@ -221,7 +221,7 @@ class TestAsSet:
                 metrics = function({"gain": gain}, run.context, run.seed)
                 tuner.tell(run, metrics, parameters={"gain": gain})
         record = read_run(tmp_path / "run")
-        fitting = Fitting(record.study, record.trials, np.random.default_rng(0))
+        fitting = Fitting(record.study, record.trials, np.random.default_rng(0), None)
         x, _, _ = fitting.joint_observations(record.trials, "error")
         asked = [e.parameters["gain"] for trial in record.trials for e in trial.evaluations]
         # The bounds are 0 and 1.
