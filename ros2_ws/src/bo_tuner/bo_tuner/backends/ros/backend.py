@@ -3,7 +3,7 @@
 import contextlib
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from bo_tuner.backends.ros.guarded import Guarded
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
-    isolated_environment,
+    isolated,
     namespace_of,
 )
 from bo_tuner.backends.ros.left_safe import AtAbort, LeftSafe
@@ -87,7 +87,7 @@ class RosBackend(SequentialBackend):
         self._study = study
         self._collector = Collector(study)
         self._rates = MessageRates(study)
-        self._functions = contextlib.ExitStack()
+        self._entered = contextlib.ExitStack()
         self._log_directory = log_directory
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
@@ -104,7 +104,6 @@ class RosBackend(SequentialBackend):
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
-        self._environment: dict[str, str | None] = {}
         self._suspension = Suspension()
         self._previous: PreviousParameters | None = None
         self._while_open: Opened | None = None
@@ -115,7 +114,7 @@ class RosBackend(SequentialBackend):
         """Start the nodes, unless attached, and wait until they are discovered."""
         check_wall_clock()
         sources = signal_sources(self._study, lambda: self.recording, lambda: self._interrupted())
-        self._collector = Collector(self._study, self._functions.enter_context(sources))
+        self._collector = Collector(self._study, self._entered.enter_context(sources))
         given = domain_of_environment()
         tuner, client = self._enter(given)
         bringup = Bringup(
@@ -209,25 +208,12 @@ class RosBackend(SequentialBackend):
         self._claim = DomainClaim(self._namespace, 0 if self._attach and domain is None else domain)
         if not self._attach:
             # The middleware reads the environment of the process, in this one too.
-            self._set_environment(isolated_environment(self._claim.domain))
+            self._entered.enter_context(isolated(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
         self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
         started = None if self._attach else self._started
         self._client = StudyClient(self._study, self._tuner, started)
         return self._tuner, self._client
-
-    def _set_environment(self, variables: Mapping[str, str]) -> None:
-        self._environment = {name: os.environ.get(name) for name in variables}
-        os.environ.update(variables)
-
-    def _reset_environment(self) -> None:
-        """Restore the domain, so that a later backend does not take this one for the user's."""
-        for name, value in self._environment.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-        self._environment = {}
 
     @property
     def context(self) -> Context:
@@ -307,8 +293,7 @@ class RosBackend(SequentialBackend):
         with contextlib.ExitStack() as stack:
             # Callbacks run in reverse order, and each of them whatever the others raise.
             stack.callback(self._let_go)
-            stack.callback(self._functions.close)
-            stack.callback(self._reset_environment)
+            stack.callback(self._entered.close)
             if self._claim is not None:
                 stack.callback(self._claim.release)
             if self._tuner is not None:
