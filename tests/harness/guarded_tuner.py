@@ -67,14 +67,14 @@ def judge_late(watch, record):
 
 def wait_for_nodes(backend):
     """Take 2 s, in which the tuner looks around as always, to have nodes back."""
-    get_back = backend._bringup.get_back
+    get_back = backend._opened.bringup.get_back
 
     def slowly():
         say(waiting=True)
         backend._tuner.spin_for(2.0)
         get_back()
 
-    backend._bringup.get_back = slowly
+    backend._opened.bringup.get_back = slowly
 
 
 def main(folder, kind, **changes):

@@ -72,6 +72,7 @@ NOTED = Notes(
     unusable=Unusable.DISTURBED,
     death=Death("pid", anyway=True),
     deaths=2,
+    gap=0.75,
     cut_after=1.25,
     at_least={"peak": 0.1 + 0.2},
     default={"error": 1e-300},

@@ -23,7 +23,7 @@ from bo_tuner.trials import (
     Stage,
     TrialState,
 )
-from bo_tuner.tuning.driver import MOST_DEATHS, Driver
+from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 from bo_tuner.tuning.loop import TrialPlan, Tuning
 from bo_tuner.tuning.validation import ValidationPlan
@@ -528,34 +528,19 @@ class TestDeaths:
     def test_twice_in_a_test_run_is_a_failure(self):
         backend = Mortal(DIED, lambda run: run < 2)
         first, *others = self.results(backend)
-        assert first.state is EvaluationState.FAILED
-        assert not first.unusable
-        assert first.reason.startswith("sim was ended by SIGABRT; it died twice with these")
-        assert "nodes.sim.death" in first.reason
-        assert "abort_when" in first.reason
+        assert (first.state, first.unusable) == (EvaluationState.FAILED, False)
         assert all(outcome.complete for outcome in others)
         assert backend.runs == 4
-
-    def test_once_is_run_again_and_counts_nothing(self):
-        backend = Mortal(DIED, lambda run: run % 2 == 0)
-        assert all(outcome.complete for outcome in self.results(backend))
-        assert backend.runs == 6
 
     def test_however_many_in_a_row_they_end_no_run(self):
         backend = Mortal(DIED, lambda run: True)
         states = {outcome.state for outcome in self.results(backend, 8)}
         assert states == {EvaluationState.FAILED}
 
-    def test_one_that_dies_anyway_is_run_until_it_ends(self):
-        backend = Mortal(DIED_ANYWAY, lambda run: run % 4 != 3)
-        results = self.results(backend)
-        assert [(o.state, o.notes.deaths) for o in results] == [(EvaluationState.COMPLETE, 3)] * 3
-
     def test_one_that_always_dies_anyway_ends_the_run(self):
         backend = Mortal(DIED_ANYWAY, lambda run: True)
         with pytest.raises(RunError, match="were lost with their nodes: sim was ended by SIGABRT"):
             self.results(backend)
-        assert backend.runs == 3 * MOST_DEATHS
 
     @pytest.mark.parametrize("method", ["boundary", "IV", "safe"])
     def test_a_deadly_parameter_set_is_learnt_and_never_proposed_again(self, make_study, method):

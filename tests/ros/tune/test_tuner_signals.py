@@ -8,7 +8,7 @@ import pytest
 from tuner import environment_of_nodes
 from waiting import count_in
 
-from bo_tuner.backends.ros.suspension import LONGEST
+from bo_tuner.backends.layers.suspension import LONGEST
 from bo_tuner.study.study_file import load_study, study_to_mapping
 from bo_tuner.trials import EvaluationState
 

@@ -4,7 +4,7 @@ import pytest
 from servo import ROOM, UNSTABLE, failure, gain, run
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros import suspension
+from bo_tuner.backends.layers import suspension
 from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.interruption import Interrupted
 
@@ -70,8 +70,8 @@ def test_an_interruption_of_a_suspended_tuner_keeps_a_run_from_being_repeated(
     """Of the parameters it has shown nothing."""
     interrupting, passed = [], [0.0]
     made = interruptible(lambda: interrupting, run={"before": [], **ROOM})
-    now, evaluate = suspension._now, made._client.evaluate
-    monkeypatch.setattr(suspension, "_now", lambda: now() + passed[0])
+    now, evaluate = made._suspension._clock, made._client.evaluate
+    monkeypatch.setattr(made._suspension, "_clock", lambda: now() + passed[0])
 
     def suspended(*arguments):
         try:

@@ -14,7 +14,8 @@ from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
 from bo_tuner import maxima
-from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
+from bo_tuner.backends.layers import suspension
+from bo_tuner.backends.ros import procedure, signals, tuner_node
 from bo_tuner.errors import StudyError
 from bo_tuner.processor_load import Load, LoadMeter
 from bo_tuner.run_notes import Messages
@@ -366,8 +367,8 @@ def test_a_parameter_that_a_node_does_not_take_back_is_no_fault_of_the_trial(bac
 def test_a_metric_that_takes_its_time_is_no_suspension(backend, monkeypatch):
     made = backend()
     passed = [0.0]
-    now, outcome = suspension._now, made._collector.outcome
-    monkeypatch.setattr(suspension, "_now", lambda: now() + passed[0])
+    now, outcome = made._suspension._clock, made._collector.outcome
+    monkeypatch.setattr(made._suspension, "_clock", lambda: now() + passed[0])
 
     def slow(*arguments):
         passed[0] += 2 * suspension.LONGEST

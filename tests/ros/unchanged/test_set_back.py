@@ -400,7 +400,7 @@ def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, syst
     def park(**options):
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr(made._safe_state, "park", park)
+    monkeypatch.setattr(made._opened.safe_state, "park", park)
     with pytest.raises(RuntimeError, match="unexpected"):
         made.close()
     assert gain(system) == 0.375

@@ -31,17 +31,6 @@ def test_runs_to_warm_up_come_first_and_count_nothing(backend, system):
     assert len(system.gains_at_reset) == 4
 
 
-def test_after_a_long_break_the_machine_is_cold_again(backend, system, monkeypatch):
-    made = backend(run={"warm_up": {"runs": 1, "after": 60}})
-    extra = []
-    made.after_extra_run = lambda: extra.append("warm-up")
-    list(made.run([evaluation(0.5)]))
-    made._latest_run -= 61.0
-    list(made.run([evaluation(0.5)]))
-    list(made.run([evaluation(0.5)]))
-    assert len(extra) == 2
-
-
 def test_a_machine_that_cannot_warm_up_is_no_fault_of_the_trial(backend, system):
     made = backend(run={"warm_up": 3, "abort_when": "angle > 0.9"})
     (done,) = made.run([evaluation(0.5)])

@@ -108,6 +108,8 @@ class Notes:
         Of a node, with the values of the run in force.
     deaths
         How often nodes died anyway until the run came to an end.
+    gap
+        For how long [s] a signal had no message, where it failed for that; None elsewhere.
     cut_after
         Time of the run [s] at which it was cut short; None if it was not.
     at_least
@@ -146,6 +148,7 @@ class Notes:
     unusable: Unusable | None = None
     death: Death | None = None
     deaths: int = 0
+    gap: float | None = None
     cut_after: float | None = None
     at_least: Mapping[str, float] = field(default_factory=dict)
     default: Mapping[str, float] = field(default_factory=dict)

@@ -15,7 +15,7 @@ from bo_tuner.api.earlier import ADDED, EarlierRun, added_trial
 from bo_tuner.api.result import Result, load
 from bo_tuner.api.run import OpenRun
 from bo_tuner.backends.function import Returned, failed
-from bo_tuner.backends.paired import DefaultBeside
+from bo_tuner.backends.layers.beside_default import DefaultBeside
 from bo_tuner.backends.protocol import Backend, opened_backend
 from bo_tuner.codec import checks
 from bo_tuner.codec.reading import JSON, read

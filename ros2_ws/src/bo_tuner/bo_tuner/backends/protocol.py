@@ -8,8 +8,9 @@ from dataclasses import replace
 from time import monotonic
 from typing import Protocol
 
-from bo_tuner.backends.paired import DefaultBeside
-from bo_tuner.processor_load import LoadMeter
+from bo_tuner.backends.layers.beside_default import beside_default
+from bo_tuner.backends.layers.layer import Layer, stacked
+from bo_tuner.backends.layers.load import measured
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Outcome
 
@@ -58,6 +59,8 @@ class SequentialBackend(ABC):
     study
         The study. If it has metrics that are relative to the default, this is run ahead of each
         evaluation.
+    outside
+        What a machine needs around that, from the innermost to the outermost.
 
     Attributes
     ----------
@@ -65,27 +68,23 @@ class SequentialBackend(ABC):
         Called after each run that is no evaluation of its own, such as one of the default.
     """
 
-    def __init__(self, study: Study) -> None:
-        self._beside = DefaultBeside(study)
+    def __init__(self, study: Study, *outside: Layer) -> None:
         self.after_extra_run: Callable[[], object] = lambda: None
+        beside = beside_default(study, lambda: self.after_extra_run())
+        self._layered = stacked(self.outcome, beside, measured(lambda: self.processes), *outside)
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run planned evaluations in the order given."""
         for planned in evaluations:
-            begin, meter = monotonic(), LoadMeter(self.processes)
-            outcome = self._beside.outcome(planned, self.outcome, self.after_extra_run)
-            outcome = replace(outcome, load=meter.load(self.processes))
-            seconds = monotonic() - begin
-            yield replace(planned, outcome=self.weighed(outcome, seconds), seconds=seconds)
+            begin = monotonic()
+            outcome = self._layered(planned)
+            seconds = monotonic() - begin - outcome.notes.warm_up_seconds
+            yield replace(planned, outcome=outcome, seconds=seconds)
 
     @property
     def processes(self) -> Sequence[int]:
         """Processes that perform a run, by their identifiers; those that are known."""
         return (os.getpid(),)
-
-    def weighed(self, outcome: Outcome, seconds: float) -> Outcome:
-        """Return an outcome by how busy the computer was, in the time [s] that it took."""
-        return outcome
 
     @abstractmethod
     def outcome(self, planned: Evaluation) -> Outcome:

@@ -120,11 +120,10 @@ def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
 
 def heard_of_others(study: Study, tuner: TunerNode) -> dict[str, Signal]:
     """Return the signals of a study that others publish than the run itself."""
-    steps = () if study.run is None else study.run.steps
     name = tuner.node.resolve_topic_name
-    published = [step.publish for _, step in steps if step.publish is not None]
+    published = [step.publish for _, step in study.steps if step.publish is not None]
     own = {name(item.topic) for publish in published for item in publish.published}
-    if study.run is not None and study.run.play is not None:
+    if study.plays_bags:
         # What a bag has shows when it is played first.
         topics = {name(spec.topic) for spec in study.signals.values()}
         own |= {topic for topic in topics if not tuner.node.count_publishers(topic)}

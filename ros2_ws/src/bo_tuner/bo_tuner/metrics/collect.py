@@ -54,10 +54,11 @@ class Collector:
         Returns
         -------
         Outcome
-            Without metrics that are relative to the default, which `backends.paired` adds. Failed
-            if a node ran with another parameter, if it says so or sends more than `maxima.ANSWER`
-            values, if a metric is missing, no number, not finite or beyond `LARGEST_METRIC`, or if
-            a metric with a logarithmic scale is not positive. With the status
+            Without metrics that are relative to the default, which
+            `backends.layers.beside_default` adds. Failed if a node ran with another parameter, if
+            it says so or sends more than `maxima.ANSWER` values, if a metric is missing, no number,
+            not finite or beyond `LARGEST_METRIC`, or if a metric with a logarithmic scale is not
+            positive. With the status
             `Unusable.DISTURBED` a node says that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():

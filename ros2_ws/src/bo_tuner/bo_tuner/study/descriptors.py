@@ -178,7 +178,7 @@ def node_problems(
             text = text or _outside(ends, variable.parameter, described)
         if text:
             problems.append(StudyError(text, ("contexts", name)))
-    for path, setting in () if study.run is None else study.run.settings:
+    for path, setting in study.settings:
         if setting.node == key and (text := _setting_problem(setting, known)):
             problems.append(StudyError(text, path))
     seed = study.seed_parameter

@@ -27,7 +27,7 @@ def safe_in_braces(study: Study) -> dict[str, Value]:
 def set_by_steps(study: Study) -> dict[str, dict[str, list[object]]]:
     """Return by node key, then by parameter, the values that steps set."""
     by_node: dict[str, dict[str, list[object]]] = {}
-    for _, item in () if study.run is None else study.run.settings:
+    for _, item in study.settings:
         by_node.setdefault(item.node, {}).setdefault(item.parameter, []).append(item.value)
     return by_node
 
@@ -38,7 +38,7 @@ def _left_by_steps(study: Study) -> dict[str, dict[str, object]]:
     A value is that of the last step of `after`, or else a constant of the node.
     """
     by_node: dict[str, dict[str, object]] = {}
-    settings = [] if study.run is None else list(study.run.settings)
+    settings = list(study.settings)
     for _, item in settings:
         constants = study.nodes[item.node].parameters
         if item.parameter in constants:

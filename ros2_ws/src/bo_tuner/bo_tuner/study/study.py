@@ -1,7 +1,7 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ from bo_tuner.codec import checks
 from bo_tuner.codec.findings import Findings, under
 from bo_tuner.codec.reading import check_fields
 from bo_tuner.codec.rules import Expected, Matching, OneOf, Whole, Written
-from bo_tuner.errors import ParameterError, StudyError
+from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -63,6 +63,7 @@ from bo_tuner.study.safe_search import SafeSearch
 from bo_tuner.study.search_space import SearchSpace, search_space
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.step_values import check_braces
+from bo_tuner.study.steps import SetParameter, Step
 from bo_tuner.study.straight_lines import broken_on_lines
 from bo_tuner.study.titles import check_titles
 from bo_tuner.text import counted
@@ -340,6 +341,16 @@ class Study:
         return self.run is not None and self.run.play is not None
 
     @property
+    def steps(self) -> Iterable[tuple[KeyPath, Step]]:
+        """The steps of its runs, each with its key path; none where a node performs them."""
+        return () if self.run is None else self.run.steps
+
+    @property
+    def settings(self) -> Iterable[tuple[KeyPath, SetParameter]]:
+        """The parameters that steps of its runs set, each with its key path."""
+        return () if self.run is None else self.run.settings
+
+    @property
     def growing_metrics(self) -> list[str]:
         """Names of the metrics that only grow during a run."""
         return [name for name, metric in self.metrics.items() if not why_not(metric)]
@@ -430,7 +441,7 @@ class Study:
         names = {
             key: {*spec.parameters, *assigned.get(key, {})} for key, spec in self.nodes.items()
         }
-        for _, item in () if self.run is None else self.run.settings:
+        for _, item in self.settings:
             names[item.node].add(item.parameter)
         return names
 

@@ -13,15 +13,10 @@ from typing import Generic
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.plans import Event, EventKind, Plan, Runs, TaskT
-from bo_tuner.trials import Evaluation, Outcome
+from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.gate import OPEN, Gate
-from bo_tuner.tuning.losses import Losses
+from bo_tuner.tuning.losses import Attempts, Losses
 from bo_tuner.tuning.observer import NOBODY, RunObserver
-
-DEADLY = 2
-"""Runs of a test run in which a node dies until that is a failure of the parameters."""
-MOST_DEATHS = 10
-"""Runs of a test run in which a node dies that does so anyway, until it is lost."""
 
 
 class Driver:
@@ -55,9 +50,7 @@ class Driver:
     def run(self, plan: Plan[TaskT]) -> Iterator[TaskT]:
         """Carry out a plan; yields each task when the plan was told of it, in their order.
 
-        An evaluation that was lost or disturbed is run again at once, as often as the plan has it.
-        One in which a node dies twice has failed; one in which a node dies that does so whatever
-        the parameters is run until it comes to its end, up to `MOST_DEATHS` times.
+        An evaluation that came to nothing is run again at once, see `Attempts`.
         """
         steps = Steps(plan, self._observer, window=self._window, gate=self._gate)
         yield from steps.begin()
@@ -183,42 +176,21 @@ class _Planned(Generic[TaskT]):
         self.next = task.ask()
         self.running = self.begun = False
         self.lost: Evaluation | None = None
-        self._attempts = attempts
-        self._failed = self._died = self._died_anyway = 0
+        self._attempts = Attempts(attempts)
 
     def judged(self, evaluation: Evaluation) -> Evaluation:
         """Return a result, with what the runs before it make of it."""
-        outcome = evaluation.outcome
-        if not outcome.unusable:
-            if not self._died_anyway:
-                return evaluation
-            return replace(evaluation, outcome=outcome.noted(deaths=self._died_anyway))
-        death = outcome.notes.death
-        if death is not None and not death.anyway and self._died + 1 == DEADLY:
-            return replace(evaluation, outcome=outcome.died_of_parameters(death.node))
-        return evaluation
+        return replace(evaluation, outcome=self._attempts.judged(evaluation.outcome))
 
     def take(self, evaluation: Evaluation) -> None:
         """Take a result, unless its evaluation is to be run again."""
         self.running = False
-        unusable = evaluation.outcome.unusable
-        if unusable and self._is_due_again(evaluation.outcome):
+        if self._attempts.is_due_again(evaluation.outcome):
             return
-        if unusable and self.lost is None:
+        if evaluation.outcome.unusable and self.lost is None:
             self.lost = evaluation
-        self._failed = self._died = self._died_anyway = 0
         self.task.tell(evaluation)
         self.next = self.task.ask()
-
-    def _is_due_again(self, outcome: Outcome) -> bool:
-        if (death := outcome.notes.death) is not None:
-            if not death.anyway:
-                self._died += 1
-                return True
-            self._died_anyway += 1
-            return self._died_anyway < MOST_DEATHS
-        self._failed += 1
-        return self._failed < self._attempts
 
 
 class _Window(Generic[TaskT]):

@@ -1,4 +1,4 @@
-"""Counting consecutive losses, which end a run."""
+"""Evaluations that came to nothing: run again, and counted, as too many in a row end a run."""
 
 from collections.abc import Mapping
 
@@ -6,6 +6,10 @@ from bo_tuner.errors import RunError
 from bo_tuner.run_notes import Unusable
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
+DEADLY = 2
+"""Runs of a test run in which a node dies until that is a failure of the parameters."""
+MOST_DEATHS = 10
+"""Runs of a test run in which a node dies that does so anyway, until it is lost."""
 LOST_IN_A_ROW = 3
 """Number of consecutive losses that ends a run: the nodes are gone, or not ours alone."""
 
@@ -15,6 +19,49 @@ HOW: Mapping[str, str] = {
     Unusable.UNPREPARED: "could not be prepared",
     Unusable.WITHDRAWN: "were withdrawn",
 }
+
+
+class Attempts:
+    """Attempts at one evaluation after the other, told in their order.
+
+    One that was lost or disturbed is run up to `most` times. One in which a node dies twice has
+    failed; one in which a node dies that does so whatever the parameters is run until it comes to
+    its end, up to `MOST_DEATHS` times.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._begin()
+
+    def _begin(self) -> None:
+        self._failed = self._died = self._died_anyway = 0
+
+    def judged(self, outcome: Outcome) -> Outcome:
+        """Return an outcome with what the attempts before it make of it."""
+        if not outcome.unusable:
+            return outcome.noted(deaths=self._died_anyway) if self._died_anyway else outcome
+        death = outcome.notes.death
+        if death is not None and not death.anyway and self._died + 1 == DEADLY:
+            return outcome.died_of_parameters(death.node)
+        return outcome
+
+    def is_due_again(self, judged: Outcome) -> bool:
+        """Take an outcome as it was judged; returns whether its evaluation is to be run again."""
+        again = judged.unusable and self._count(judged)
+        if not again:
+            self._begin()
+        return again
+
+    def _count(self, unusable: Outcome) -> bool:
+        """Count an attempt that came to nothing; returns whether another one is to be made."""
+        if (death := unusable.notes.death) is None:
+            self._failed += 1
+            return self._failed < self._most
+        if not death.anyway:
+            self._died += 1
+            return True
+        self._died_anyway += 1
+        return self._died_anyway < MOST_DEATHS
 
 
 class Losses:

@@ -4,13 +4,13 @@ import os
 import time
 from collections.abc import Sequence
 
+from bo_tuner.backends.layers.suspension import Suspension
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.isolation import LEASE
 from bo_tuner.backends.ros.parameters.at_rest import InitialParameters
 from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
-from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import END_OTHERS, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.study import Study

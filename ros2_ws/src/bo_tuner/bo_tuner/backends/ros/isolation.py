@@ -1,8 +1,9 @@
 """The ROS environment of started nodes: a domain of their own, this machine only."""
 
+import contextlib
 import os
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO
 
 from bo_tuner.errors import BackendError
@@ -82,6 +83,22 @@ def isolated_environment(domain: int) -> dict[str, str]:
         variables[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
         variables[profile_variable()] = str(config_directory() / "fastdds_profile.xml")
     return variables
+
+
+@contextlib.contextmanager
+def isolated(domain: int) -> Iterator[None]:
+    """Set the `isolated_environment` within; a later backend does not take it for the user's."""
+    variables = isolated_environment(domain)
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def domain_of_environment() -> int | None:

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
+from bo_tuner.backends.layers.suspension import Suspension
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.parameters.events import Values
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
-from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.study import Study

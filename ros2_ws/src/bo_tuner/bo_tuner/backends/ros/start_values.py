@@ -337,7 +337,6 @@ class StartValues:
         return ACTIVE if own and state == UNCONFIGURED else state
 
     def _is_configured_in_run(self, key: str) -> bool:
-        run = self._study.run
-        changes = () if run is None else (step.lifecycle for _, step in run.steps)
+        changes = (step.lifecycle for _, step in self._study.steps)
         node = self._study.nodes[key].node
         return any(c is not None and is_named(node, c.node) for c in changes)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 
+from bo_tuner.backends.layers.layer import Layer, Run
 from bo_tuner.metrics.collect import metric_problem
 from bo_tuner.run_notes import Unusable
 from bo_tuner.study.study import Study
@@ -15,9 +16,33 @@ from bo_tuner.trials import (
     parameter_set,
 )
 
-Run = Callable[[Evaluation], Outcome]
-
 _Draw = tuple[tuple[tuple[str, Value], ...], int]
+
+
+def beside_default(study: Study, ended: Callable[[], object]) -> Layer:
+    """Run the default ahead of each evaluation where it is needed; `ended` is told that it is done.
+
+    A study without metrics that are relative to the default needs none.
+    """
+    beside = DefaultBeside(study)
+
+    def layer(run: Run) -> Run:
+        def with_default(planned: Evaluation) -> Outcome:
+            runs = beside.runs(planned)
+            due = next(runs)
+            while True:
+                outcome = run(due)
+                if due is not planned:
+                    ended()
+                try:
+                    due = runs.send(outcome)
+                except StopIteration as end:
+                    result: Outcome = end.value
+                    return result
+
+        return with_default
+
+    return layer
 
 
 class DefaultBeside:
@@ -32,22 +57,6 @@ class DefaultBeside:
         self._metrics = study.relative_metrics
         self._default = study.search_space().defaults
         self._known: dict[_Draw, Mapping[str, float]] = {}
-
-    def outcome(
-        self, planned: Evaluation, run: Run, after_default: Callable[[], object]
-    ) -> Outcome:
-        """Run an evaluation, and the default ahead of it where it is needed and not known yet."""
-        runs = self.runs(planned)
-        due = next(runs)
-        while True:
-            outcome = run(due)
-            if due is not planned:
-                after_default()
-            try:
-                due = runs.send(outcome)
-            except StopIteration as end:
-                result: Outcome = end.value
-                return result
 
     def runs(self, planned: Evaluation) -> Generator[Evaluation, Outcome, Outcome]:
         """Yield what to run for an evaluation, one after the other, and be sent the outcomes."""

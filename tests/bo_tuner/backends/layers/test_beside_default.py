@@ -3,20 +3,15 @@
 import numpy as np
 import pytest
 from certified import collect
-from functions import FunctionBackend, failed
+from functions import FunctionBackend, failed, planned
 
+from bo_tuner.backends.layers.beside_default import beside_default
 from bo_tuner.errors import RunError
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.run_notes import Notes, Unusable
-from bo_tuner.trials import (
-    Evaluation,
-    EvaluationState,
-    Outcome,
-    Stage,
-    TrialState,
-)
+from bo_tuner.trials import EvaluationState, Outcome, TrialState
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 
@@ -35,8 +30,7 @@ def study(make_study):
 
 
 def run(backend, gain, load=1.5, seed=3):
-    planned = Evaluation(0, 0, Stage.DRAWN, {"gain": gain}, {"load": load}, seed)
-    (found,) = backend.run([planned])
+    (found,) = backend.run([planned({"gain": gain}, {"load": load}, seed)])
     return found.outcome
 
 
@@ -75,16 +69,16 @@ def starts(outcome):
     return outcome.notes.starts, outcome.notes.start_seconds
 
 
-def test_starts_of_the_default_beside_it_count(study, monkeypatch):
+def test_starts_of_the_default_beside_it_count(study):
     """Where nodes start anew for each of the two; the default's of a draw is run only once."""
-    backend = FunctionBackend(study, machine)
-    outcome = backend.outcome
-    seconds = iter((1.0, 0.5, 0.25))
-    monkeypatch.setattr(
-        backend, "outcome", lambda planned: outcome(planned).with_starts(1, next(seconds))
-    )
-    assert starts(run(backend, 0.8)) == (2, 1.5)
-    assert starts(run(backend, 0.9)) == (1, 0.25)
+    backend, seconds = FunctionBackend(study, machine), iter((1.0, 0.5, 0.25))
+
+    def alone(planned):
+        return backend.outcome(planned).with_starts(1, next(seconds))
+
+    beside = beside_default(study, lambda: None)(alone)
+    assert starts(beside(planned({"gain": 0.8}, {"load": 1.5}))) == (2, 1.5)
+    assert starts(beside(planned({"gain": 0.9}, {"load": 1.5}))) == (1, 0.25)
 
 
 def test_without_such_a_limit_nothing_else_is_run(make_study):
