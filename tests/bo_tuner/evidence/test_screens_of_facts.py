@@ -1,11 +1,15 @@
 """What screens say, from facts that are written by hand: read it when it changes."""
 
+from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import pytest
 from terminals import console
 
 from bo_tuner.evidence.at_bounds import AtBound
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict, WorstContext
+from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.differences import Change, Difference
 from bo_tuner.evidence.estimates import Estimate, Source
 from bo_tuner.evidence.facts import (
@@ -21,13 +25,16 @@ from bo_tuner.evidence.facts import (
 )
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.quantity import DrawsOf, OnRecord, Quantity
+from bo_tuner.evidence.reasons import Assumption, Reason, Why
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.reasons import assumption, proven, reason
 from bo_tuner.evidence.words.terminal import print_verdict
 from bo_tuner.report.sections.limit_rows import bar, rows
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Standing
 
 SCREEN = Path(__file__).with_suffix(".txt")
+WHY = Path(__file__).with_name("test_why_a_limit_is_not_shown.txt")
 
 
 def estimate(value):
@@ -111,3 +118,36 @@ def test_a_bar_has_its_limit_at_one_place_unless_a_value_is_far_beyond():
     # Twice the limit at most: what is farther is at the end.
     assert (far.default, far.limit, far.tuned) == pytest.approx((1.0, 0.5, 0.75))
     assert bar(1.0, 0.5, 0.0) is bar(1.0, -0.5, 2.0) is None
+
+
+IN_SOME = WorstContext(
+    context={"load": 1.5}, mean=Mean(1.25, 0.1, upper=inf, lower=1.0), extreme=1.6, evaluations=30,
+    beyond=4, failures=1, violation_bound=0.31, shown=False, earlier=12, together=1.75,
+)  # fmt: skip
+IN_ANOTHER = replace(IN_SOME, context={"load": 2.0}, mean=Mean(1.0, 0.1, upper=2.5, lower=0.5))
+REASONS = [
+    Reason(Why.SHARE, needed=59), Reason(Why.MEAN, bound=2.125), Reason(Why.MEAN),
+    Reason(Why.TWO_KINDS), Reason(Why.WITHOUT_NOISE),
+    Reason(Why.EARLIER, earlier=20, together=0.125), Reason(Why.DRAWS), Reason(Why.NOT_RUN),
+    Reason(Why.NOT_RUN, not_run=2), Reason(Why.FAILED), Reason(Why.EARLIER_IN_CONTEXT),
+    Reason(Why.SHARE_IN_CONTEXT), Reason(Why.MEAN_IN_CONTEXT),
+    Reason(Why.MEAN_IN_CONTEXT, place=1), Reason(Why.REFUTED_IN_CONTEXT),
+    Reason(Why.TWO_KINDS_IN_CONTEXT, place=1),
+]  # fmt: skip
+
+
+def test_why_a_limit_is_not_shown():
+    found = ConstraintVerdict(
+        name="peak", kind="chance", metric="peak", unit="N", limit=2.0, side="upper", allowed=0.1,
+        draws=40, violations=1, failures=1, violation_bound=0.15, extreme=2.5, tail=2.25,
+        worst=(IN_SOME, IN_ANOTHER), assumption=None, refuted=False, passed=False,
+        reason=REASONS[0],
+    )  # fmt: skip
+    told = [reason(replace(found, reason=each)) for each in REASONS]
+    passed = replace(found, passed=True, reason=Reason(Why.MEAN, bound=1.875))
+    on_mean = replace(found, allowed=1.0, reason=REASONS[5])
+    told += [reason(passed), reason(replace(passed, side="lower")), reason(on_mean)]
+    for assumed in (None, Assumption("peak"), Assumption("peak", 3)):
+        told.append(proven(replace(passed, assumption=assumed)))
+    told += [proven(found), assumption(Assumption("peak")), assumption(Assumption("peak", 3))]
+    assert told == WHY.read_text(encoding="utf-8").splitlines()

@@ -36,7 +36,7 @@ def test_the_verdicts_are_those_of_the_runs(both, parts):
     found = rows(parts["verdicts"])
     for name, analysis in zip(names(both), both, strict=True):
         headline, trial, evidence, *_ = found[name]
-        assert analysis.verdict.headline in headline
+        assert headline(analysis.verdict) in headline
         assert trial == str(analysis.verdict.trial)
         assert evidence == basis(analysis.verdict)
     good, bad = both

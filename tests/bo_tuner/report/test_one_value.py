@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 import bo_tuner as bt
-from bo_tuner.evidence.certificate.table import certificate_lines, certificate_rows
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.certificate_table import certificate_lines, certificate_rows
 from bo_tuner.evidence.words.quantities import basis, gain
 from bo_tuner.evidence.words.terminal import print_verdict
 from bo_tuner.figures.figure import Points

@@ -14,6 +14,7 @@ from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.declarations import contradicted
+from bo_tuner.evidence.reasons import Assumption, Reason, Why
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.sequential import draws_needed
 from bo_tuner.study.limits import refuted
@@ -50,8 +51,7 @@ def test_one_run_in_each_context(make_study, function_backend, constraints):
     assert [len(group) for group in evidence.repeated] == [1] * len(evidence.repeated)
     assert 1 < len(evidence.repeated) <= most_candidates(study.context_space())
     assert len({e.seed for e in evidence.drawn}) == 1
-    (assumption,) = findings.assumptions
-    assert "the study declares its runs free of noise (noise: none), of which 3 runs" in assumption
+    assert findings.constraints[0].assumption == Assumption("peak", repeats=REPEATS)
     worst = findings.constraints[0].worst[0]
     # The largest load is 2.
     assert worst.mean.value == pytest.approx(0.8, abs=1e-3)
@@ -91,7 +91,7 @@ def test_over_contexts_it_takes_draws_all_the_same(make_study, function_backend)
     evidence, findings = certified(study, function_backend)
     assert findings.passed
     assert len(evidence.drawn) == draws_needed(0.04, 0.95)
-    assert findings.assumptions == ()
+    assert findings.constraints[0].assumption is None
 
 
 def test_without_contexts_one_run_decides(make_study, function_backend):
@@ -99,7 +99,7 @@ def test_without_contexts_one_run_decides(make_study, function_backend):
     evidence, findings = certified(study, function_backend, lambda **_: {"error": 1.0, "peak": 0.5})
     assert findings.passed
     assert (len(evidence.drawn), len(evidence.repeats)) == (1, REPEATS)
-    assert "there is neither noise nor another context" in findings.constraints[0].reason
+    assert findings.constraints[0].reason == Reason(Why.WITHOUT_NOISE)
 
 
 @pytest.mark.parametrize("constraints", [MEAN, CHANCE["constraints"]])
@@ -109,7 +109,7 @@ def test_noise_is_a_fault_of_the_declaration(make_study, function_backend, const
     assert not findings.passed
     assert len(evidence.evaluations) == REPEATS + 1
     first, other = evidence.drawn[0], evidence.repeats[0]
-    (reason, *_) = findings.reasons
+    reason = findings.contradiction
     assert reason.startswith("the study declares noise: none, but peak was ")
     for run in (first, other):
         assert f"{run.outcome.metrics['peak']:.10g}" in reason

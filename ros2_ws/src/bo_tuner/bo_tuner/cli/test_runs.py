@@ -91,7 +91,7 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
             f"rare runs may be far beyond the others; give metrics.{name} a range that no run can "
             f"leave, as [low, high], or constraints.{item.name} a probability"
             for item in limits
-            if any(proof_of(item).assumption(metric.range))
+            if proof_of(item).assumes_noise(metric.range)
         ]
         if name in study.measured:
             # Equal runs may well have another wind.

@@ -44,13 +44,13 @@ from bo_tuner.evidence.certificate.store import (
     read_certificate,
     shortfall,
 )
-from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.evidence.run_verdict import certified, run_verdict
 from bo_tuner.evidence.verdict import PASS, Verdict
+from bo_tuner.evidence.words.certificate_table import certificate_lines
 from bo_tuner.evidence.words.junit import no_verdict_in_junit, verdict_in_junit
 from bo_tuner.evidence.words.next_steps import next_steps
-from bo_tuner.evidence.words.verdict import notes_of_file
+from bo_tuner.evidence.words.verdict import headline, notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.report.deliverables import write_deliverables
@@ -281,8 +281,8 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
             window=workers.window,
             time=arguments.time,
         )
-        headline, code = _certify(task, certifier, trial, again)
-    notify(arguments.notify, folder.path, code, headline, task.show)
+        ending, code = _certify(task, certifier, trial, again)
+    notify(arguments.notify, folder.path, code, ending, task.show)
     return code
 
 
@@ -367,7 +367,7 @@ def _bench(task: _Task, ros_arguments: Sequence[str]) -> tuple[Workers, bool]:
 
 
 def _certify(task: _Task, certifier: Certifier, trial: Trial, again: str) -> tuple[str, int]:
-    """Certify one parameter set after another until one passes; return a headline and the code."""
+    """Certify one parameter set after another until one passes; return the ending and the code."""
     folder, path = certifier.folder, None
     try:
         with writing(folder.log):
@@ -383,22 +383,22 @@ def _certify(task: _Task, certifier: Certifier, trial: Trial, again: str) -> tup
         if verdict.certificate == PASS and not verdict.is_result and task.most > 1:
             task.show(_not_the_result(verdict))
     except UndecidedError as undecided:
-        headline, code = "the time is over, without a verdict", EXIT_FAULT
-        task.show(f"{headline}: {undecided.shown[0]}")
+        ending, code = "the time is over, without a verdict", EXIT_FAULT
+        task.show(f"{ending}: {undecided.shown[0]}")
         for line in undecided.shown[1:]:
             task.show(f"  {line}")
         task.show(again)
     except (Interrupted, RunError, OutputError) as error:
-        headline, code = early_end(error)
-        task.show(f"{headline}; {again}")
+        ending, code = early_end(error)
+        task.show(f"{ending}; {again}")
     else:
-        headline, code = verdict.headline, ended(left, exit_code(verdict))
+        ending, code = headline(verdict), ended(left, exit_code(verdict))
     finally:
         if path is not None and task.record.result is not None:
             # The verdict on it names the confidence of all certificates of the run.
             write_deliverables(folder.path, lambda _: None, task.show)
             task.show(f"report: {from_here(folder.path / REPORT)}")
-    return headline, code
+    return ending, code
 
 
 def _attempts(
@@ -520,7 +520,7 @@ def _not_the_result(verdict: Verdict) -> str:
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
     """Print the verdict, and at most `MOST_LINES` below it; the report has the others."""
     out, certificate = plain_console(), read_certificate(path, study)
-    print_line(out, verdict.headline, "")
+    print_line(out, headline(verdict), "")
     steps = next_steps(verdict, str(from_here(path.parent.parent)))[:MOST_STEPS]
     # With the path, those of the commands and that of the report.
     for line in certificate_lines(verdict, study, certificate, MOST_LINES - 2 - len(steps)):

@@ -6,8 +6,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Failure, Refutation
 from bo_tuner.evidence.differences import Difference
 from bo_tuner.evidence.limit_verdict import LimitVerdict
+from bo_tuner.evidence.reasons import Assumption
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.tuning.effects import ParameterEffects
@@ -65,6 +67,32 @@ class RunsLost(Fact):
     lost: int
     runs: int
     why: str
+
+
+@dataclass(frozen=True)
+class FirstFailure(Fact):
+    """So many of the test runs of a certificate failed, and how the first did."""
+
+    failed: int
+    runs: int
+    first: Failure
+
+
+@dataclass(frozen=True)
+class NotShown(Fact):
+    """A certificate does not show a limit of this title."""
+
+    title: str
+    found: ConstraintVerdict
+
+
+@dataclass(frozen=True)
+class RefutedInRun(Fact):
+    """So many runs of a tuning run, in so many contexts, refute a limit of this title."""
+
+    title: str
+    runs: int
+    contexts: int
 
 
 @dataclass(frozen=True)
@@ -130,12 +158,12 @@ class Claim(Fact):
     limits
         The limits on single runs.
     conditions
-        What it rests on that runs do not prove, as clauses behind *if*.
+        What it rests on that runs do not prove.
     """
 
     searched: bool = False
     limits: tuple[ClaimedLimit, ...] = ()
-    conditions: tuple[str, ...] = ()
+    conditions: tuple[Assumption, ...] = ()
 
 
 NO_CLAIM = Claim()
@@ -165,6 +193,22 @@ class CertificateBegun(Fact):
     """An unfinished certificate has so many test runs on record."""
 
     runs: int
+
+
+@dataclass(frozen=True)
+class FailedBefore(Fact):
+    """What a parameter set failed on before its certificate, and whether a PASS covers that."""
+
+    refutation: Refutation
+    reasons: tuple[Fact, ...]
+    covered: bool
+
+
+@dataclass(frozen=True)
+class EvidenceMissing(Fact):
+    """The evidence of an earlier certificate cannot be read, and why."""
+
+    why: str
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.busy import COMPUTING, high_load, times_by
-from bo_tuner.evidence.certificate.claim import claimed
-from bo_tuner.evidence.certificate.earlier import earlier_in_words
+from bo_tuner.evidence.certificate.claim import claimed, failed_before, objections
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
 from bo_tuner.evidence.certificate.store import (
@@ -247,14 +246,14 @@ def _certified(
     draws, confidence = certificate.drawn, certificate.bound_confidence
     overall = min(certificate.confidence, *_confidences(record))
     tuned, default = certificate.tuned, certificate.default
-    reasons: tuple[Fact, ...] = tuple(map(Said, tuned.reasons))
+    reasons = objections(study, tuned)
     of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
     if default is None:
         observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
         default_limits = {} if by_validation is None else _default_limits(by_validation)
     else:
         observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
-        default_reasons = tuple(map(Said, default.reasons))
+        default_reasons = objections(study, default)
         default_limits = _limits(study, default, draws)
     numbers = quantities(
         study,
@@ -272,7 +271,7 @@ def _certified(
         quantities=numbers,
         trade_offs=by_validation.trade_offs if by_validation is not None and is_result else (),
         remarks=(
-            *map(Said, earlier_in_words(certificate)),
+            *failed_before(study, certificate),
             Confidence(confidence, overall, str(record.path) if given else ""),
             *map(Said, seen_in_words(study.metrics, certificate.seen)),
             *remarks,
@@ -392,7 +391,7 @@ def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerd
             draws=draws,
             violations=finding.violations,
             refuted=finding.refuted,
-            condition=finding.condition,
+            condition=finding.assumption,
         )
         for finding in findings.constraints
     }

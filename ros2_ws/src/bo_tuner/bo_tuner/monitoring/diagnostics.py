@@ -6,6 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
@@ -80,7 +81,7 @@ def progress(study: Study, now: Snapshot) -> Status:
         "result": now.verdict.trial,
     }
     level = Level.OK if now.verdict.feasible else Level.WARN
-    return Status(PROGRESS, level, now.verdict.headline, _text(values))
+    return Status(PROGRESS, level, headline(now.verdict), _text(values))
 
 
 def surrogate(study: Study, now: Snapshot) -> Status:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.report.analysis import OF_VALUE, Analysis
@@ -36,7 +37,7 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
     sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
         # What its own evaluations say may differ from what fresh ones showed.
-        title += f", the result. {of_run.headline}"
+        title += f", the result. {headline(of_run)}"
         sentences.append(f"By its own test runs alone: {own}.")
     else:
         title += f": {own}"

@@ -12,11 +12,8 @@ from pathlib import Path
 from bo_tuner import maxima
 from bo_tuner.codec import checks
 from bo_tuner.codec.reading import JSON, read
-from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
-from bo_tuner.evidence.certificate.findings import TAIL
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.numerics.sequential import spent
@@ -31,7 +28,7 @@ from bo_tuner.text import counted, one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 7
+FORMAT = 8
 """Version of the files' format."""
 
 FEWEST_DRAWS = 2
@@ -66,23 +63,6 @@ def next_attempt(folder: Path) -> int:
     Evaluations alone, which a crash has left, are no attempt: it goes on with the same draws.
     """
     return next_number(folder / CERTIFICATES)
-
-
-def certificate_text(certificate: Certificate) -> str:
-    """Return the text of a certificate's file.
-
-    Besides the certificate it has what follows from it, for readers in other languages.
-    """
-    content = {
-        "format": FORMAT,
-        "verdict": certificate.verdict,
-        "reasons": certificate.tuned.reasons,
-        "parameters": dict(certificate.parameters),
-        "tail_level": TAIL,
-        "credible": CREDIBLE,
-        **to_json(certificate),
-    }
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def read_certificate(path: Path, study: Study) -> Certificate:
