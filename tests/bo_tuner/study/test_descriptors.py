@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from bo_tuner.cli.check import evaluations_at_most
+from bo_tuner.cli.check_times import evaluations_at_most
 from bo_tuner.cli.test_runs import plot
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.evidence.certificate.certification import most_evaluations

@@ -10,6 +10,7 @@ from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Failure, R
 from bo_tuner.evidence.differences import Difference
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.reasons import Assumption
+from bo_tuner.metrics.equal_runs import UnevenRate
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.tuning.effects import ParameterEffects
@@ -338,12 +339,12 @@ class Drift(Fact):
 
 @dataclass(frozen=True)
 class UnevenRates(Fact):
-    """A signal comes less often in one run of a parameter set than in another, and how.
+    """A signal comes less often in one run of a parameter set than in another.
 
     Others of these names do likewise.
     """
 
-    how: str
+    first: UnevenRate
     others: tuple[str, ...] = ()
 
 

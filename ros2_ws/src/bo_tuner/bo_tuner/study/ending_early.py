@@ -1,7 +1,6 @@
 """Whether what runs the evaluations of a study can end a run before its time."""
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.growing import why_not
 from bo_tuner.study.parts import IN_PROCESS, ROS
 from bo_tuner.study.study import Study
 
@@ -29,15 +28,3 @@ def check_ends_early(study: Study, backend: str) -> None:
         "--backend inprocess",
         ("budget", "cut_short"),
     )
-
-
-def decided_by(study: Study) -> str:
-    """Return in a line by which metrics a run may be cut short, and by which not, with why."""
-    decisive = study.decisive_metrics
-    reasons = [
-        f"{name}: {reason}"
-        for name, metric in study.metrics.items()
-        if name not in decisive and (reason := why_not(metric))
-    ]
-    others = f"; not by {'; '.join(reasons)}" if reasons else ""
-    return f"runs of trials may be cut short by {', '.join(decisive)}{others}"

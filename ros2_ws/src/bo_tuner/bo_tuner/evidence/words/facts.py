@@ -44,6 +44,7 @@ from bo_tuner.evidence.facts import (
     UnevenRates,
     WorstCaseOver,
 )
+from bo_tuner.evidence.words import check
 from bo_tuner.evidence.words.effects import effects_in_words
 from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.evidence.words.limits import counted_runs, limit_with_unit
@@ -314,7 +315,7 @@ def _(fact: Drift) -> str:
 @in_words.register
 def _(fact: UnevenRates) -> str:
     so = f" ({text.listed(fact.others)} likewise)" if fact.others else ""
-    return f"Equal runs are not alike{so}: {fact.how}"
+    return f"Equal runs are not alike{so}: {check.in_words(fact.first)}"
 
 
 @in_words.register
