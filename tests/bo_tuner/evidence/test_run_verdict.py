@@ -20,7 +20,7 @@ from bo_tuner.evidence.validated import is_default
 from bo_tuner.evidence.verdict import FAIL, PASS, State, Status
 from bo_tuner.evidence.words.next_steps import next_steps
 from bo_tuner.evidence.words.verdict import headline, keeps, sentences
-from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.study.limits import keeps_limits
 from bo_tuner.trials import Stage, WorstCase
 
 
@@ -336,7 +336,7 @@ def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
 
 def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
     run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
-    within = [t.number for t in run.trials if outcome_in_words(run.study, t) == WITHIN]
+    within = [t.number for t in run.trials if keeps_limits(run.study, t)]
     ranked = [t.number for t in run.trials if t.number != within[0]]
     summary = dict(run.summary) | {"ranked_trials": ranked}
     found = run_verdict(dataclasses.replace(run, summary=summary))
@@ -380,7 +380,7 @@ def test_a_summary_with_something_else_passed_over_is_refused(tuned, found):
 def test_a_repetition_is_no_outlier(tuned):
     """Its evaluations count as those of the first trial of the parameter set, which is ranked."""
     run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True)
-    within = next(t for t in run.trials if outcome_in_words(run.study, t) == WITHIN)
+    within = next(t for t in run.trials if keeps_limits(run.study, t))
     again = dataclasses.replace(within, number=len(run.trials))
     run = dataclasses.replace(run, trials=(*run.trials, again))
     assert again.number not in run.summary["ranked_trials"]

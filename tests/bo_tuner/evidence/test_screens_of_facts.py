@@ -26,9 +26,11 @@ from bo_tuner.evidence.facts import (
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.quantity import DrawsOf, OnRecord, Quantity
 from bo_tuner.evidence.reasons import Assumption, Reason, Why
+from bo_tuner.evidence.trial_row import TrialLimit, TrialOutcome, TrialRow
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.reasons import assumption, proven, reason
 from bo_tuner.evidence.words.terminal import print_verdict
+from bo_tuner.evidence.words.trials import ending, outcome, sign
 from bo_tuner.report.sections.limit_rows import bar, rows
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Standing
@@ -151,3 +153,31 @@ def test_why_a_limit_is_not_shown():
         told.append(proven(replace(passed, assumption=assumed)))
     told += [proven(found), assumption(Assumption("peak")), assumption(Assumption("peak", 3))]
     assert told == WHY.read_text(encoding="utf-8").splitlines()
+
+
+def row(outcome, *limits, reason=""):
+    return TrialRow(3, (0.5,), (1.25,), limits, outcome, reason, 7, {"load": 1.8820001}, 924)
+
+
+def test_the_outcome_of_a_trial():
+    peak = Constraint(name="peak", kind="worst_case", metric="peak", upper=2.0)
+    force = Constraint(name="force", kind="worst_case", metric="force", lower=10.0)
+    over = TrialLimit(peak, "worst peak", 2.004, TrialOutcome.VIOLATES)
+    close = TrialLimit(force, "force", 10.25, TrialOutcome.UNCERTAIN)
+    rows = [
+        row(TrialOutcome.WITHIN), row(TrialOutcome.UNCERTAIN, close),
+        row(TrialOutcome.VIOLATES, over, close),
+        row(TrialOutcome.CUT_SHORT, reason="peak is 2.5 at least"),
+        row(TrialOutcome.FAILED, reason="axis: stalled"),
+    ]  # fmt: skip
+    assert [f"{sign(each.outcome)} {outcome(each)}" for each in rows] == [
+        "✓ within limits",
+        "~ margin too small (force 10.25 < 10)",
+        "! over the limit (worst peak 2.004 > 2); margin too small (force 10.25 < 10)",
+        "✗ cut short",
+        "✗ failed",
+    ]
+    assert [ending(each) for each in rows[3:]] == [
+        "peak is 2.5 at least (context load 1.882; seed 924)",
+        "FAILED: axis: stalled (context load 1.882; seed 924)",
+    ]

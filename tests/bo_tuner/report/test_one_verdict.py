@@ -46,7 +46,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.content import Chapter
 from bo_tuner.report.deliverables import write_deliverables
-from bo_tuner.report.page import answer_html, render, section_html
+from bo_tuner.report.page import answer_html, render, trial_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
@@ -170,7 +170,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     assert f'<h2 id="answer-title">{told}</h2>' in live
     assert all(sentence in live for sentence in told_of)
     for trial in run.trials:
-        texts = unescape(section_html(trial_sections(analysis, trial)[0]))
+        texts = unescape(trial_html(analysis, trial, trial_sections(analysis, trial)[:1]))
         assert (headline(verdict) in texts) == (trial.number == verdict.trial)
     event = json_result(run, verdict)
     assert event["verdict"] == mapping

@@ -9,19 +9,17 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner import maxima
-from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     attached,
     ended,
-    in_namespace_of,
     named_metrics,
     read_result,
 )
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
-from bo_tuner.cli.extra_runs import complete
+from bo_tuner.cli.extra_runs import complete, make_nodes
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunRecordError, StudyError
@@ -40,7 +38,6 @@ from bo_tuner.evidence.drift import (
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.abort_bags import AbortBags
-from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
@@ -77,17 +74,7 @@ def compare(
     allow_programs(record, trusted=arguments.trust, attach=attach)
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        with writing(folder.log):
-            folder.log.mkdir(exist_ok=True)
-        nodes = make_backend(
-            backend,
-            study,
-            folder.log,
-            attach=attach,
-            ros_arguments=in_namespace_of(record, ros_arguments),
-            interrupted=interruption.check,
-            earlier=record.evaluations,
-        )
+        nodes = make_nodes(record, folder, backend, ros_arguments, interruption, attach=attach)
         if isinstance(nodes, RosBackend):
             nodes.at_abort = AbortBags(folder.path, study, say_error)
         number, started = next_number_of(folder.path), _now()

@@ -203,8 +203,7 @@ def _outliers(record: RunRecord, ranked: object) -> list[int]:
     return [
         trial.number
         for trial in record.trials
-        if key(trial.parameters) not in known
-        and limits.outcome_in_words(record.study, trial) == limits.WITHIN
+        if key(trial.parameters) not in known and limits.keeps_limits(record.study, trial)
     ]
 
 

@@ -10,6 +10,7 @@ from bo_tuner.evidence.certificate.parameter_sensitivity import (
     ParameterSensitivity,
     parameter_sensitivity,
 )
+from bo_tuner.evidence.trial_row import OF_VALUE
 from bo_tuner.evidence.words.certificate import of_narrow, of_step
 from bo_tuner.evidence.words.effects import amount, title_of
 from bo_tuner.evidence.words.verdict import of_parameters
@@ -20,7 +21,7 @@ from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.study import Study

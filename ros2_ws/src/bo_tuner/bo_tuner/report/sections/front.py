@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from bo_tuner.evidence.trial_row import OF_VALUE
 from bo_tuner.evidence.words.next_steps import to_use
 from bo_tuner.figures.figure import (
     Color,
@@ -17,7 +18,7 @@ from bo_tuner.figures.figure import (
     Panel,
     Points,
 )
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Choice, Section, Table, number
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.report.sections.trajectories import response_of
