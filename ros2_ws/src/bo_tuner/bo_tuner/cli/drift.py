@@ -74,7 +74,15 @@ def compare(
     allow_programs(record, trusted=arguments.trust, attach=attach)
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        nodes = make_nodes(record, folder, backend, ros_arguments, interruption, attach=attach)
+        nodes = make_nodes(
+            record,
+            folder,
+            backend,
+            ros_arguments,
+            interruption,
+            attach=attach,
+            earlier=record.evaluations,
+        )
         if isinstance(nodes, RosBackend):
             nodes.at_abort = AbortBags(folder.path, study, say_error)
         number, started = next_number_of(folder.path), _now()

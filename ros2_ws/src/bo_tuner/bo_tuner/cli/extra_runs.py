@@ -1,7 +1,7 @@
 """Runs of a plan beside a run that has ended."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from bo_tuner.backends.factory import make_backend
@@ -18,6 +18,7 @@ from bo_tuner.plans import Plan
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 
@@ -30,6 +31,7 @@ def make_nodes(
     interruption: Interruption,
     *,
     attach: bool,
+    earlier: Iterable[Evaluation] = (),
 ) -> Backend:
     """Return what runs the evaluations; what it prints goes to the folder of the run."""
     with writing(folder.log):
@@ -41,7 +43,7 @@ def make_nodes(
         attach=attach,
         ros_arguments=in_namespace_of(record, ros_arguments),
         interrupted=interruption.check,
-        earlier=record.evaluations,
+        earlier=earlier,
     )
 
 
