@@ -116,7 +116,7 @@ COMMANDS = (
     ),
     Command(
         "validate",
-        ("validate", "runs/latest", "--draws", "40", *NOTIFY),
+        ("validate", "runs/latest", "--runs", "40", *NOTIFY),
         BY_NODES,
         "continue with: validate",
     ),

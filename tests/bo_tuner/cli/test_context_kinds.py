@@ -57,7 +57,7 @@ def test_the_worst_context_is_found(folder):
 def test_the_other_commands_take_them(folder):
     for command in (
         ["report", "latest"],
-        ["validate", "latest", "--draws", "60"],
+        ["validate", "latest", "--runs", "60"],
         ["replay", "latest"],
         ["tune", "--resume", "latest", "--trials", "13", "--quiet"],
         ["tune", "--from", "latest", "--trials", "14", "--quiet"],
@@ -95,7 +95,7 @@ def test_a_study_of_texts_alone(tmp_path, make_study):
     write_study(tmp_path, study, error="(self.gain - 0.3) ** 2 + 1", peak=peak)
     for command in (
         ["tune", "--study", "axis.yaml", "--backend", "inprocess", "--quiet"],
-        ["validate", "latest", "--draws", "80"],
+        ["validate", "latest", "--runs", "80"],
         ["report", "latest"],
     ):
         code, out, err = run(*command, folder=tmp_path)

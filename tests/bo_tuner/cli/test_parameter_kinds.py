@@ -62,7 +62,7 @@ def test_the_search_finds_the_best_choice(folder):
 def test_the_other_commands_take_them(folder):
     for command in (
         ["report", "latest"],
-        ["validate", "latest", "--draws", "40"],
+        ["validate", "latest", "--runs", "40"],
         ["replay", "latest"],
         ["tune", "--resume", "latest", "--trials", "15", "--quiet"],
     ):

@@ -161,7 +161,7 @@ def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):
 def test_any_point_can_be_certified(runs):
     other = runs.front[0]["trial"]
     folder = runs.folder
-    code, _, err = run("validate", "runs/latest", "--trial", other, "--draws", 80, folder=folder)
+    code, _, err = run("validate", "runs/latest", "--trial", other, "--runs", 80, folder=folder)
     assert code == 0, err
     code, _, err = run("apply", "runs/latest", "--trial", 99, "--yes", folder=folder)
     assert (code, "no trial 99" in err) == (2, True)
@@ -174,7 +174,7 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
     other = next(point["trial"] for point in runs.front if point["trial"] != result)
 
     def validate(trial):
-        arguments = ("validate", "run", "--trial", trial, "--draws", "80")
+        arguments = ("validate", "run", "--trial", trial, "--runs", "80")
         code, _, err = run(*arguments, folder=tmp_path)
         assert code == 0, err
 

@@ -71,9 +71,9 @@ def test_a_limit_of_the_record(size, capsys):
 def test_draws_of_a_certificate(tmp_path, capsys):
     make_run(tmp_path / "run")
     with pytest.raises(SystemExit) as end:
-        validate.run([str(tmp_path / "run"), "--trial", "0", "--draws", str(10**18)], None)
+        validate.run([str(tmp_path / "run"), "--trial", "0", "--runs", str(10**18)], None)
     assert end.value.code == 2
-    assert "--draws: expected at most 100000" in capsys.readouterr().err
+    assert "--runs: expected at most 100000" in capsys.readouterr().err
 
 
 def test_an_answer_of_megabytes(make_study):

@@ -171,7 +171,7 @@ def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, t
         states = [topic for topic, *_ in with_rosbags(bag) if topic == "/joint_states"]
         assert len(states) > 100 * sum(item.run.bag == bag.name for item in again)
         assert custom_data(bag)["lost_messages"] == "0"
-    assert "certificate: " in runs_here("validate", "latest", "--draws", "80", "--workers", "2")
+    assert "certificate: " in runs_here("validate", "latest", "--runs", "80", "--workers", "2")
     assert not environments()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def certificate(here, folder):
-    code, _, err = here(folder, "--draws", "120")
+    code, _, err = here(folder, "--runs", "120")
     assert code == 0, err
     return folder / "certificates" / "0001.json"
 
@@ -66,7 +66,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("arguments", "complaint"),
         [
-            (["--draws", "120"], "--draws is not for --against"),
+            (["--runs", "120"], "--runs is not for --against"),
             (["--with-default"], "--with-default is not for --against"),
             (["--runs", "0"], "--runs: expected 1 to "),
             (["--false-alarms", "2"], "argument --false-alarms: 2: expected a number between 0"),

@@ -191,7 +191,7 @@ class TestInterruption:
     def test_of_several_the_one_that_was_interrupted_goes_on(self, here, folder, monkeypatch):
         """The result has its certificate, and is not certified again."""
         monkeypatch.setenv("PEAK", "2")
-        assert here(folder, "--draws", "200")[0] == 3
+        assert here(folder, "--runs", "200")[0] == 3
         result = read_run(folder).summary["trial"]
         outcome, count = InProcessBackend.outcome, []
 
@@ -205,7 +205,7 @@ class TestInterruption:
         monkeypatch.delenv("PEAK")
         with monkeypatch.context() as patch:
             patch.setattr(InProcessBackend, "outcome", stop)
-            assert here(folder, "--trial", str(other), "--draws", "200")[0] == 1
+            assert here(folder, "--trial", str(other), "--runs", "200")[0] == 1
         code, _, err = here(folder, "--until-pass", "3")
         assert code == 0
         assert f"continuing the interrupted certificate of trial {other} after 4 test runs" in err
@@ -228,7 +228,7 @@ class TestFaults:
 
     def test_a_certificate_that_cannot_be_written(self, here, folder):
         (folder / "certificates").touch()
-        code, _, err = here(folder, "--draws", "120")
+        code, _, err = here(folder, "--runs", "120")
         assert code == 1
         assert (
             "certificates/unfinished.jsonl: cannot be written: File exists" in err.splitlines()[-1]

@@ -22,7 +22,7 @@ from bo_tuner.tuning.summary import with_summary
 class TestVerdict:
     def test_pass(self, runs, folder):
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-        code, out, err = run("validate", folder, "--draws", 120, folder=runs)
+        code, out, err = run("validate", folder, "--runs", 120, folder=runs)
         assert code == 0, err
         # The screen may be narrower.
         assert " ".join(out.split()).startswith(
@@ -86,7 +86,7 @@ class TestVerdict:
 
     def test_the_numbers(self, here, folder):
         """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
-        assert here(folder, "--draws", "150", "--with-default")[0] == 0
+        assert here(folder, "--runs", "150", "--with-default")[0] == 0
         found = certificate(folder)
         # Each of the two has half of the share of the first attempt.
         assert found["bound_confidence"] == pytest.approx(1.0 - 0.04 / 2)
@@ -136,7 +136,7 @@ class TestVerdict:
         assert (code, out.count("PASS: ")) == (0, 1)
 
     def test_with_the_default_the_screen_is_as_short(self, here, folder):
-        code, out, err = here(folder, "--draws", "150", "--with-default")
+        code, out, err = here(folder, "--runs", "150", "--with-default")
         assert code == 0, err
         assert len(out.splitlines()) <= 1 + MOST_LINES
         assert "peak: shown, if " in out
@@ -144,7 +144,7 @@ class TestVerdict:
 
     def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
         monkeypatch.setattr(now_and_then, "PERIOD", 0.0)
-        code, _, err = here(folder, "--draws", "150")
+        code, _, err = here(folder, "--runs", "150")
         assert code == 0, err
         found = certificate(folder)["drawn"]
         lines = [line for line in err.splitlines() if "draws: " in line]
@@ -161,7 +161,7 @@ class TestVerdict:
 
     def test_fail(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "2")
-        code, out, err = here(folder, "--draws", "120")
+        code, out, err = here(folder, "--runs", "120")
         assert code == 3, err
         assert out.startswith("FAIL: not proven to stay within the limits of peak and error\n")
         found = certificate(folder)
@@ -174,7 +174,7 @@ class TestVerdict:
 
     def test_failed_evaluations(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "100")
-        code, out, err = here(folder, "--draws", "120")
+        code, out, err = here(folder, "--runs", "120")
         assert code == 3, err
         found = certificate(folder)
         assert found["tuned"]["failures"] == 1 < found["tuned"]["evaluations"]
@@ -183,14 +183,14 @@ class TestVerdict:
 
     def test_every_evaluation_fails(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "1000")
-        code, _, err = here(folder, "--draws", "120")
+        code, _, err = here(folder, "--runs", "120")
         assert code == 3, err
         assert certificate(folder)["tuned"]["objective"]["value"] is None
 
     def test_another_trial(self, here, folder):
         best = json.loads((folder / "summary.json").read_text())["trial"]
         other = (best + 1) % 5
-        code, _, err = here(folder, "--draws", "120", "--trial", other)
+        code, _, err = here(folder, "--runs", "120", "--trial", other)
         assert code == 0, err
         found = certificate(folder)
         assert found["trial"] == other
@@ -198,7 +198,7 @@ class TestVerdict:
         assert not (folder / "deploy" / "certificate.json").exists()
 
     def test_draws_and_confidence(self, here, folder):
-        assert here(folder, "--draws", "459", "--confidence", "0.99")[0] == 0
+        assert here(folder, "--runs", "459", "--confidence", "0.99")[0] == 0
         found = certificate(folder)
         assert (found["draws"], found["confidence"]) == (459, 0.99)
         assert found["bound_confidence"] == pytest.approx(0.992)
@@ -212,7 +212,7 @@ class TestResumeOfACertifiedRun:
         """And ends with its exit code, whatever the validation of the run was."""
         if failing:
             monkeypatch.setenv("FAILING", failing)
-        expected, *_ = here(folder, "--draws", "120")
+        expected, *_ = here(folder, "--runs", "120")
         code, out, err = run("tune", "--resume", folder, folder=runs)
         assert code == expected == (0 if words == "PASS" else 3), err
         assert out.splitlines()[0].startswith(f"{words}: ")
@@ -229,7 +229,7 @@ class TestKey:
         return certificate_problem(record, record.trials[record.summary["trial"]])
 
     def test_a_quick_look_does_not(self, here, folder):
-        code, _, err = here(folder, "--draws", "100", "--confidence", "0.001")
+        code, _, err = here(folder, "--runs", "100", "--confidence", "0.001")
         assert code == 0
         said = "warning: apply will refuse a PASS: made with 100 draws, the study requires 1000"
         assert said in err
@@ -241,7 +241,7 @@ class TestKey:
         monkeypatch.setenv("PEAK", "1.5")
         assert here(folder)[0] == 3
         monkeypatch.delenv("PEAK")
-        assert here(folder, "--draws", "100", "--confidence", "0.001")[0] == 0
+        assert here(folder, "--runs", "100", "--confidence", "0.001")[0] == 0
         assert certificate(folder, 1)["verdict"] == "FAIL"
         assert certificate(folder, 2)["verdict"] == "PASS"
         assert "0002.json: made with 100 draws" in self.problem(folder)

@@ -166,7 +166,7 @@ class Certifier:
     def _show_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""
         most = most_evaluations(self.record.study, subjects, draws)
-        parts = [counted(most.drawn, "draw")]
+        parts = [f"{most.drawn} at random"]
         if most.searched:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:

@@ -70,16 +70,16 @@ MOST_LINES, MOST_STEPS = 8, 2
 XML = b"<?xml"
 """How a file begins that `--junit` may replace."""
 DESCRIPTION = """\
-Certify the result of a run, or values that somebody else tuned: run them
-in fresh draws of context and noise, search for the worst context again, and
-report PASS or FAIL for the constraints of the study. It ends as soon as the
+Certify the result of a run, or values that somebody else tuned: make fresh
+test runs in random contexts, search for the worst context again, and report
+PASS or FAIL for the constraints of the study. It ends as soon as the
 verdict is clear, and continues where an interrupted one stopped.
 """
 
 EPILOG = """\
 PASS requires all of these; a constraint not proven counts as violated:
-  chance constraint   the upper bound of the probability that a draw violates it
-                      is at most 1 - probability
+  chance constraint   the upper bound of the probability that a test run violates
+                      it is at most 1 - probability
   worst-case          in each of the worst contexts of the search, the upper
   constraint          bound of the mean over noise is within the limit, or of
                       the probability of a violation at most 1 - probability
@@ -87,8 +87,8 @@ PASS requires all of these; a constraint not proven counts as violated:
 Contexts in which this parameter set failed before are run again, and its
 earlier runs count against a PASS, never for it.
 The bounds hold after each test run, and over all certificates of the run: the
-first has four fifths of the error probability, and each later one fresh draws
-and less; --with-default divides that between the two parameter sets.
+first has four fifths of the error probability, and each later one less, and
+fresh test runs; --with-default divides that between the two parameter sets.
 
 --drives runs a parameter set, and the default, once on each of some bags that
 the search has not used. PASS requires that as large a share of drives as the
@@ -97,7 +97,7 @@ count of those that are; a failed run is not. It writes RUN/drives/0001.json.
 
 writes RUN/certificates/0001.json, or the next number, and the test runs as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the
-draws and the confidence that the study requires, and no later FAIL of the same
+test runs and the confidence that the study requires, and no later FAIL of the same
 parameters.
 
 --against tests whether the machine has drifted since a certificate: with a few
@@ -116,15 +116,15 @@ exit codes:
        141: the output pipe was closed); as 1
 
 examples:
-  validate latest                          as many draws as the study requires
+  validate latest                          as many runs as the study requires
   validate latest --time 10min             what is shown by then, if no verdict
-  validate runs/latest --draws 1000 --confidence 0.99
+  validate runs/latest --runs 1000 --confidence 0.99
   validate runs/latest --backend inprocess
   validate runs/latest --workers 4         four test runs at once
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
-  validate runs/latest --with-default      the default, too, in the same draws
+  validate runs/latest --with-default      the default, too, in the same contexts
   validate --parameters my_params.yaml --study my_study.yaml    without a run
   validate latest --junit report.xml       for a CI server
   validate --against runs/latest/certificates/0001.json    drifted since?
@@ -133,9 +133,9 @@ examples:
 """
 
 
-OF_DRIFT: tuple[str, ...] = ("runs", "metrics", "false_alarms")
+OF_DRIFT: tuple[str, ...] = ("metrics", "false_alarms")
 OF_CERTIFICATE: tuple[str, ...] = (
-    "run", "trial", "until_pass", "with_default", "parameters", "study", "output", "draws",
+    "run", "trial", "until_pass", "with_default", "parameters", "study", "output",
     "confidence", "time", "junit", "workers", "window",
 )  # fmt: skip
 """Names of the arguments that only one of the two kinds of the command takes."""
@@ -166,10 +166,11 @@ def make_parser() -> Parser:
     add_given_arguments(sets)
     evidence = parser.add_argument_group("evidence")
     evidence.add_argument(
-        "--draws",
+        "--runs",
         type=whole_number,
         metavar="N",
-        help="fresh draws of context and noise, at most (default: as the study requires)",
+        help="fresh test runs at most, at random and again in each of the worst contexts "
+        f"(default: as the study requires; with --against {RUNS})",
     )
     evidence.add_argument(
         "--confidence",
@@ -192,9 +193,6 @@ def make_parser() -> Parser:
         type=Path,
         metavar="CERTIFICATE",
         help="run its parameter set again, and compare the metrics with its runs; RUN is left out",
-    )
-    drift.add_argument(
-        "--runs", type=whole_number, metavar="N", help=f"fresh runs at most (default: {RUNS})"
     )
     drift.add_argument(
         "--metrics",
@@ -334,9 +332,9 @@ class _Task:
         arguments, sets = self.arguments, 2 if self.arguments.with_default else 1
         study, confidence = self.record.study, self.confidence
         try:
-            return draws_of(study, confidence, attempt, arguments.draws, sets=sets)
+            return draws_of(study, confidence, attempt, arguments.runs, sets=sets)
         except StudyError as error:
-            option = "--draws: " if error.path == DRAWS_KEY else ""
+            option = "--runs: " if error.path == DRAWS_KEY else ""
             self.parser.error(f"{option}{error.problem}" if option else str(error))
 
     def check_draws(self, trial: Trial) -> None:

@@ -94,7 +94,7 @@ def _verdicts(runs: Mapping[str, Analysis]) -> Section:
     return Section(
         name="verdicts",
         title="Verdicts",
-        lead="Each verdict is that of the run's own report, and rests on the draws of that run.",
+        lead="Each verdict is that of the run's own report, and rests on the run's own test runs.",
         tables=[verdicts_table(runs, "The results")],
         notes=[f"The record is damaged: {damage}." for damage in damaged],
     )
@@ -138,7 +138,7 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
         notes=[
             "Runs with different seeds, budgets or studies draw different contexts and noise, so "
             "part of the difference between two columns is chance. Only differences from the "
-            "default are measured in the same draws.",
+            "default are measured in the same contexts and noise.",
             *(["The difference is the second run minus the first."] if len(runs) == 2 else []),
         ],
     )

@@ -135,7 +135,7 @@ def draws_of(
     needed, constraint = most_draws_needed(study, spent(confidence, attempt, sets))
     if needed > maxima.DRAWS:
         raise StudyError(
-            f"expected a probability that {maxima.DRAWS} draws can show, found one that takes "
+            f"expected a probability that {maxima.DRAWS} test runs can show, found one that takes "
             f"{needed}",
             ("constraints", constraint),
         )
@@ -156,7 +156,7 @@ def shortfall(study: Study, draws: int, confidence: float) -> str:
     required = study.certificate.confidence
     needed = required_draws(study, required)
     if draws < needed:
-        return f"made with {counted(draws, 'draw')}, the study requires {needed}"
+        return f"made with {counted(draws, 'test run')}, the study requires {needed}"
     if not confidence >= required:
         return f"has a confidence of {checks.show(confidence)}, the study requires {required:g}"
     return ""

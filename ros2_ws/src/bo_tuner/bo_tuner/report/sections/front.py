@@ -60,7 +60,7 @@ def front(analysis: Analysis) -> Section | None:
         title="Which compromises are there?",
         lead=f"The front has {counted(len(points), 'parameter set')} likely within limits: no "
         f"other such trial is as good in every objective, and better in one.{rule}",
-        notes=[f"Only the result was validated on fresh draws; {_of_others(points)}."],
+        notes=[f"Only the result was validated in fresh test runs; {_of_others(points)}."],
         choices=_choices(analysis, points, result),
     )
 
