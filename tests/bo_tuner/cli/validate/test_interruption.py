@@ -13,7 +13,7 @@ from waiting import count_in, wait_until
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.errors import OutputError, RunError
-from bo_tuner.evidence.certificate import making
+from bo_tuner.evidence import certificate_file
 from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.evidence.facts import CertificateBegun
@@ -90,8 +90,8 @@ class TestInterruption:
         said = err.splitlines()
         (first,) = [k for k, line in enumerate(said) if line.startswith("the time is over")]
         assert said[first] == (
-            "the time is over, without a verdict: 20 runs, nothing refutes it; shown with 96 % "
-            "confidence:"
+            "the time is over, without a verdict: 20 test runs, nothing refutes it; shown with "
+            "96 % confidence:"
         )
         assert said[first + 1].startswith("  peak: at least 0.")
         assert said[first + 2].startswith("  error: at least 0.")
@@ -236,7 +236,7 @@ class TestFaults:
 
     def test_a_crash_between_its_two_files_leaves_the_one_before(self, here, folder, monkeypatch):
         assert here(folder)[0] == 0
-        write = making.write_atomically
+        write = certificate_file.write_atomically
 
         def crash(path, content):
             if path.suffix == ".json":
@@ -244,7 +244,7 @@ class TestFaults:
             return write(path, content)
 
         with monkeypatch.context() as patch:
-            patch.setattr(making, "write_atomically", crash)
+            patch.setattr(certificate_file, "write_atomically", crash)
             assert here(folder)[0] == 1
         names = {path.name for path in (folder / "certificates").iterdir()}
         assert names == {

@@ -35,7 +35,7 @@ class TestVerdict:
         assert "apply will refuse a PASS" in warning
         phases = [line for line in phases if not line.startswith("probably ")]
         told = re.fullmatch(
-            r"at most (\d+) test runs \((\d+) draws, (\d+) to search for the worst contexts, "
+            r"at most (\d+) test runs \((\d+) at random, (\d+) to search for the worst contexts, "
             r"(\d+) in the worst contexts found\), fewer once the verdict is clear",
             most,
         )
@@ -44,8 +44,10 @@ class TestVerdict:
         assert total == sum(parts)
         assert parts[0] == 120
         assert certificate(folder)["tuned"]["evaluations"] <= total
-        assert [line.split(":")[0] for line in phases] == ["draws", "worst case of tuned", "report"]
-        assert phases[0] == "draws: at most 120"
+        assert [line.split(":")[0] for line in phases] == [
+            "test runs at random", "worst case of tuned", "report",
+        ]  # fmt: skip
+        assert phases[0] == "test runs at random: at most 120"
         # No phase has more steps than it said.
         assert all(" at most " in line for line in phases[:2])
         found = certificate(folder)
@@ -147,8 +149,8 @@ class TestVerdict:
         code, _, err = here(folder, "--runs", "150")
         assert code == 0, err
         found = certificate(folder)["drawn"]
-        lines = [line for line in err.splitlines() if "draws: " in line]
-        assert lines[0] == "draws: at most 150"
+        lines = [line for line in err.splitlines() if "at random: " in line]
+        assert lines[0] == "test runs at random: at most 150"
         told = [line.partition(": ")[::2] for line in lines[1:] if " of " in line]
         phases = dict.fromkeys(phase for phase, _ in told)
         count = {phase: sum(name == phase for name, _ in told) for phase in phases}
@@ -168,7 +170,9 @@ class TestVerdict:
         assert found["verdict"] == "FAIL"
         # It is clear after a few draws.
         assert found["drawn"] < 10
-        reason = f"{found['drawn']} of {found['drawn']} draws violate the limit or fail: more than"
+        reason = (
+            f"{found['drawn']} of {found['drawn']} test runs violate the limit or fail: more than"
+        )
         assert found["reasons"][0].startswith(f"peak: {reason}")
         assert f"peak: NOT proven: {reason}" in out
 
@@ -231,10 +235,10 @@ class TestKey:
     def test_a_quick_look_does_not(self, here, folder):
         code, _, err = here(folder, "--runs", "100", "--confidence", "0.001")
         assert code == 0
-        said = "warning: apply will refuse a PASS: made with 100 draws, the study requires 1000"
+        said = "warning: apply will refuse a PASS: made with 100 test runs, the study requires 1000"
         assert said in err
         # Before the runs.
-        assert err.index(said) < err.index("draws", err.index(said) + len(said))
+        assert err.index(said) < err.index("at random", err.index(said) + len(said))
         assert "the study requires 1000" in self.problem(folder)
 
     def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):
@@ -244,7 +248,7 @@ class TestKey:
         assert here(folder, "--runs", "100", "--confidence", "0.001")[0] == 0
         assert certificate(folder, 1)["verdict"] == "FAIL"
         assert certificate(folder, 2)["verdict"] == "PASS"
-        assert "0002.json: made with 100 draws" in self.problem(folder)
+        assert "0002.json: made with 100 test runs" in self.problem(folder)
 
     def test_by_default_it_is_what_the_study_requires(self, here, folder):
         assert here(folder)[0] == 0

@@ -32,7 +32,7 @@ def certify_trial(
     trial: Trial,
     function: Function,
     *,
-    draws: int | None,
+    runs: int | None,
     confidence: float | None,
     workers: int | None,
     timeout: float | None,
@@ -48,10 +48,10 @@ def certify_trial(
         if level is None:
             level = study.certificate.confidence
         level = FRACTION(level, "confidence")
-        if draws is not None:
-            checks.integer(draws, "draws")
+        if runs is not None:
+            checks.integer(runs, "runs")
         attempt = attempt_for(record.path, study, trial.parameters, FUNCTION)
-        most = draws_of(study, level, attempt, draws)
+        most = draws_of(study, level, attempt, runs)
         subjects = subjects_of(record, trial, FUNCTION, with_default=False)
         unfinished = Unfinished(record.path, study, trial.parameters, FUNCTION, attempt)
         with contextlib.closing(unfinished), contextlib.ExitStack() as stack:

@@ -120,8 +120,8 @@ def _backend(
 def _most_runs(arguments: argparse.Namespace, parser: Parser) -> int:
     """Return the largest number of fresh runs."""
     most: int = RUNS if arguments.runs is None else arguments.runs
-    if not 1 <= most <= maxima.DRAWS:
-        parser.error(f"--runs: expected 1 to {maxima.DRAWS}, found {most}")
+    if not 1 <= most <= maxima.TEST_RUNS:
+        parser.error(f"--runs: expected 1 to {maxima.TEST_RUNS}, found {most}")
     return most
 
 

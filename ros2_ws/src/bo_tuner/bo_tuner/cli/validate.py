@@ -38,7 +38,7 @@ from bo_tuner.cli.time_limit import TimeLimit, time_limit
 from bo_tuner.cli.workers import add_workers_arguments, workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
-    DRAWS_KEY,
+    RUNS_KEY,
     draws_of,
     latest_certificate,
     read_certificate,
@@ -334,7 +334,7 @@ class _Task:
         try:
             return draws_of(study, confidence, attempt, arguments.runs, sets=sets)
         except StudyError as error:
-            option = "--runs: " if error.path == DRAWS_KEY else ""
+            option = "--runs: " if error.path == RUNS_KEY else ""
             self.parser.error(f"{option}{error.problem}" if option else str(error))
 
     def check_draws(self, trial: Trial) -> None:

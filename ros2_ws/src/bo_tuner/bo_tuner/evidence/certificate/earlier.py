@@ -68,6 +68,15 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
+def refuted_by(number: str, findings: Findings, evaluations: Iterable[Evaluation]) -> Refutation:
+    """Return what a certificate failed on."""
+    contexts: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
+    for constraint in findings.constraints:
+        if not constraint.passed:
+            contexts += [worst.context for worst in constraint.worst if not worst.shown]
+    return Refutation(tuple(_each_once(contexts)), number, findings)
+
+
 def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutation]:
     """Yield what the tuning run itself has refuted, for each constraint."""
     contexts = _each_once(e.context for e in evaluations)
@@ -85,15 +94,6 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
             runs = sum(e.context in refuting for e in evaluations)
             by = RefutingRuns(constraint.name, runs, len(refuting))
             yield Refutation(tuple(refuting), runs=by)
-
-
-def _of_findings(number: str, findings: Findings, evaluations: Iterable[Evaluation]) -> Refutation:
-    """Return what a certificate failed on."""
-    contexts: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
-    for constraint in findings.constraints:
-        if not constraint.passed:
-            contexts += [worst.context for worst in constraint.worst if not worst.shown]
-    return Refutation(tuple(_each_once(contexts)), number, findings)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _of_certificate(study: Study, path: Path, parameters: Mapping[str, Value]) -
             if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
         ]
     return _Certified(
-        None if sides[side].passed else _of_findings(path.stem, sides[side], runs),
+        None if sides[side].passed else refuted_by(path.stem, sides[side], runs),
         certificate.provenance.get("backend", ""),
         runs,
         f"{path}: {unread}" if unread else "",

@@ -32,8 +32,8 @@ FORMAT = 8
 """Version of the files' format."""
 
 FEWEST_DRAWS = 2
-DRAWS_KEY = ("draws",)
-"""Path of the number of draws in an error."""
+RUNS_KEY = ("runs",)
+"""Path of the number of test runs in an error."""
 
 
 def certificate_paths(folder: Path) -> list[Path]:
@@ -125,7 +125,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
 
 def required_draws(study: Study, confidence: float) -> int:
     """Return the number of draws that a certificate of a study takes."""
-    return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
+    return max(study.certificate.runs, most_draws_needed(study, confidence)[0])
 
 
 def draws_of(
@@ -133,20 +133,20 @@ def draws_of(
 ) -> int:
     """Return the largest number of draws, which must be able to show every chance constraint."""
     needed, constraint = most_draws_needed(study, spent(confidence, attempt, sets))
-    if needed > maxima.DRAWS:
+    if needed > maxima.TEST_RUNS:
         raise StudyError(
-            f"expected a probability that {maxima.DRAWS} test runs can show, found one that takes "
-            f"{needed}",
+            f"expected a probability that {maxima.TEST_RUNS} test runs can show, found one that "
+            f"takes {needed}",
             ("constraints", constraint),
         )
     if draws is None:
         draws = max(required_draws(study, confidence), needed)
-    if draws > maxima.DRAWS:
-        raise StudyError(f"expected at most {maxima.DRAWS}, found {draws}", DRAWS_KEY)
+    if draws > maxima.TEST_RUNS:
+        raise StudyError(f"expected at most {maxima.TEST_RUNS}, found {draws}", RUNS_KEY)
     if draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""
         raise StudyError(
-            f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", DRAWS_KEY
+            f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", RUNS_KEY
         )
     return draws
 
