@@ -95,10 +95,10 @@ def compare(
             return code
         drift = result_of(plan, path.name, started, _now())
         written = write_drift(folder.path, number, drift, plan.evaluations)
-    _show(drift, most)
+    _show(study, drift, most)
     say(f"comparison: {written}")
     code = ended(left, EXIT_INFEASIBLE if drift.drifted else EXIT_OK)
-    notify(arguments.notify, record.path, code, _headline(drift), say_error)
+    notify(arguments.notify, record.path, code, _headline(study, drift), say_error)
     return code
 
 
@@ -134,7 +134,7 @@ def _metrics(arguments: argparse.Namespace, study: Study) -> list[str]:
     return named_metrics(arguments.metrics, study)
 
 
-def _show(drift: Drift, runs: int) -> None:
+def _show(study: Study, drift: Drift, runs: int) -> None:
     table = Table(title=f"fresh runs beside those of {drift.certificate}", title_justify="left")
     for column in ("metric", "unit"):
         table.add_column(column)
@@ -144,7 +144,7 @@ def _show(drift: Drift, runs: int) -> None:
     for item in drift.metrics:
         word = "" if item.found_after is None else f"DRIFTED, found after {item.found_after}"
         numbers = (f"{v:.4g}" for v in (item.baseline, item.deviation, item.fresh))
-        table.add_row(item.metric, item.unit, *numbers, word)
+        table.add_row(study.metrics[item.metric].title, item.unit, *numbers, word)
     print_table(plain_console(), table)
     say(
         f"medians of {counted(drift.baseline, 'run')} then and {drift.fresh} now; false alarms: "
@@ -161,11 +161,12 @@ def _show(drift: Drift, runs: int) -> None:
         )
     else:
         say(f"{counted(runs, 'run')} can hardly find any shift: allow more by --runs")
-    say(_headline(drift))
+    say(_headline(study, drift))
 
 
-def _headline(drift: Drift) -> str:
-    return f"DRIFT: {', '.join(drift.drifted)}" if drift.drifted else "no drift found"
+def _headline(study: Study, drift: Drift) -> str:
+    titles = ", ".join(study.metrics[name].title for name in drift.drifted)
+    return f"DRIFT: {titles}" if titles else "no drift found"
 
 
 def _now() -> str:

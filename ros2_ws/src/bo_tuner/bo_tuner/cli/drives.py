@@ -147,8 +147,8 @@ def _show(study: Study, made: NextDrive) -> None:
     table = Table(title="drives that the search has not used", title_justify="left")
     table.add_column("drive")
     for name in metrics:
-        unit = study.metrics[name].unit
-        table.add_column(with_unit(name, unit), justify="right")
+        metric = study.metrics[name]
+        table.add_column(with_unit(metric.title, metric.unit), justify="right")
         table.add_column("default", justify="right")
     table.add_column("")
     for run in made.runs:
@@ -157,6 +157,7 @@ def _show(study: Study, made: NextDrive) -> None:
             for name in metrics
             for values in (run.tuned, run.default)
         ]
-        words = f"beyond {listed(run.beyond)}" if run.beyond else ""
+        beyond = [study.limit_title(study.constraints[name]) for name in run.beyond]
+        words = f"beyond {listed(beyond)}" if beyond else ""
         table.add_row(Path(run.drive).name, *cells, words)
     print_table(plain_console(), table)

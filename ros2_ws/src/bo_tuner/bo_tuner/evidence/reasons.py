@@ -61,12 +61,12 @@ class Assumption:
 
     Attributes
     ----------
-    metric
-        The limited metric.
+    title
+        What screens call the limited metric.
     repeats
         Where runs are declared free of noise: how many were made once more, with the same result;
         None where the noise is said to have no rare second kind of runs.
     """
 
-    metric: str
+    title: str
     repeats: int | None = None

@@ -293,10 +293,11 @@ def _bound(runs: Runs, confidence: float) -> float:
 
 
 def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> Assumption | None:
+    title = study.metrics[constraint.metric].title
     if is_exact(study, constraint):
-        return Assumption(constraint.metric, len(evidence.repeats))
+        return Assumption(title, len(evidence.repeats))
     assumed = proof_of(constraint).assumes_noise(declared_range(study, constraint))
-    return Assumption(constraint.metric) if assumed else None
+    return Assumption(title) if assumed else None
 
 
 def _failure(evaluation: Evaluation) -> Failure:

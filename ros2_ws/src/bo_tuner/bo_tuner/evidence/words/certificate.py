@@ -53,7 +53,8 @@ def warnings(study: Study, certificate: Certificate) -> Iterator[str]:
         yield in_words(certificate.high_load)
     for name, value in certificate.held.items():
         wanted = certificate.parameters[name]
-        yield f"{name}: the device holds {value}, in 32 bits, of the {wanted} that it is told"
+        title = study.parameters[name].title
+        yield f"{title}: the device holds {value}, in 32 bits, of the {wanted} that it is told"
     for fact in (*certificate.drifts, *certificate.two_kinds, *certificate.uneven):
         yield in_words(fact)
 

@@ -38,7 +38,7 @@ def assumption(assumed: Assumption) -> str:
 def condition(assumed: Assumption) -> str:
     """Return the same in a few words that follow *if*."""
     if assumed.repeats is None:
-        return f"no rare runs are far beyond the {assumed.metric} of the others"
+        return f"no rare runs are far beyond the {assumed.title} of the others"
     return "its runs are free of noise, as declared"
 
 
