@@ -63,7 +63,7 @@ def made_findings(study, parameters, violations, passed):
     failures = 0 if passed or constraints else 1
     mean = Estimate(1.5, 0.02, 112, Source.CERTIFICATE, False, 1.46, 1.54)
     first = Failure("it <b>stopped</b>", {}, 7) if failures else None
-    return Findings(parameters, mean, 1.9, 320, failures, first, "", 141, constraints)
+    return Findings(parameters, mean, 1.9, 320, failures, first, None, 141, constraints)
 
 
 def made_certificate(study, parameters, passed=True, *, backend="inprocess", algorithm="boundary"):

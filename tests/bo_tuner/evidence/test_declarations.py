@@ -10,6 +10,7 @@ from bo_tuner.evidence.facts import NoLogarithm
 from bo_tuner.metrics.collect import judged
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes, Rate
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 NODE = {"node": "axis"}
@@ -31,7 +32,7 @@ def test_a_run_outside_its_range(make_study):
     study = make_study(metrics={"error": NODE, "peak": NODE | {"range": [0.0, 2.0]}})
     assert [*contradicted(study, runs(study, [0.5, 2.0]))] == []
     (found,) = contradicted(study, runs(study, [0.5, 2.5]))
-    assert found.how.startswith("peak was 2.5, outside its range [0, 2]")
+    assert found.how == OutOfRange("peak", 2.5, 0.0, 2.0)
 
 
 def test_equal_runs_with_messages_at_different_rates(make_study):

@@ -31,6 +31,8 @@ from bo_tuner.evidence.words.check import in_words, of_proof, of_run, of_study
 from bo_tuner.metrics.equal_runs import AsIfStill, OfRunBefore, UnevenRate, UnlikeStart
 from bo_tuner.run_notes import Published
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.sizing import FewContexts, FewTrials
 from bo_tuner.tuning.effects import Effect, ParameterEffects
 
@@ -56,6 +58,7 @@ def test_every_line(make_study):
         DefaultBeyond("peak", (PEAK,), "N"), FarOff(PEAK, "rad", 0.036), FarOff(PEAK, "", 400.0),
         MeanWithoutRange(PEAK), Spread("peak", 0.75),
         CutShortBy(("peak",), (("error", "it is known at the end only"),)),
+        OutOfRange("peak", 2.5, 0.0, 2.0), Noisy("peak", (0.5, 0.75), (1, 2)),
         SetFailed("gain 1", 1, 2, "pid: stalled"), NotTried(("gain",), True),
         NotTried(("gain", "offset"), False), TooFewRuns(("gain", "offset")),
         NotSeen(make_study(), unseen, (0.0, 1.0), 0.5), FewTrials(3, 1, 20), FewContexts(),

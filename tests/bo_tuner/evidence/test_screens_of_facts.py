@@ -20,6 +20,7 @@ from bo_tuner.evidence.facts import (
     Doubt,
     Drift,
     PassedOver,
+    Seen,
     TrialsEnded,
     TwoKinds,
 )
@@ -34,6 +35,7 @@ from bo_tuner.evidence.words.trials import ending, outcome, sign
 from bo_tuner.report.sections.limit_rows import bar, rows
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Standing
+from bo_tuner.study.measured import SeenRange
 
 SCREEN = Path(__file__).with_suffix(".txt")
 WHY = Path(__file__).with_name("test_why_a_limit_is_not_shown.txt")
@@ -87,6 +89,7 @@ def verdict():
             Drift("peak", "tuned", 25, False, 0.61, 0.002),
             TwoKinds("peak", "peak", "default", (5, 2.4), (20, 1.3), needs_range=True),
             CertificateBegun(59),
+            Seen("wind", "m/s", SeenRange(0.25, 3.125, 1.5)),
         ),
         at_bounds=(AtBound("gain", "gain", "", "upper", 1.0, (0.0, 1.0), (0.0, 2.0)),),
     )  # fmt: skip

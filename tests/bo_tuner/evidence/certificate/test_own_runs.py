@@ -17,6 +17,7 @@ from bo_tuner.evidence.words.certificate import price
 from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.numerics.sequential import draws_needed
 from bo_tuner.numerics.two_kinds import runs_to_see
+from bo_tuner.study.ranges import OutOfRange
 
 SINGLE_RUN = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.85}
 ON_MEAN = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
@@ -194,5 +195,5 @@ def test_a_run_outside_the_declared_range_is_a_fail(make_study, function_backend
         study, function_backend, lambda *_: -0.1 if next(runs) == 3 else 0.5, 100
     )
     assert not verdict.passed
-    assert verdict.contradiction.startswith("peak was -0.1, outside its range [0, 1.5]")
+    assert verdict.contradiction == OutOfRange("peak", -0.1, 0.0, 1.5)
     assert len(found.evaluations) == 4

@@ -213,8 +213,8 @@ def _show_runs(
         show_metrics(study, complete)
     if study.budget.cut_short:
         say(in_words(_cut_short(study)))
-    if noise := noise_in(study, complete):
-        say_error(f"error: {noise}")
+    if (noise := noise_in(study, complete)) is not None:
+        fault(noise)
         return False
     # Of a run that failed, nothing may be known.
     return not failed and _show_motion(study, done, recordings, heard)

@@ -12,7 +12,7 @@ from bo_tuner.evidence.check import DefaultBeyond, FarOff, MeanWithoutRange, Spr
 from bo_tuner.evidence.limit_proof import proof_of
 from bo_tuner.evidence.words.check import limits as limits_in_words
 from bo_tuner.metrics.recording import Recording
-from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.monitoring.display import plain_console
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
@@ -93,9 +93,7 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         if name not in study.measured:
             notes.append(spread(name, values, [abs(item.limit) for item in limits]))
     print_table(plain_console(), table)
-    if beyond_range := outside(study.metrics, done):
-        say(f"note: {beyond_range}")
-    note(*(fact for fact in notes if fact is not None))
+    note(*(fact for fact in [outside(study.metrics, done), *notes] if fact is not None))
 
 
 def far_off(constraint: Constraint, unit: str, values: Sequence[float]) -> FarOff | None:

@@ -27,10 +27,9 @@ CHANCE = 0.01
 
 def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Fact]:
     """Yield a fact for each declared range, scale or noise that evaluations contradict."""
-    if beyond_range := outside(study.metrics, evaluations):
-        yield Contradicted(beyond_range)
-    if noise := noise_in(study, evaluations):
-        yield Contradicted(noise)
+    for how in (outside(study.metrics, evaluations), noise_in(study, evaluations)):
+        if how is not None:
+            yield Contradicted(how)
     reasons = [e.outcome.reason for e in evaluations if NO_LOGARITHM in e.outcome.reason]
     for name in study.logarithmic_metrics:
         if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):

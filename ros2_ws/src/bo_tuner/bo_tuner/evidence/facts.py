@@ -12,6 +12,9 @@ from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.reasons import Assumption
 from bo_tuner.metrics.equal_runs import UnevenRate
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.measured import SeenRange
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.study import Study
 from bo_tuner.tuning.effects import ParameterEffects
 
@@ -85,6 +88,13 @@ class NotShown(Fact):
 
     title: str
     found: ConstraintVerdict
+
+
+@dataclass(frozen=True)
+class Contradiction(Fact):
+    """Runs of a certificate contradict what the study declares, and how."""
+
+    how: OutOfRange | Noisy
 
 
 @dataclass(frozen=True)
@@ -206,6 +216,15 @@ class FailedBefore(Fact):
 
 
 @dataclass(frozen=True)
+class Seen(Fact):
+    """What runs have seen of a measured context, in its unit."""
+
+    title: str
+    unit: str
+    range: SeenRange
+
+
+@dataclass(frozen=True)
 class EvidenceMissing(Fact):
     """The evidence of an earlier certificate cannot be read, and why."""
 
@@ -301,7 +320,7 @@ class Biases(Fact):
 class Contradicted(Fact):
     """A run contradicts what the study declares, and how."""
 
-    how: str
+    how: OutOfRange | Noisy
 
 
 @dataclass(frozen=True)

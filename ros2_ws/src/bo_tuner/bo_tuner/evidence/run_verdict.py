@@ -11,7 +11,7 @@ from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.busy import COMPUTING, high_load, times_by
-from bo_tuner.evidence.certificate.claim import claimed, failed_before, objections
+from bo_tuner.evidence.certificate.claim import claimed, failed_before, objections, seen
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
 from bo_tuner.evidence.certificate.store import (
@@ -55,7 +55,7 @@ from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
-from bo_tuner.study.measured import seen_in, seen_in_words
+from bo_tuner.study.measured import seen_in
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     DEFAULT,
@@ -136,7 +136,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
-        seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
+        ranges = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = read(tuple[ParameterEffects, ...], summary.get("effects", ()), JSON)
         alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
         # The default was not chosen by its runs: those of its trial are like those of the end.
@@ -145,7 +145,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             replace(verdict, effects=Effects(record.study, tuple(effects))),
             *_passed_over(record.study, summary.get("passed_over", ())),  # type: ignore[arg-type]
             *_biases(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
-            *map(Said, seen_in_words(record.study.metrics, seen)),
+            *seen(record.study, ranges),
             *drifts(record.study, alike),
             *two_kinds(record.study, alike),
         )
@@ -272,7 +272,7 @@ def _certified(
         remarks=(
             *failed_before(study, certificate),
             Confidence(confidence, overall, str(record.path) if given else ""),
-            *map(Said, seen_in_words(study.metrics, certificate.seen)),
+            *seen(study, certificate.seen),
             *remarks,
         ),
         observed=observed,

@@ -4,21 +4,23 @@ What rests on counted runs, declared ranges and, where all contexts are discrete
 their combinations is *proven*. What else it rests on is in the claim itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.findings import Findings, Refutation
 from bo_tuner.evidence.facts import (
     Claim,
     ClaimedLimit,
+    Contradiction,
     EvidenceMissing,
     Fact,
     FailedBefore,
     FirstFailure,
     NotShown,
     RefutedInRun,
-    Said,
+    Seen,
 )
+from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
 
 
@@ -49,8 +51,8 @@ def objections(study: Study, findings: Findings) -> tuple[Fact, ...]:
     if findings.first_failure is not None:
         first = findings.first_failure
         found.append(FirstFailure(findings.failures, findings.evaluations, first))
-    if findings.contradiction:
-        found.append(Said(findings.contradiction))
+    if findings.contradiction is not None:
+        found.append(Contradiction(findings.contradiction))
     for limit in findings.constraints:
         if not limit.passed:
             found.append(NotShown(study.limit_title(study.constraints[limit.name]), limit))
@@ -71,3 +73,9 @@ def _refuted_by(study: Study, refutation: Refutation) -> tuple[Fact, ...]:
         return ()
     title = study.limit_title(study.constraints[runs.constraint])
     return (RefutedInRun(title, runs.runs, runs.contexts),)
+
+
+def seen(study: Study, ranges: Mapping[str, SeenRange]) -> Iterator[Seen]:
+    """Yield what runs have seen of each measured context: nothing is claimed beyond."""
+    for name, of_runs in ranges.items():
+        yield Seen(study.metrics[name].title, study.metrics[name].unit, of_runs)

@@ -3,11 +3,15 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
+from bo_tuner.codec.rules import Chosen
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.estimates import Estimate
 from bo_tuner.evidence.reasons import Assumption, Reason
 from bo_tuner.study.limit_kinds.limited import UPPER
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 
 TAIL = 0.95
@@ -281,6 +285,10 @@ class Failure:
     seed: int
 
 
+def _contradiction(value: object) -> type[OutOfRange | Noisy]:
+    return Noisy if isinstance(value, Mapping) and "seeds" in value else OutOfRange
+
+
 @dataclass(frozen=True)
 class Findings:
     """Statistics and verdicts from the evaluations of one parameter set.
@@ -299,7 +307,7 @@ class Findings:
         The first failure; None without one.
     contradiction
         How runs contradict the declared range of a metric, or that they are free of noise: a fault
-        of the declaration; else empty.
+        of the declaration; None if they do not.
     least
         Fewest runs with which any certificate shows these limits with its confidence.
     constraints
@@ -312,7 +320,7 @@ class Findings:
     evaluations: int
     failures: int
     first_failure: Failure | None
-    contradiction: str
+    contradiction: Annotated[OutOfRange | Noisy | None, Chosen(_contradiction)]
     least: int
     constraints: tuple[ConstraintVerdict, ...]
 
@@ -321,6 +329,6 @@ class Findings:
         """Whether every constraint is shown to hold, and no run failed or contradicts the study."""
         return (
             self.failures == 0
-            and not self.contradiction
+            and self.contradiction is None
             and all(c.passed for c in self.constraints)
         )

@@ -6,7 +6,7 @@ from functools import partial
 from math import isfinite, isnan, nan
 
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.claim import failed_before
+from bo_tuner.evidence.certificate.claim import failed_before, seen
 from bo_tuner.evidence.certificate.findings import (
     TAIL,
     ConstraintVerdict,
@@ -20,7 +20,6 @@ from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.evidence.words.quantities import basis, gain
 from bo_tuner.evidence.words.reasons import proven, reason
 from bo_tuner.evidence.words.verdict import of_default
-from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
 
@@ -70,7 +69,7 @@ def certificate_lines(
     others += [f"{gain(q)}; {basis(q)}" for q in verdict.quantities if q.objective][:1]
     others += [of_default(verdict)] if certificate.default is not None else []
     others += [f"warning: {warning}" for warning in warnings(study, certificate)][:1]
-    others += seen_in_words(study.metrics, certificate.seen)
+    others += map(in_words, seen(study, certificate.seen))
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
     titles = {name: study.limit_title(item) for name, item in study.constraints.items()}
     lines = [f"{titles[item.name]}: {proven(item)}: {reason(item)}" for item in limits]

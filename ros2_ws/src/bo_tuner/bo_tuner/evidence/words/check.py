@@ -30,6 +30,8 @@ from bo_tuner.evidence.words.effects import not_seen
 from bo_tuner.metrics.equal_runs import AsIfStill, OfRunBefore, UnevenRate, UnlikeStart
 from bo_tuner.processor_load import waited_in_words
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.sizing import DRAWN, OF_PARAMETER, FewContexts, FewTrials
 from bo_tuner.text import brief, counted, duration, durations, listed, shown
 
@@ -142,6 +144,25 @@ def _(fact: UnevenRate) -> str:
     return (
         f"{fact.signal} comes {fact.least:.4g} times a second in {fact.seldom} and "
         f"{fact.most:.4g} times in {fact.often}, which are equal: {why}"
+    )
+
+
+@in_words.register
+def _(fact: OutOfRange) -> str:
+    name = fact.metric
+    return (
+        f"{name} was {fact.value:.4g}, outside its range [{fact.low:g}, {fact.high:g}] in the "
+        f"study (metrics.{name}.range); declare one that no run can leave"
+    )
+
+
+@in_words.register
+def _(fact: Noisy) -> str:
+    (one, two), (first, second) = fact.values, fact.seeds
+    return (
+        f"the study declares noise: none, but {fact.metric} was {one:.10g} and {two:.10g} in two "
+        f"runs of the same parameter set in the same context (seeds {first} and {second}); leave "
+        "it out"
     )
 
 

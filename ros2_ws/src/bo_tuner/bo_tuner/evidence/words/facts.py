@@ -20,6 +20,7 @@ from bo_tuner.evidence.facts import (
     ComputingTimes,
     Confidence,
     Contradicted,
+    Contradiction,
     Doubt,
     Drift,
     Effects,
@@ -39,6 +40,7 @@ from bo_tuner.evidence.facts import (
     RunsToRepeat,
     Said,
     SearchStoodStill,
+    Seen,
     TrialsEnded,
     TwoKinds,
     UnevenRates,
@@ -119,6 +121,11 @@ def _(fact: FirstFailure) -> str:
 @in_words.register
 def _(fact: NotShown) -> str:
     return f"{fact.title}: {reason(fact.found)}"
+
+
+@in_words.register
+def _(fact: Contradiction) -> str:
+    return check.in_words(fact.how)
 
 
 @in_words.register
@@ -210,6 +217,15 @@ def _(fact: FailedBefore) -> str:
 
 
 @in_words.register
+def _(fact: Seen) -> str:
+    ends = f"{shown(fact.range.low)} and {shown(fact.range.high)} {fact.unit}".rstrip()
+    mean = shown(fact.range.mean)
+    return (
+        f"{fact.title} was between {ends} in these runs (mean {mean}); nothing is claimed beyond."
+    )
+
+
+@in_words.register
 def _(fact: EvidenceMissing) -> str:
     return f"Evidence of an earlier certificate is missing: {fact.why}."
 
@@ -286,7 +302,7 @@ def _bias(bias: MetricBias) -> str:
 
 @in_words.register
 def _(fact: Contradicted) -> str:
-    return f"A run contradicts the study: {fact.how}."
+    return f"A run contradicts the study: {check.in_words(fact.how)}."
 
 
 @in_words.register

@@ -4,7 +4,7 @@ from pathlib import Path, PurePath
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.claim import failed_before
+from bo_tuner.evidence.certificate.claim import failed_before, seen
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     latest_certificate,
@@ -22,7 +22,6 @@ from bo_tuner.evidence.words.certificate_table import certificate_rows
 from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import capitalized
 from bo_tuner.trials import Trial
@@ -64,7 +63,7 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
             *assumptions(study, certificate.tuned),
             *map(in_words, failed_before(study, certificate)),
             *([f"Search for the worst context: {searched}."] if searched else []),
-            *seen_in_words(study.metrics, certificate.seen),
+            *map(in_words, seen(study, certificate.seen)),
             *(f"{capitalized(line)}." for line in certificate.in_force),
             *warnings(study, certificate),
             f"All of it is in {path}.",
