@@ -5,7 +5,6 @@ from pathlib import Path
 from bo_tuner.evidence.certificate.outlook import Outlook
 from bo_tuner.evidence.check import (
     CertificateTime,
-    CutShortBy,
     DefaultBeyond,
     FarOff,
     KeepsValue,
@@ -31,6 +30,7 @@ from bo_tuner.evidence.words.check import in_words, of_proof, of_run, of_study
 from bo_tuner.metrics.equal_runs import AsIfStill, OfRunBefore, UnevenRate, UnlikeStart
 from bo_tuner.run_notes import Published
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.ending_early import CutShortBy
 from bo_tuner.study.noiseless import Noisy
 from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.sizing import FewContexts, FewTrials

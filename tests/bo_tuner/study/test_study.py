@@ -213,7 +213,7 @@ class TestReplace:
             ({"runs": 1}, "certificate.runs: expected an integer of at least 2, found 1"),
             ({"confidence": 1.0}, "certificate.confidence: "),
             ({"confidence": 0}, "certificate.confidence: "),
-            ({"draw": 300}, "certificate.draw: unknown key; did you mean 'draws'?"),
+            ({"run": 300}, "certificate.run: unknown key; did you mean 'runs'?"),
             (300, "certificate: expected a mapping"),
         ],
     )

@@ -308,7 +308,7 @@ class TestRefusedValues:
             ),
             (
                 "certificate",
-                {"draws": 200_000},
+                {"runs": 200_000},
                 "certificate.runs: expected an integer of at most 100000, found 200000",
             ),
             (

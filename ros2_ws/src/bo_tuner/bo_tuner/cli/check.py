@@ -30,7 +30,6 @@ from bo_tuner.cli.study_options import (
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.evidence.check import (
-    CutShortBy,
     KeepsValue,
     NothingMoves,
     RunFailed,
@@ -52,7 +51,7 @@ from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
-from bo_tuner.study.growing import why_not
+from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.sizing import shortages
 from bo_tuner.study.study import Study
@@ -212,7 +211,7 @@ def _show_runs(
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
     if study.budget.cut_short:
-        say(in_words(_cut_short(study)))
+        say(in_words(decided_by(study)))
     if (noise := noise_in(study, complete)) is not None:
         fault(noise)
         return False
@@ -295,13 +294,6 @@ def _show_motion(
     numbered = [f"run {number}" for number in range(1, RUNS + 1)]
     note(*uneven_rates(numbered, rates, [e.outcome.load for e in done]).values())
     return True
-
-
-def _cut_short(study: Study) -> CutShortBy:
-    """Return by which metrics a run may be cut short, and by which not, with why."""
-    by = study.decisive_metrics
-    others = {name: why_not(metric) for name, metric in study.metrics.items() if name not in by}
-    return CutShortBy(tuple(by), tuple((name, why) for name, why in others.items() if why))
 
 
 def show_times(study: Study, complete: Sequence[Evaluation]) -> None:

@@ -124,14 +124,6 @@ class Spread:
     width: float
 
 
-@dataclass(frozen=True)
-class CutShortBy:
-    """By which metrics runs may be cut short, and by which not, with why."""
-
-    metrics: tuple[str, ...]
-    others: tuple[tuple[str, str], ...]
-
-
 # Of each tuned parameter.
 
 

@@ -11,12 +11,12 @@ from math import nan
 class Why(StrEnum):
     """What decides a limit, or leaves it open."""
 
-    SHARE = "share of draws"
-    MEAN = "mean over draws"
-    TWO_KINDS = "draws of two kinds"
-    WITHOUT_NOISE = "draws without noise"
-    EARLIER = "earlier draws"
-    DRAWS = "draws beyond"
+    SHARE = "share of test runs"
+    MEAN = "mean of test runs"
+    TWO_KINDS = "test runs of two kinds"
+    WITHOUT_NOISE = "test runs without noise"
+    EARLIER = "earlier test runs"
+    DRAWS = "too many test runs beyond"
     NOT_RUN = "worst contexts not run"
     FAILED = "failed in worst contexts"
     EARLIER_IN_CONTEXT = "earlier runs in a context"

@@ -1,6 +1,9 @@
 """Whether what runs the evaluations of a study can end a run before its time."""
 
+from dataclasses import dataclass
+
 from bo_tuner.errors import StudyError
+from bo_tuner.study.growing import why_not
 from bo_tuner.study.parts import IN_PROCESS, ROS
 from bo_tuner.study.study import Study
 
@@ -28,3 +31,18 @@ def check_ends_early(study: Study, backend: str) -> None:
         "--backend inprocess",
         ("budget", "cut_short"),
     )
+
+
+@dataclass(frozen=True)
+class CutShortBy:
+    """By which metrics runs may be cut short, and by which not, with why."""
+
+    metrics: tuple[str, ...]
+    others: tuple[tuple[str, str], ...]
+
+
+def decided_by(study: Study) -> CutShortBy:
+    """Return by which metrics a run may be cut short, and by which not."""
+    by = study.decisive_metrics
+    others = {name: why_not(metric) for name, metric in study.metrics.items() if name not in by}
+    return CutShortBy(tuple(by), tuple((name, why) for name, why in others.items() if why))

@@ -5,7 +5,6 @@ from functools import singledispatch
 
 from bo_tuner.evidence.check import (
     CertificateTime,
-    CutShortBy,
     DefaultBeyond,
     FarOff,
     KeepsValue,
@@ -30,6 +29,7 @@ from bo_tuner.evidence.words.effects import not_seen
 from bo_tuner.metrics.equal_runs import AsIfStill, OfRunBefore, UnevenRate, UnlikeStart
 from bo_tuner.processor_load import waited_in_words
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.ending_early import CutShortBy
 from bo_tuner.study.noiseless import Noisy
 from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.sizing import DRAWN, OF_PARAMETER, FewContexts, FewTrials
