@@ -27,6 +27,7 @@ from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.evidence.words.certificate import reasons
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
@@ -103,7 +104,7 @@ def certify(
         "passed": findings.passed,
         "evaluations": findings.evaluations,
         "least": findings.least,
-        "reasons": findings.reasons,
+        "reasons": reasons(study, findings),
         "seconds": round(time.process_time() - begin, 2),
     }
 

@@ -24,6 +24,7 @@ from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import required_draws
+from bo_tuner.evidence.words.certificate import reasons
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
@@ -90,7 +91,7 @@ def certify(example: str, seed: int) -> dict[str, Any]:
         "evaluations": findings.evaluations,
         "drawn": len(evidence.drawn),
         "least": findings.least,
-        "reasons": findings.reasons,
+        "reasons": reasons(study, findings),
         "seconds": round(time.process_time() - begin, 1),
     }
 

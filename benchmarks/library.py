@@ -50,7 +50,7 @@ study = bt.Study(
     budget=bt.Budget(trials=8, initial_trials=5),
 )
 result = study.optimize(run)
-print(result.best, result.certify(run, draws=200).verdict)
+print(result.best, result.certify(run, runs=200).verdict)
 """
 IMPORTS = {"bo_tuner": "import bo_tuner", "names": "import of all its names"}
 NAMES = "import numpy\nimport bo_tuner as bt\nfor name in bt.__all__:\n    getattr(bt, name)\n"

@@ -23,7 +23,7 @@ from synthetic_responses import Response
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.evidence.certificate.certification import Certification
-from bo_tuner.evidence.certificate.earlier import refutation
+from bo_tuner.evidence.certificate.earlier import refuted_by
 from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
@@ -142,7 +142,7 @@ def bumps() -> Iterator[Bump]:
 
 def after(earlier: Earlier, evidence: Evidence, findings: Findings, k: int) -> Earlier:
     """Return what is known after the k-th attempt, which failed."""
-    failed = refutation(f"certificate {k:04d} was a FAIL", findings, evidence.evaluations)
+    failed = refuted_by(f"{k:04d}", findings, evidence.evaluations)
     return Earlier(
         (*earlier.refutations, failed),
         (*earlier.evaluations, *evidence.evaluations),

@@ -89,7 +89,7 @@ def compared(folder: Path, sleep: float, trials: int, draws: int) -> Iterator[di
             "tune": seconds(folder, "tune", "--study", file, *new, "--output", runs),
             "validate": seconds(
                 folder, "validate", f"{runs}/latest", "--window", max(WORKERS), "--workers",
-                workers, "--draws", draws,
+                workers, "--runs", draws,
             ),
         }  # fmt: skip
 

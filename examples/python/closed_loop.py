@@ -51,4 +51,4 @@ def step(parameters, context, seed):
 if __name__ == "__main__":
     result = study.optimize(step)
     print(result)
-    print(result.certify(step, draws=200).verdict)
+    print(result.certify(step, runs=200).verdict)

@@ -44,5 +44,5 @@ def turn(parameters, context, seed):
 if __name__ == "__main__":
     result = study.optimize(turn)
     print(result)
-    certificate = result.certify(turn, draws=200)
+    certificate = result.certify(turn, runs=200)
     print(certificate.verdict)

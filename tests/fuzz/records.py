@@ -22,9 +22,10 @@ from bo_tuner.cli import validate as validate_command
 from bo_tuner.deploy.bundle import DEPLOY, ROLLBACK, read_rollback, result_of, write_bundle
 from bo_tuner.errors import BoTunerError
 from bo_tuner.evidence.certificate.certification import Certification
-from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.making import make_certificate
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.certificate.store import CERTIFICATES, certificate_problem
+from bo_tuner.evidence.certificate_file import write_certificate
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.replay.replay import BEST as THE_BEST
 from bo_tuner.replay.replay import WORST, find_evaluation, find_trial, replay
@@ -78,7 +79,7 @@ def make_whole_run(folder):
     found = Certification(study, Driver(backend), confidence=0.9).collect(subjects, 10)
     evidence = {s.name: item for s, item in zip(subjects, found, strict=True)}
     certificate = make_certificate(record, trial, evidence, 10, 0.9, 1, "inprocess", None)
-    write_certificate(folder, certificate, evidence)
+    write_certificate(folder, study, certificate, evidence)
     write_bundle(record)
     return folder
 

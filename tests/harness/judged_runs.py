@@ -4,7 +4,8 @@ import dataclasses
 
 from bo_tuner.codec.writing import to_json
 from bo_tuner.evidence.certificate.findings import Evidence
-from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.making import make_certificate
+from bo_tuner.evidence.certificate_file import write_certificate
 from bo_tuner.study.limits import judge_samples
 from bo_tuner.trials import SEEKING_WORST, Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.validation import Validation
@@ -82,7 +83,7 @@ def certify(run, default, tuned, *, with_default=True, repeated=2):
     if not with_default:
         del evidence["default"]
     certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
-    write_certificate(run.path, certificate, evidence)
+    write_certificate(run.path, run.study, certificate, evidence)
     return certificate
 
 

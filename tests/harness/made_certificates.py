@@ -7,14 +7,18 @@ from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObje
 from bo_tuner.evidence.certificate.findings import (
     ConstraintVerdict,
     EarlierInBrief,
+    Failure,
     Findings,
     WorstContext,
 )
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.certificate.search_width import SearchWidth
-from bo_tuner.evidence.certificate.store import certificate_text, parameters_sha256
+from bo_tuner.evidence.certificate.store import parameters_sha256
 from bo_tuner.evidence.certificate.winners_curse import Gap
+from bo_tuner.evidence.certificate_file import certificate_text
 from bo_tuner.evidence.estimates import Estimate, Source
+from bo_tuner.evidence.facts import Drift
+from bo_tuner.evidence.reasons import Reason, Why
 from bo_tuner.storage.provenance import provenance, study_sha256
 
 WORST = WorstContext(
@@ -48,18 +52,18 @@ def made_findings(study, parameters, violations, passed):
             extreme=0.9,
             tail=0.8,
             worst=(replace(WORST, shown=passed),) * (searched and item.rule.in_every_context),
-            assumption="",
-            condition="",
+            assumption=None,
             refuted=not passed,
             passed=passed,
-            reason="" if passed else "<b>not</b> shown",
+            reason=Reason(Why.SHARE),
         )
         for name, item in study.constraints.items()
     )
     # A study without limits has nothing else to fail on.
     failures = 0 if passed or constraints else 1
     mean = Estimate(1.5, 0.02, 112, Source.CERTIFICATE, False, 1.46, 1.54)
-    return Findings(parameters, mean, 1.9, 320, failures, "it stopped", "", 141, constraints)
+    first = Failure("it <b>stopped</b>", {}, 7) if failures else None
+    return Findings(parameters, mean, 1.9, 320, failures, first, None, 141, constraints)
 
 
 def made_certificate(study, parameters, passed=True, *, backend="inprocess", algorithm="boundary"):
@@ -73,7 +77,7 @@ def made_certificate(study, parameters, passed=True, *, backend="inprocess", alg
         seen={},
         best_yaml_sha256=None,
         evaluations_sha256="0" * 64,
-        draws=study.certificate.draws,
+        draws=study.certificate.runs,
         drawn=112,
         confidence=study.certificate.confidence,
         attempt=1,
@@ -90,12 +94,15 @@ def made_certificate(study, parameters, passed=True, *, backend="inprocess", alg
         parameter_sensitivity=None,
         deaths=None,
         in_force=("in force: kp, set on pid while it runs, and read back",),
-        warnings=("narrow optimum",),
+        high_load=None,
+        drifts=(Drift("peak", "tuned", 112, False, 0.61, 0.002),),
+        two_kinds=(),
+        uneven=(),
         provenance=provenance(study, backend, algorithm),
         finished="2026-01-01T00:00:00+00:00",
     )
 
 
-def content_of(certificate):
+def content_of(study, certificate):
     """The content of its file, to be changed."""
-    return json.loads(certificate_text(certificate))
+    return json.loads(certificate_text(study, certificate))

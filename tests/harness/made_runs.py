@@ -81,6 +81,6 @@ def write_certificate(record, trial, verdict="PASS", study=None, number=None, **
         study, parameters, verdict != "FAIL", backend=record.backend, algorithm=record.algorithm
     )
     digest = hashlib.sha256(b"evaluations").hexdigest()
-    content = content_of(replace(made, default=None, evaluations_sha256=digest))
+    content = content_of(study, replace(made, default=None, evaluations_sha256=digest))
     path.write_text(json.dumps(content | {"verdict": verdict} | changes))
     return path

@@ -59,10 +59,10 @@ class TestWorkers:
     def test_a_certificate_by_them(self, make_function_study, function, tmp_path):
         study = make_function_study(constraints={"peak": bt.WorstCase("peak", upper=2.0)})
         values = {"gain": 0.4}
-        by_two = bt.certify(function, study, values, draws=80, workers=2)
+        by_two = bt.certify(function, study, values, runs=80, workers=2)
         assert by_two.passed
-        alone = bt.certify(function, study, values, draws=80)
-        assert by_two.tuned.reasons == alone.tuned.reasons
+        alone = bt.certify(function, study, values, runs=80)
+        assert by_two.reasons == alone.reasons
 
     def test_what_is_no_result_ends_the_call(self, make_function_study, tmp_path):
         with pytest.raises(bt.MetricsError, match="metric peak is missing; expected a number"):
@@ -154,7 +154,7 @@ class TestTimeout:
         assert result.best["gain"] <= 0.45
         with pytest.raises(ProcessLookupError):
             os.kill(int((tmp_path / "pid").read_text()), 0)
-        certificate = bt.certify(hangs, study, {"gain": 0.6}, draws=80, timeout=0.5)
+        certificate = bt.certify(hangs, study, {"gain": 0.6}, runs=80, timeout=0.5)
         assert not certificate.passed
 
     @pytest.mark.slow
@@ -284,7 +284,7 @@ class TestProgress:
         assert numbers(lines) == ["4", "5"]
 
     def test_of_a_certificate(self, make_function_study, function, capsys):
-        bt.certify(function, make_function_study(), {"gain": 0.2}, draws=80)
-        assert "draws: at most 80" in capsys.readouterr().err
-        bt.certify(function, make_function_study(), {"gain": 0.2}, draws=80, progress=False)
+        bt.certify(function, make_function_study(), {"gain": 0.2}, runs=80)
+        assert "test runs at random: at most 80" in capsys.readouterr().err
+        bt.certify(function, make_function_study(), {"gain": 0.2}, runs=80, progress=False)
         assert capsys.readouterr().err == ""

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 import bo_tuner as bt
-from bo_tuner.evidence.certificate.store import certificate_problem, certificate_text
+from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 
@@ -79,7 +79,7 @@ class TestCertificate:
         certificate = result.certify(function)
         assert certificate.passed
         # Not by their equality: some of what is not known is NaN.
-        assert certificate_text(result.certificate) == certificate_text(certificate)
+        assert repr(result.certificate) == repr(certificate)
         assert dict(certificate.parameters) == result.best
         assert "PASS" in bt.load(result.folder).verdict.headline
 
@@ -93,7 +93,7 @@ class TestCertificate:
     def test_of_values_that_somebody_else_tuned(self, make_function_study, function, gain, passed):
         """The peak is 4 gain in the worst context; its limit is 2."""
         study = make_function_study(constraints={"peak": bt.WorstCase("peak", upper=2.0)})
-        certificate = bt.certify(function, study, parameters={"gain": gain}, draws=80)
+        certificate = bt.certify(function, study, parameters={"gain": gain}, runs=80)
         assert certificate.passed is passed
         assert certificate.parameters == {"gain": gain}
 
@@ -108,9 +108,9 @@ class TestCertificate:
             return function(parameters, context, seed)
 
         with pytest.raises(KeyboardInterrupt):
-            bt.certify(interrupted, study, {"gain": 0.2}, folder=tmp_path / "cut", draws=80)
-        resumed = bt.certify(interrupted, study, {"gain": 0.2}, folder=tmp_path / "cut", draws=80)
-        whole = bt.certify(function, study, {"gain": 0.2}, folder=tmp_path / "whole", draws=80)
+            bt.certify(interrupted, study, {"gain": 0.2}, folder=tmp_path / "cut", runs=80)
+        resumed = bt.certify(interrupted, study, {"gain": 0.2}, folder=tmp_path / "cut", runs=80)
+        whole = bt.certify(function, study, {"gain": 0.2}, folder=tmp_path / "whole", runs=80)
         assert resumed.evaluations_sha256 == whole.evaluations_sha256
         assert len(calls) == len(set(calls)) + 1
 
@@ -135,9 +135,9 @@ class TestCertificate:
             bt.certify(make_function_study(), function)
 
     def test_of_too_few_draws(self, make_function_study, function):
-        with pytest.raises(bt.StudyError, match="draws: expected at least 77"):
-            bt.certify(function, make_function_study(), draws=1)
-        with pytest.raises(bt.StudyError, match="draws: expected an integer, found text '60'"):
-            bt.certify(function, make_function_study(), draws="60")
+        with pytest.raises(bt.StudyError, match="runs: expected at least 77"):
+            bt.certify(function, make_function_study(), runs=1)
+        with pytest.raises(bt.StudyError, match="runs: expected an integer, found text '60'"):
+            bt.certify(function, make_function_study(), runs="60")
         with pytest.raises(bt.StudyError, match="confidence: expected"):
             bt.certify(function, make_function_study(), confidence=1.5)

@@ -54,7 +54,7 @@ def test_a_study_beyond_both_ends_of_32_bits(tmp_path, make_study):
     commands = [
         ("tune", "--study", "axis.yaml", "--backend", "inprocess"),
         ("tune", "--resume", "latest", "--trials", "6"),
-        ("validate", "latest", "--draws", "300"),
+        ("validate", "latest", "--runs", "300"),
         ("report", "latest"),
         ("replay", "latest"),
     ]

@@ -96,7 +96,7 @@ class TestTwoHosts:
         assert len(networks(runs)) == 2
         assert cluster.ask(runs_known) == [[], []]
         # The cluster is there for others, and the record does not depend on it.
-        again = ("validate", runs.latest("two"), "--draws", 100)
+        again = ("validate", runs.latest("two"), "--runs", 100)
         code, _, err = finish(runs.start(*again, "--scheduler", cluster.address))
         assert code in (0, 3), err
         assert cluster.ask(runs_known) == [[], []]

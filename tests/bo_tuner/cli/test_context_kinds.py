@@ -28,10 +28,10 @@ def folder(tmp_path_factory, make_study):
         nodes=node("context_kinds_axis"),
         contexts=CONTEXTS,
         start=["default"],
-        budget=budget | {"validation_draws": 5},
+        budget=budget | {"validation_runs": 5},
         # Kept where the gain is at most 0.3, in the worst context.
         constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.69}},
-        certificate={"draws": 10, "confidence": 0.6},
+        certificate={"runs": 10, "confidence": 0.6},
     )
     write_study(folder, study, error="(self.gain - 0.9) ** 2 + 0.1 * self.load", peak=PEAK)
     code, _, err = run(
@@ -57,7 +57,7 @@ def test_the_worst_context_is_found(folder):
 def test_the_other_commands_take_them(folder):
     for command in (
         ["report", "latest"],
-        ["validate", "latest", "--draws", "60"],
+        ["validate", "latest", "--runs", "60"],
         ["replay", "latest"],
         ["tune", "--resume", "latest", "--trials", "13", "--quiet"],
         ["tune", "--from", "latest", "--trials", "14", "--quiet"],
@@ -88,14 +88,14 @@ def test_a_study_of_texts_alone(tmp_path, make_study):
         nodes=node("texts_axis"),
         contexts={"room": CONTEXTS["room"]},
         start=["default"],
-        budget=budget | {"validation_draws": 5},
+        budget=budget | {"validation_runs": 5},
         constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.7}},
     )
     peak = "0.3 * (self.room == 'yard') + 0.3 * self.gain"
     write_study(tmp_path, study, error="(self.gain - 0.3) ** 2 + 1", peak=peak)
     for command in (
         ["tune", "--study", "axis.yaml", "--backend", "inprocess", "--quiet"],
-        ["validate", "latest", "--draws", "80"],
+        ["validate", "latest", "--runs", "80"],
         ["report", "latest"],
     ):
         code, out, err = run(*command, folder=tmp_path)

@@ -11,7 +11,8 @@ from cut_short_runs import GROWS, short_study
 from in_process import Uninterrupted, call, complaint
 
 from bo_tuner.cli import replay, report, tune
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.evidence.trial_row import TrialOutcome
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_mapping

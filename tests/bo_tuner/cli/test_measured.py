@@ -61,7 +61,7 @@ def test_from_the_runs_to_the_certificate(folder, capsys):
     record = read_run(path)
     assert not any("gust" in e.context for e in record.evaluations)
 
-    code, out, err = call(validate, capsys, path, "--draws", 100)
+    code, out, err = call(validate, capsys, path, "--runs", 100)
     assert code in (0, 3), err
     certificate = json.loads(next((path / "certificates").glob("*.json")).read_text())
     seen = certificate["seen"]["gust"]

@@ -32,12 +32,12 @@ def folder(tmp_path_factory, make_study):
         nodes=nodes,
         parameters=PARAMETERS,
         seed_parameter=seed,
-        budget=budget | {"validation_draws": 5},
+        budget=budget | {"validation_runs": 5},
         start=["default"],
         constraints={
             "peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.5}
         },
-        certificate={"draws": 5, "confidence": 0.5},
+        certificate={"runs": 5, "confidence": 0.5},
     )
     write_study(folder, study, error=error, peak="0.2 * self.load")
     code, _, err = run(
@@ -62,7 +62,7 @@ def test_the_search_finds_the_best_choice(folder):
 def test_the_other_commands_take_them(folder):
     for command in (
         ["report", "latest"],
-        ["validate", "latest", "--draws", "40"],
+        ["validate", "latest", "--runs", "40"],
         ["replay", "latest"],
         ["tune", "--resume", "latest", "--trials", "15", "--quiet"],
     ):

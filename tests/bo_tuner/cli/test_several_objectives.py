@@ -14,7 +14,7 @@ from commands import run
 
 from bo_tuner.evidence.run_verdict import certified, run_verdict
 from bo_tuner.evidence.verdict import PASS
-from bo_tuner.evidence.words.verdict import as_mapping
+from bo_tuner.evidence.words.verdict import as_mapping, sentences
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import chapters
 from bo_tuner.report.sections.answer import answer
@@ -161,7 +161,7 @@ def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):
 def test_any_point_can_be_certified(runs):
     other = runs.front[0]["trial"]
     folder = runs.folder
-    code, _, err = run("validate", "runs/latest", "--trial", other, "--draws", 80, folder=folder)
+    code, _, err = run("validate", "runs/latest", "--trial", other, "--runs", 80, folder=folder)
     assert code == 0, err
     code, _, err = run("apply", "runs/latest", "--trial", 99, "--yes", folder=folder)
     assert (code, "no trial 99" in err) == (2, True)
@@ -174,7 +174,7 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
     other = next(point["trial"] for point in runs.front if point["trial"] != result)
 
     def validate(trial):
-        arguments = ("validate", "run", "--trial", trial, "--draws", "80")
+        arguments = ("validate", "run", "--trial", trial, "--runs", "80")
         code, _, err = run(*arguments, folder=tmp_path)
         assert code == 0, err
 
@@ -182,12 +182,12 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
     record = read_run(tmp_path / "run")
     path = tmp_path / "run" / "certificates" / "0001.json"
     of_other = certified(record, record.trials[other], path)
-    assert not any("the compromise" in sentence for sentence in of_other.sentences)
+    assert not any("the compromise" in sentence for sentence in sentences(of_other))
     validate(result)
     verdict = run_verdict(read_run(tmp_path / "run"))
     assert verdict.certificate == PASS
     assert any(
-        "the tuned parameter set is the compromise" in sentence for sentence in verdict.sentences
+        "the tuned parameter set is the compromise" in sentence for sentence in sentences(verdict)
     )
     bundle, summary = (
         json.loads((tmp_path / "run" / name).read_text())["verdict"]

@@ -14,7 +14,7 @@ from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
 
-COMMANDS = (("report",), ("replay",), ("validate", "--draws", "250"))
+COMMANDS = (("report",), ("replay",), ("validate", "--runs", "250"))
 
 
 @pytest.fixture(scope="module")

@@ -69,7 +69,7 @@ class TestAnswer:
         """Contexts, bounds and verdict, in the file that others read."""
         for workers in (1, 2):
             again = ("validate", shared.latest("whole"), "--workers", workers, "--window", 2)
-            code, _, err = finish(shared.start(*again, "--draws", 300))
+            code, _, err = finish(shared.start(*again, "--runs", 300))
             assert code in (0, 3), err
         certificates = sorted((shared.latest("whole") / "certificates").glob("*.csv"))
         assert len(certificates) >= 2

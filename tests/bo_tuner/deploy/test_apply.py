@@ -348,7 +348,7 @@ class TestCertificate:
             ({"parameters_sha256": "0" * 64}, "parameters do not match its digest"),
             ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
             ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not match its digest"),
-            ({"draws": 999}, "made with 999 draws, the study requires 1000; run validate"),
+            ({"draws": 999}, "made with 999 test runs, the study requires 1000; run validate"),
             ({"draws": "1000"}, "draws: expected an integer, found text '1000'"),
             ({"draws": 1e9}, "draws: expected an integer, found 1000000000.0"),
             ({"confidence": 0.94}, "has a confidence of 0.94, the study requires 0.95"),
@@ -429,7 +429,7 @@ class TestCertificate:
         write_certificate(record, record.trials[1])
         needed = draws_needed_without_event(0.001, 0.05)
         problem = certificate_problem(record, record.trials[1])
-        assert f"1000 draws, the study requires {needed}" in problem
+        assert f"1000 test runs, the study requires {needed}" in problem
         write_certificate(record, record.trials[1], draws=needed)
         assert certificate_problem(record, record.trials[1]) == ""
 

@@ -9,7 +9,7 @@ from bo_tuner.evidence.at_bounds import at_bounds, wider_options
 from bo_tuner.evidence.facts import Said
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.next_steps import next_steps
-from bo_tuner.evidence.words.verdict import as_mapping, at_bound
+from bo_tuner.evidence.words.verdict import as_mapping, at_bound, sentences
 
 STUDY = {
     "kp": NODE | {"type": "double", "bounds": [0.1, 10.0], "default": 1.0, "unit": "V/rad"},
@@ -98,7 +98,7 @@ def test_a_whole_number_on_a_log_scale_stays_positive(make_study, lower, sentenc
 def test_the_verdict_tells_of_it_and_names_the_command(make_study, state):
     each = found(make_study, kp=10.0, ki=8.0, law="a")
     verdict = Verdict(state=state, trial=3, reasons=(Said("why"),), at_bounds=each)
-    assert "kp is at its upper bound 10 V/rad" in " ".join(verdict.sentences)
+    assert "kp is at its upper bound 10 V/rad" in " ".join(sentences(verdict))
     assert [item["parameter"] for item in as_mapping(verdict)["at_bounds"]] == ["kp", "ki"]
     step = next_steps(verdict, "/my runs/a")[-1]
     assert shlex.split(step.command) == [

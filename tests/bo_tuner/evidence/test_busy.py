@@ -8,6 +8,7 @@ from bo_tuner.evidence.busy import COMPUTING, HIGH, HighLoad, high_load, times_b
 from bo_tuner.evidence.facts import ComputingTimes, Said
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.facts import in_words
+from bo_tuner.evidence.words.verdict import sentences
 from bo_tuner.processor_load import Load
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
@@ -106,4 +107,4 @@ def test_a_verdict_says_it_first(state):
     trial = None if state is State.OPEN else 0
     verdict = Verdict(state=state, trial=trial, reasons=(Said("none"),))
     busy = replace(verdict, high_load=BUSY)
-    assert busy.sentences == (in_words(BUSY), *verdict.sentences)
+    assert sentences(busy) == (in_words(BUSY), *sentences(verdict))

@@ -7,10 +7,10 @@ import pytest
 
 from bo_tuner.evidence.declarations import contradicted, drifts, two_kinds, uneven
 from bo_tuner.evidence.facts import NoLogarithm
-from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.metrics.collect import judged
 from bo_tuner.processor_load import Load
 from bo_tuner.run_notes import Notes, Rate
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 NODE = {"node": "axis"}
@@ -32,7 +32,7 @@ def test_a_run_outside_its_range(make_study):
     study = make_study(metrics={"error": NODE, "peak": NODE | {"range": [0.0, 2.0]}})
     assert [*contradicted(study, runs(study, [0.5, 2.0]))] == []
     (found,) = contradicted(study, runs(study, [0.5, 2.5]))
-    assert found.how.startswith("peak was 2.5, outside its range [0, 2]")
+    assert found.how == OutOfRange("peak", 2.5, 0.0, 2.0)
 
 
 def test_equal_runs_with_messages_at_different_rates(make_study):
@@ -46,7 +46,8 @@ def test_equal_runs_with_messages_at_different_rates(make_study):
 
     assert not [*uneven([made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)])]
     (found,) = uneven([made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)])
-    assert in_words(found).startswith("Equal runs are not alike (speed likewise): angle comes ")
+    assert (found.first.signal, found.others) == ("angle", ("speed",))
+    assert (found.first.least, found.first.most) == pytest.approx((78 / 5, 250 / 5))
 
 
 def test_values_without_a_logarithm(make_study):

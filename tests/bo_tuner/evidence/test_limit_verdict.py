@@ -9,7 +9,7 @@ from bo_tuner.evidence.limit_verdict import by_test_runs
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import State, Status
 from bo_tuner.evidence.words.limits import in_words
-from bo_tuner.evidence.words.verdict import as_mapping, notes_of_file
+from bo_tuner.evidence.words.verdict import as_mapping, headline, notes_of_file, sentences
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limits import Standing, judge_samples
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
@@ -131,7 +131,7 @@ def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
 
 
 @pytest.mark.parametrize(
-    ("probability", "kind", "count", "above", "headline", "status", "keeps"),
+    ("probability", "kind", "count", "above", "told", "status", "keeps"),
     [
         (0.9, "chance", 10, 0, "no limit broken in 10 test runs", Status.OPEN, None),
         (0.9, "chance", 10, 1, "peak: 1 of 10 test runs above the limit, 1 permitted",
@@ -142,11 +142,11 @@ def test_a_draw_beyond_a_limit_whose_worst_context_nobody_searched(make_study):
         (0.9, "chance", 40, 0, "the limit proven", Status.GOOD, True),
     ],
 )  # fmt: skip
-def test_headline(make_study, probability, kind, count, above, headline, status, keeps):
+def test_headline(make_study, probability, kind, count, above, told, status, keeps):
     study = study_of(make_study, probability, kind)
     default = runs(study, count, 0, side=0, error=2.0)
     found = verdict_of(study, runs(study, count, above), default)
-    assert found.headline.endswith(f"; {headline}; not certified yet")
+    assert headline(found).endswith(f"; {told}; not certified yet")
     assert found.state is State.VALIDATED
     assert found.status is status
     assert as_mapping(found)["keeps_limits"]["tuned"] is keeps
@@ -155,7 +155,7 @@ def test_headline(make_study, probability, kind, count, above, headline, status,
 def test_without_limits_nothing_is_called_kept(make_study):
     study = make_study(constraints={})
     found = verdict_of(study, runs(study, 10, 0))
-    assert found.headline.endswith("; no limits to keep; not certified yet")
+    assert headline(found).endswith("; no limits to keep; not certified yet")
     assert found.status is Status.GOOD
 
 
@@ -175,11 +175,11 @@ class TestUnproven:
         study = study_of(make_study, 0.9)
         found = verdict_of(study, runs(study, 8, 0), doubt="It is 94.2 % likely", likely=True)
         assert found.state is State.UNPROVEN
-        assert found.headline == "Not proven: no limit broken in 8 test runs"
+        assert headline(found) == "Not proven: no limit broken in 8 test runs"
         assert (found.feasible, found.status) == (False, Status.WARNING)
         assert as_mapping(found)["keeps_limits"]["tuned"] is None
-        assert "do not use" not in " ".join(found.sentences).lower()
-        assert notes_of_file(found, study)[0] == f"{found.headline}."
+        assert "do not use" not in " ".join(sentences(found)).lower()
+        assert notes_of_file(found, study)[0] == f"{headline(found)}."
         assert exit_code(found) == EXIT_INFEASIBLE
 
     @pytest.mark.parametrize(("above", "further"), [(5, ()), (0, (FAILED,))])
@@ -236,5 +236,5 @@ class TestIncomplete:
         assert found.state is State.VALIDATED
         assert found.default_standing is None
         told = "The default was not run in full: 1 test run lost or disturbed by others."
-        assert told in found.sentences
+        assert told in sentences(found)
         assert not found.default_preferred

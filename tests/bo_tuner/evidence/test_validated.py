@@ -14,7 +14,7 @@ from bo_tuner.evidence.quantities import quantities
 from bo_tuner.evidence.quantity import Quantity
 from bo_tuner.evidence.validated import validated
 from bo_tuner.evidence.verdict import State, Status, Verdict
-from bo_tuner.evidence.words.verdict import as_mapping, keeps
+from bo_tuner.evidence.words.verdict import as_mapping, keeps, sentences
 from bo_tuner.processor_load import Load
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study_file import load_study
@@ -66,7 +66,7 @@ def test_outliers_that_kept_all_limits_are_told_of():
     study = load_study("benchmark")
     both = validation(study, {"real_time": 25, "overshoot": 9})
     judged = partial(validated, study, 0, both, both, (), (), doubt="")
-    found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
+    found = [sentences(judged(outliers=numbers)) for numbers in ((), (4,), (4, 7))]
     assert not any("far off" in sentence for sentence in found[0])
     assert (
         "Trial 4 broke no limit, but is far off from all others in the objective, and "
@@ -76,8 +76,8 @@ def test_outliers_that_kept_all_limits_are_told_of():
         "Trials 4, 7 broke no limit, but are far off from all others in the objective, and "
         "therefore not candidates."
     ) in found[2]
-    for sentences in found:
-        assert "best.yaml holds this set, which is not within limits: do not use it." in sentences
+    for said in found:
+        assert "best.yaml holds this set, which is not within limits: do not use it." in said
 
 
 @pytest.mark.parametrize("contexts", [{}, None])
@@ -150,7 +150,7 @@ def test_of_a_default_that_was_not_evaluated_nothing_is_said():
     verdict = Verdict(state=State.CERTIFIED, trial=1, default_reasons=None)
     assert keeps(verdict) == ("–", "yes")
     assert as_mapping(verdict)["keeps_limits"] == {"default": None, "tuned": True}
-    assert "The default was not run." in verdict.sentences
+    assert "The default was not run." in sentences(verdict)
     assert not verdict.gained
     assert verdict.status is Status.GOOD
-    assert not any("gained nothing" in sentence for sentence in verdict.sentences)
+    assert not any("gained nothing" in sentence for sentence in sentences(verdict))

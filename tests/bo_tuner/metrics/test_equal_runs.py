@@ -5,6 +5,9 @@ import pytest
 from signal_runs import signal_study
 
 from bo_tuner.metrics.equal_runs import (
+    AsIfStill,
+    OfRunBefore,
+    UnlikeStart,
     all_stand,
     from_the_run_before,
     standing,
@@ -78,8 +81,10 @@ def test_a_result_that_comes_once_in_a_run_may_be_the_same_in_both():
 
 
 def test_a_machine_that_stands_still_in_noise(study):
-    names = [text.partition(":")[0] for text in unmoved(study, run(noise(1e-3, 1)), HEARD)]
-    assert names == ["error", "rest"]
+    assert [*unmoved(study, run(noise(1e-3, 1)), HEARD)] == [
+        AsIfStill("error", ("angle",)),
+        AsIfStill("rest", ("angle",)),
+    ]
     for rate in (0.1, 5.0):
         moving = run(response(rate) + noise(1e-3, 1))
         assert list(unmoved(study, moving, HEARD)) == []
@@ -94,9 +99,9 @@ def test_a_reference_that_does_not_step_asks_for_no_motion(study):
 @pytest.mark.parametrize("left", [0.9, -0.3, 0.15])
 def test_a_run_that_begins_while_the_last_one_swings(left):
     swinging = response() + left * np.cos(20.0 * TIME) * np.exp(-TIME)
-    (text,) = unlike_starts([run(response()), run(swinging)], HEARD)
-    assert text.startswith("angle: is ")
-    assert " at the start of run 2 and 0 at that of run 1: " in text
+    assert [*unlike_starts([run(response()), run(swinging)], HEARD)] == [
+        UnlikeStart("angle", 2, swinging[0], 0.0)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -135,13 +140,12 @@ def uneven(recordings, loads=None):
 @pytest.mark.parametrize("first", [0.008, 0.014])
 def test_messages_that_come_less_often_in_one_of_two_equal_runs(first):
     runs = [every(first), every(0.02)]
-    (line,) = uneven(runs, [None, Load(0.0, 0.1)])
-    assert line.startswith("angle comes 50 times a second in run 2 and ")
-    assert line.endswith(
-        "a simulator does not wait for its controller, or a publisher leaves some out"
-    )
-    (line,) = uneven(runs, [None, Load(0.9, 0.4)])
-    assert line.endswith("the computer was busy: processes waited for it 40 % of the time")
+    (found,) = uneven(runs, [None, Load(0.0, 0.1)])
+    assert (found.signal, found.seldom, found.often) == ("angle", "run 2", "run 1")
+    assert (found.least, found.most) == pytest.approx((50.0, 1.0 / first), rel=0.02)
+    assert found.waited is None
+    (found,) = uneven(runs, [None, Load(0.9, 0.4)])
+    assert found.waited == 0.4
 
 
 def test_a_single_run_of_many_is_remarked_on_by_itself():
@@ -171,9 +175,7 @@ def test_a_signal_that_is_published_in_runs_only(age, told):
         Recording({"setpoint": STEP, "angle": RecordedSignal(time, np.ones(time.shape))}, 2.0)
         for time in (first, last)
     ]
-    lines = list(from_the_run_before(runs, HEARD))
-    assert len(lines) == told
-    assert all("it is published in runs only" in line for line in lines)
+    assert [*from_the_run_before(runs, HEARD)] == [OfRunBefore("angle", 2)] * told
 
 
 def test_a_signal_of_single_messages_that_is_published_in_runs_only():
@@ -181,5 +183,4 @@ def test_a_signal_of_single_messages_that_is_published_in_runs_only():
         run(0.0, result=RecordedSignal(np.array(time), np.ones(len(time))))
         for time in ([1.0], [-4.0, 1.0])
     ]
-    (line,) = from_the_run_before(runs, ["result"])
-    assert line.startswith("result: has a value at the start of run 2")
+    assert [*from_the_run_before(runs, ["result"])] == [OfRunBefore("result", 2)]

@@ -17,6 +17,7 @@ from bo_tuner.evidence.words.terminal import (
     verdict_notes,
     verdict_table,
 )
+from bo_tuner.evidence.words.verdict import sentences
 from bo_tuner.monitoring import display
 from bo_tuner.monitoring.display import say
 from bo_tuner.study.study_file import load_study
@@ -120,7 +121,7 @@ class TestTable:
         for out in (shown, whole):
             for line in verdict_notes(found):
                 print_line(out, line, "  ")
-            for sentence in found.sentences:
+            for sentence in sentences(found):
                 print_line(out, sentence, "  ")
         assert max(map(len, text(shown).splitlines())) <= width
         assert text(shown).split() == text(whole).split()

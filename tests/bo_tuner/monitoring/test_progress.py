@@ -7,6 +7,7 @@ import re
 import pytest
 from terminals import console
 
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.progress import (
@@ -18,7 +19,6 @@ from bo_tuner.monitoring.progress import (
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.plans import Phase
-from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.run_notes import Notes, Unusable
 from bo_tuner.study.limits import outcome_in_words
 from bo_tuner.text import JOIN

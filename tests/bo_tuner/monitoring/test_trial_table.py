@@ -62,7 +62,7 @@ def test_a_margin_that_is_too_small_has_another_sign(make_study, make_trial):
 
 def test_a_file_has_all_words_whatever_its_width(study, make_trial):
     *_, line = lines(study, [make_trial(2, {"gain": 0.125}, [2.5] * 3, worst=2.31)])
-    assert line.plain.endswith("over the limit (error 2.5 > 2, solve time 2.31 > 2)")
+    assert line.plain.endswith("over the limit (solve time 2.31 > 2, error 2.5 > 2)")
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 100])

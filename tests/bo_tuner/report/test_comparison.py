@@ -9,7 +9,7 @@ import pytest
 from in_process import call
 
 from bo_tuner.cli import report as report_command
-from bo_tuner.evidence.words.verdict import basis
+from bo_tuner.evidence.words.verdict import basis, headline
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
 from bo_tuner.report.content import number
@@ -35,8 +35,8 @@ def rows(section):
 def test_the_verdicts_are_those_of_the_runs(both, parts):
     found = rows(parts["verdicts"])
     for name, analysis in zip(names(both), both, strict=True):
-        headline, trial, evidence, *_ = found[name]
-        assert analysis.verdict.headline in headline
+        told, trial, evidence, *_ = found[name]
+        assert headline(analysis.verdict) in told
         assert trial == str(analysis.verdict.trial)
         assert evidence == basis(analysis.verdict)
     good, bad = both

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.figures.figure import Limit, Line, Points
-from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.report.live import (
     LATEST,
     bar,

@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 import bo_tuner as bt
-from bo_tuner.evidence.certificate.table import certificate_lines, certificate_rows
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.certificate_table import certificate_lines, certificate_rows
 from bo_tuner.evidence.words.quantities import basis, gain
 from bo_tuner.evidence.words.terminal import print_verdict
 from bo_tuner.figures.figure import Points
@@ -25,7 +25,7 @@ from bo_tuner.text import shown
 from bo_tuner.web.runs import Runs
 
 BUDGET = bt.Budget(
-    trials=6, initial_trials=4, drawn_contexts=2, search_evaluations=2, validation_draws=25
+    trials=6, initial_trials=4, drawn_contexts=2, search_evaluations=2, validation_runs=25
 )
 
 
@@ -62,7 +62,7 @@ def tuned_only(tmp_path_factory):
 @pytest.fixture(scope="module", params=["validated", "certified"])
 def result(request, tuned_only):
     if request.param == "certified":
-        tuned_only.certify(response, draws=60, progress=False)
+        tuned_only.certify(response, runs=60, progress=False)
     return bt.load(tuned_only.folder)
 
 
@@ -122,7 +122,7 @@ def test_every_screen_and_file_has_the_same_number(result):
 
 
 def test_a_certificate_repeats_no_number_of_the_verdict(tuned_only):
-    certificate = tuned_only.certificate or tuned_only.certify(response, draws=60, progress=False)
+    certificate = tuned_only.certificate or tuned_only.certify(response, runs=60, progress=False)
     record = read_run(tuned_only.folder)
     verdict = run_verdict(record)
     (error,) = [q for q in verdict.quantities if q.objective]

@@ -30,10 +30,12 @@ from bo_tuner.evidence.words.verdict import (
     advice,
     as_mapping,
     basis,
+    headline,
     keeps,
     page_title,
     reasons,
     reasons_and_remarks,
+    sentences,
 )
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.monitoring.diagnostics import progress
@@ -44,7 +46,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.content import Chapter
 from bo_tuner.report.deliverables import write_deliverables
-from bo_tuner.report.page import answer_html, render, section_html
+from bo_tuner.report.page import answer_html, render, trial_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
@@ -126,11 +128,11 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
         # What is not shown need not be refuted.
         possible = {"yes" if shown else "not proven"} if unrefuted else {"NO", "not proven"}
         assert words in possible
-    assert shown or "proven" not in verdict.headline.replace("Not proven", "")
+    assert shown or "proven" not in headline(verdict).replace("Not proven", "")
     assert shown or verdict.status is not Status.GOOD
 
     terminal = on_terminal(run, verdict)
-    assert terminal.splitlines()[0] == verdict.headline
+    assert terminal.splitlines()[0] == headline(verdict)
     (row,) = [line for line in terminal.splitlines() if line.startswith("keeps all limits")]
     assert " ".join(row.split()[3:]) == " ".join(both)
     assert not re.search(r"\b(nan|inf)\b", terminal)
@@ -139,37 +141,37 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     (title,) = re.findall(r'<h2 id="answer-title">(.*?)</h2>', page)
     told = page_title(verdict)
     assert unescape(title) == told
-    assert verdict.headline.removeprefix(f"{verdict.certificate}: ")[1:-19] in told
+    assert headline(verdict).removeprefix(f"{verdict.certificate}: ")[1:-19] in told
     (mark,) = re.findall(r'<section id="answer" class="answer (\w+)"', page)
     assert (mark == "bad") == (not verdict.feasible)
     shown = set(re.findall(rf">\s*({PASS}|{FAIL})\s", page))
     assert shown <= {verdict.certificate}
     text = unescape(page)
-    assert all(sentence in terminal for sentence in verdict.sentences)
+    assert all(sentence in terminal for sentence in sentences(verdict))
     told_of = (*reasons_and_remarks(verdict), *advice(verdict))
-    assert set(told_of) <= set(verdict.sentences)
+    assert set(told_of) <= set(sentences(verdict))
     assert all(sentence in text for sentence in told_of)
 
     mapping = json.loads(json.dumps(as_mapping(verdict), allow_nan=False))
-    assert mapping["headline"] == verdict.headline
+    assert mapping["headline"] == headline(verdict)
     said = {"yes": True, "NO": False, "not proven": None}
     assert list(mapping["keeps_limits"].values()) == [said[words] for words in both]
     topic = progress(run.study, Snapshot(verdict=verdict))
-    assert topic.message == verdict.headline
+    assert topic.message == headline(verdict)
     assert topic.values["feasible"] == str(verdict.feasible)
     assert exit_code(verdict) == (EXIT_OK if verdict.feasible else EXIT_INFEASIBLE)
 
     analysis = Analysis(run)
     (row,) = verdicts_table({"run": analysis}, "").rows
     marks = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
-    assert row[1] == marks[verdict.status] + verdict.headline
+    assert row[1] == marks[verdict.status] + headline(verdict)
     assert row[3] == basis(verdict)
     live = unescape(answer_html(analysis))
     assert f'<h2 id="answer-title">{told}</h2>' in live
     assert all(sentence in live for sentence in told_of)
     for trial in run.trials:
-        texts = unescape(section_html(trial_sections(analysis, trial)[0]))
-        assert (verdict.headline in texts) == (trial.number == verdict.trial)
+        texts = unescape(trial_html(analysis, trial, trial_sections(analysis, trial)[:1]))
+        assert (headline(verdict) in texts) == (trial.number == verdict.trial)
     event = json_result(run, verdict)
     assert event["verdict"] == mapping
     assert event["feasible"] == verdict.feasible

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
 from bo_tuner.report import content
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.grid import parameter_grid, permitted
 from bo_tuner.report.sections.appendix import all_trials
 from bo_tuner.report.sections.contexts import contexts

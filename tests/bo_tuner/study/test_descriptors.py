@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from bo_tuner.cli.check import evaluations_at_most
+from bo_tuner.cli.check_times import evaluations_at_most
 from bo_tuner.cli.test_runs import plot
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.evidence.certificate.certification import most_evaluations
@@ -32,7 +32,7 @@ signals: {angle: {topic: a, field: data}}
 run: {end: {after: 1.0}}
 metrics: {error: {of: angle, measure: iae}}
 objective: {metric: error}
-budget: {trials: 4, initial_trials: 2, drawn_contexts: 3, validation_draws: 5}
+budget: {trials: 4, initial_trials: 2, drawn_contexts: 3, validation_runs: 5}
 """
 NODE = {
     "kp": Described("double", 0.5, 0.0, 10.0),

@@ -18,7 +18,7 @@ from bo_tuner.numerics.signal_metrics import (
     UndefinedMetricError,
     options_of,
 )
-from bo_tuner.study.ending_early import check_ends_early, decided_by
+from bo_tuner.study.ending_early import CutShortBy, check_ends_early, decided_by
 from bo_tuner.study.study_file import study_from_mapping
 
 CUT = {"trials": 5, "initial_trials": 3, "cut_short": True}
@@ -149,9 +149,8 @@ class TestWhoRunsIt:
 
     def test_what_decides_is_said(self):
         study = with_measures(rough={"of": "angle", "measure": "rms"})
-        assert decided_by(study) == (
-            "runs of trials may be cut short by error; not by rough: rms may fall during a run"
-        )
+        others = (("rough", "rms may fall during a run"),)
+        assert decided_by(study) == CutShortBy(("error",), others)
 
 
 class TestSoFar:

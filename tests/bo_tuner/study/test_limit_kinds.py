@@ -1,10 +1,13 @@
 """What every kind of limit must keep to, whoever has made it."""
 
+from math import isfinite
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from bo_tuner.evidence.limit_proof import Runs, proof_of_kind
+from bo_tuner.evidence.reasons import Why
 from bo_tuner.evidence.words.limit_kinds import words_of_kind
 from bo_tuner.numerics.two_kinds import runs_to_see
 from bo_tuner.study.constraint import Constraint
@@ -101,9 +104,9 @@ def test_only_what_draws_estimate_is_judged_by_the_estimate(rule):
 
 def test_its_words_name_the_limit_and_what_was_found(rule):
     beyond = runs_of(rule, spread_around(1.5, 90))
-    said = words_of_kind(rule).said_of_draws(beyond, "N", CONFIDENCE, passed=False)
-    assert "allowed 0.1" in said or "limit 1 N" in said
-    assert "may be" in said
+    found = proof_of_kind(rule).by_draws(beyond, CONFIDENCE)
+    assert found.why is (Why.SHARE if rule.on_runs else Why.MEAN)
+    assert rule.on_runs or found.bound > 1.0
     assert words_of_kind(rule).asked(everywhere=False)
     assert (
         words_of_kind(rule).asked(everywhere=True).endswith(" in every context")
@@ -118,9 +121,5 @@ def test_a_mean_over_draws_takes_enough_of_them(monkeypatch):
     for count in (LEAST - 2, LEAST):
         runs = runs_of(rule, spread_around(0.5, count))
         assert proof_of_kind(rule).is_shown(runs, CONFIDENCE) == (count >= LEAST)
-        said = words_of_kind(rule).said_of_draws(runs, "N", CONFIDENCE, passed=count >= LEAST)
-        if count < LEAST:
-            assert said == f"too few draws ({count}) to bound the mean over contexts and noise"
-        else:
-            assert said.startswith("mean over contexts and noise at most 0.5")
-            assert said.endswith(", limit 1 N")
+        bound = proof_of_kind(rule).by_draws(runs, CONFIDENCE).bound
+        assert 0.5 < bound < 0.6 if count >= LEAST else not isfinite(bound)

@@ -30,7 +30,7 @@ BUDGET = {"trials": 5, "initial_trials": 3}
         ({"budget": BUDGET | {"trials": 10**18}}, "budget.trials", "at most 10000,"),
         ({"budget": BUDGET | {"drawn_contexts": 10**12}}, "budget.drawn_contexts", "at most"),
         ({"budget": BUDGET | {"search_evaluations": 10**12}}, "search_evaluations", "at most"),
-        ({"budget": BUDGET | {"validation_draws": 10**12}}, "validation_draws", "at most 100000,"),
+        ({"budget": BUDGET | {"validation_runs": 10**12}}, "validation_runs", "at most 100000,"),
         ({"parameters": many(9_000, DOUBLE)}, "parameters", "at most 500 entries, found 9000"),
         ({"parameters": many(51, DOUBLE)}, "parameters", "at most 50 tuned ones, found 51"),
         ({"metrics": {"error": NODE, "peak": NODE} | many(199, NODE)}, "metrics", "at most 200"),
@@ -71,9 +71,9 @@ def test_a_limit_of_the_record(size, capsys):
 def test_draws_of_a_certificate(tmp_path, capsys):
     make_run(tmp_path / "run")
     with pytest.raises(SystemExit) as end:
-        validate.run([str(tmp_path / "run"), "--trial", "0", "--draws", str(10**18)], None)
+        validate.run([str(tmp_path / "run"), "--trial", "0", "--runs", str(10**18)], None)
     assert end.value.code == 2
-    assert "--draws: expected at most 100000" in capsys.readouterr().err
+    assert "--runs: expected at most 100000" in capsys.readouterr().err
 
 
 def test_an_answer_of_megabytes(make_study):

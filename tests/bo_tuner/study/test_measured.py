@@ -10,7 +10,7 @@ from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.study.changes import changes_of_data, incomparable_changes
-from bo_tuner.study.measured import seen_in, seen_in_words
+from bo_tuner.study.measured import seen_in
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
@@ -153,8 +153,5 @@ def test_what_runs_have_seen():
     seen = seen_in(["wind"], runs)
     assert (seen["wind"].low, seen["wind"].high) == (0.2, 3.1)
     assert seen["wind"].mean == pytest.approx(1.4)
-    assert list(seen_in_words(study().metrics, seen)) == [
-        "wind was between 0.2 and 3.1 m/s in these runs (mean 1.4); nothing is claimed beyond."
-    ]
     assert seen_in(["wind"], [run(1.0, EvaluationState.FAILED)]) == {}
     assert seen_in([], runs) == {}

@@ -6,7 +6,7 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study.metrics import RelativeMetric, ReportedMetric
-from bo_tuner.study.ranges import outside
+from bo_tuner.study.ranges import OutOfRange, outside
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
 FREE = {"certificate": {"distribution_free": True}}
@@ -84,10 +84,7 @@ def test_a_run_outside_is_a_fault_of_the_declaration(make_study):
         )
         for k, peak in enumerate([0.0, 2.0, 2.1])
     ]
-    assert outside(study.metrics, runs[:2]) == ""
-    assert outside(study.metrics, runs) == (
-        "peak was 2.1, outside its range [0, 2] in the study (metrics.peak.range); declare one "
-        "that no run can leave"
-    )
+    assert outside(study.metrics, runs[:2]) is None
+    assert outside(study.metrics, runs) == OutOfRange("peak", 2.1, 0.0, 2.0)
     failed = dataclasses.replace(runs[2], outcome=Outcome(EvaluationState.FAILED, reason="stalled"))
-    assert outside(study.metrics, [failed]) == ""
+    assert outside(study.metrics, [failed]) is None

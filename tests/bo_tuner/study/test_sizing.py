@@ -4,7 +4,7 @@ import pytest
 from functions import make_study
 
 from bo_tuner.study.budget import Budget
-from bo_tuner.study.sizing import first_budget, shortages, usual_trials
+from bo_tuner.study.sizing import FewContexts, FewTrials, first_budget, shortages, usual_trials
 
 
 def test_more_parameters_ask_for_more_trials_and_uncertainty_for_more_runs_each():
@@ -22,9 +22,5 @@ def test_more_parameters_ask_for_more_trials_and_uncertainty_for_more_runs_each(
 def test_a_budget_that_is_too_small_is_named_by_its_keys(trials, drawn, expected):
     study = make_study().replace(trials=trials, initial_trials=2, drawn_contexts=drawn)
     assert study.contexts
-    lines = shortages(study)
-    assert len(lines) == expected
-    assert [line.partition(":")[0] for line in lines] == [
-        "budget.trials",
-        "budget.drawn_contexts",
-    ][:expected]
+    few = [FewTrials(trials, 1, 20), FewContexts()]
+    assert [*shortages(study)] == few[:expected]

@@ -308,8 +308,8 @@ class TestRefusedValues:
             ),
             (
                 "certificate",
-                {"draws": 200_000},
-                "certificate.draws: expected an integer of at most 100000, found 200000",
+                {"runs": 200_000},
+                "certificate.runs: expected an integer of at most 100000, found 200000",
             ),
             (
                 "contexts/load",

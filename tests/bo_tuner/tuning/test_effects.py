@@ -12,6 +12,7 @@ from bo_tuner.codec.reading import JSON, read
 from bo_tuner.codec.writing import to_json
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.words.effects import effects_in_words, file_notes
+from bo_tuner.evidence.words.verdict import sentences
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import answer_html
 from bo_tuner.report.sections.effects import effects
@@ -156,7 +157,7 @@ def run(tmp_path_factory):
         "initial_trials": 8,
         "drawn_contexts": 2,
         "search_evaluations": 2,
-        "validation_draws": 3,
+        "validation_runs": 3,
     }
     path = run_axis(
         tmp_path_factory.mktemp("idle"),
@@ -169,7 +170,7 @@ def run(tmp_path_factory):
 def test_every_screen_and_file_of_a_run_says_it(run):
     verdict = run_verdict(run)
     assert [item.parameter for item in verdict.unseen] == ["idle"]
-    (sentence,) = [text for text in verdict.sentences if "was not seen to move" in text]
+    (sentence,) = [text for text in sentences(verdict) if "was not seen to move" in text]
     assert sentence.startswith("idle was not seen to move any metric (an")
     (note,) = file_notes(run.study, verdict.unseen)
     for name in ("best.yaml", "deploy/parameters.yaml"):

@@ -9,6 +9,7 @@ from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
+from bo_tuner.evidence.reasons import Why
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.study.limits import (
     judge_sample,
@@ -135,17 +136,7 @@ def broken_limits(found):
     A certificate ends with the first limit that is not kept, when another may have few runs, or
     none in some of its contexts.
     """
-    open_yet = (
-        "may be",
-        "too few",
-        "say too little about the noise",
-        "had no run",
-    )
-    return {
-        c.name
-        for c in found.constraints
-        if not c.passed and not any(text in c.reason for text in open_yet)
-    }
+    return {c.name for c in found.constraints if c.refuted}
 
 
 class TestEvidence:
@@ -162,7 +153,7 @@ class TestEvidence:
         assert broken_limits(found) == broken
         assert found.passed is (not broken)
         for constraint in found.constraints:
-            refuted = "test runs show that it is not kept" in constraint.reason
+            refuted = constraint.reason.why is Why.REFUTED_IN_CONTEXT
             assert refuted is (constraint.name in broken), constraint.reason
         peak, force = found.constraints
         assert (peak.side, force.side) == ("upper", "lower")

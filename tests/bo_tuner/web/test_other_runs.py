@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
@@ -82,7 +83,7 @@ def test_a_summary_that_is_missing_or_of_an_earlier_session(beside, tmp_path, ch
     run = shutil.copytree(beside.folder.parent / beside.finished_one, tmp_path / "run")
     change(run)
     assert verdict in Runs(tmp_path, "none").listing()
-    assert verdict in run_verdict(with_summary(read_run(run), str)).headline
+    assert verdict in headline(run_verdict(with_summary(read_run(run), str)))
 
 
 def test_a_run_that_is_deleted_meanwhile_is_not_listed(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ from commands import Fork, finish
 from waiting import count_in
 
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.words.verdict import sentences
 from bo_tuner.plans import Event, EventKind
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
@@ -80,7 +81,7 @@ class TestRequests:
         assert (summary["ended_on_request"], summary["ended_by_time"]) == (True, False)
         # Verdict, and with it terminal and report, say so, too.
         remark = "The trials were ended on request: 2 trials of 5."
-        assert remark in run_verdict(with_summary(read_run(run.folder), str)).sentences
+        assert remark in sentences(run_verdict(with_summary(read_run(run.folder), str)))
 
         def resume(*options):
             code, _, err = finish(

@@ -119,7 +119,7 @@ def test_one_whose_nodes_do_not_start_is_named(opened):
     assert not environments()
 
 
-SHORT = {"trials": 5, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3}
+SHORT = {"trials": 5, "initial_trials": 3, "drawn_contexts": 1, "validation_runs": 3}
 
 
 @pytest.fixture
@@ -171,7 +171,7 @@ def test_a_whole_run_with_a_pause_and_its_certificate(empty_domain, make_peer, t
         states = [topic for topic, *_ in with_rosbags(bag) if topic == "/joint_states"]
         assert len(states) > 100 * sum(item.run.bag == bag.name for item in again)
         assert custom_data(bag)["lost_messages"] == "0"
-    assert "certificate: " in runs_here("validate", "latest", "--draws", "80", "--workers", "2")
+    assert "certificate: " in runs_here("validate", "latest", "--runs", "80", "--workers", "2")
     assert not environments()
 
 

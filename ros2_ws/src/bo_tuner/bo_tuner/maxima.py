@@ -7,7 +7,7 @@ hundreds of trials, some tens of tuned parameters.
 TRIALS = 10_000
 EVALUATIONS = 10_000
 """Contexts drawn, or searched, in a trial."""
-DRAWS = 100_000
+TEST_RUNS = 100_000
 """Draws of a validation or a certificate."""
 NODES = 100
 PARAMETERS = 500

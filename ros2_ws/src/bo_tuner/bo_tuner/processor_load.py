@@ -60,11 +60,20 @@ def explains(load: Load | None, gap: float, seconds: float) -> bool:
     return load.machine is None or load.machine * seconds >= gap
 
 
+def busy_share(load: Load | None) -> float | None:
+    """Return the share of the time in which processes waited; None if the computer was not busy."""
+    return None if load is None or load.share < HIGH else load.share
+
+
 def busy_in_words(load: Load | None) -> str:
     """Return that the computer was busy, with how long was waited for it; empty if it was not."""
-    if load is None or load.share < HIGH:
-        return ""
-    return f"the computer was busy: processes waited for it {100.0 * load.share:.3g} % of the time"
+    share = busy_share(load)
+    return "" if share is None else waited_in_words(share)
+
+
+def waited_in_words(share: float) -> str:
+    """Return that the computer was busy, by the share of the time that was waited for it."""
+    return f"the computer was busy: processes waited for it {100.0 * share:.3g} % of the time"
 
 
 class LoadMeter:

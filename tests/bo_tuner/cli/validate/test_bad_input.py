@@ -17,16 +17,16 @@ class TestBadInput:
         ("arguments", "complaint"),
         [
             (
-                ["--draws", str(NEEDED - 1)],
-                f"--draws: expected at least {NEEDED} to show error, even if none viol",
+                ["--runs", str(NEEDED - 1)],
+                f"--runs: expected at least {NEEDED} to show error, even if none viol",
             ),
             (["--until-pass", "0"], "--until-pass: expected at least 1, found 0"),
             (["--until-pass", "20000"], "--until-pass: expected at most 10000, found 20000"),
-            (["--draws", "-1"], f"--draws: expected at least {NEEDED}"),
+            (["--runs", "-1"], f"--runs: expected at least {NEEDED}"),
             # The second attempt has a smaller share of the error probability.
-            (["--draws", "99", "--until-pass", "2"], "--draws: expected at least 156 to show"),
-            (["--draws", "many"], "argument --draws: many: expected a whole number"),
-            (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 3"),
+            (["--runs", "99", "--until-pass", "2"], "--runs: expected at least 156 to show"),
+            (["--runs", "many"], "argument --runs: many: expected a whole number"),
+            (["--runs", "300", "--confidence", "0.999999"], "--runs: expected at least 3"),
             (["--confidence", "95"], "argument --confidence: 95: expected a number between 0 and"),
             (["--confidence", "nan"], "argument --confidence: nan: expected a number between"),
             (["--confidence", "high"], "argument --confidence: high: expected a number between"),
@@ -79,7 +79,7 @@ class TestBadInput:
         (folder / "best.yaml").unlink()
         if content is not None:
             (folder / "best.yaml").write_text(content)
-        code, _, err = here(folder, "--draws", "120")
+        code, _, err = here(folder, "--runs", "120")
         assert code == 0
         assert "best.yaml: missing or damaged; made from the journal" in err
         assert (folder / "best.yaml").read_text() == text

@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def certificate(here, folder):
-    code, _, err = here(folder, "--draws", "120")
+    code, _, err = here(folder, "--runs", "120")
     assert code == 0, err
     return folder / "certificates" / "0001.json"
 
@@ -66,7 +66,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("arguments", "complaint"),
         [
-            (["--draws", "120"], "--draws is not for --against"),
+            (["--confidence", "0.9"], "--confidence is not for --against"),
             (["--with-default"], "--with-default is not for --against"),
             (["--runs", "0"], "--runs: expected 1 to "),
             (["--false-alarms", "2"], "argument --false-alarms: 2: expected a number between 0"),
@@ -79,7 +79,7 @@ class TestRefusals:
 
     def test_a_run_is_named_by_its_certificate(self, refusal, folder, certificate):
         assert "RUN is not for --against" in refusal(folder, "--against", certificate)
-        assert "--runs needs --against" in refusal(folder, "--runs", "5")
+        assert "--metrics needs --against" in refusal(folder, "--metrics", "error")
         assert "--false-alarms needs --against" in refusal(folder, "--false-alarms", "0.1")
 
     def test_what_is_no_certificate(self, refusal, folder, certificate):

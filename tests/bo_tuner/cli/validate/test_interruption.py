@@ -13,7 +13,7 @@ from waiting import count_in, wait_until
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.errors import OutputError, RunError
-from bo_tuner.evidence.certificate import making
+from bo_tuner.evidence import certificate_file
 from bo_tuner.evidence.certificate.store import certificate_problem
 from bo_tuner.evidence.certificate.unfinished import Unfinished
 from bo_tuner.evidence.facts import CertificateBegun
@@ -90,8 +90,8 @@ class TestInterruption:
         said = err.splitlines()
         (first,) = [k for k, line in enumerate(said) if line.startswith("the time is over")]
         assert said[first] == (
-            "the time is over, without a verdict: 20 runs, nothing refutes it; shown with 96 % "
-            "confidence:"
+            "the time is over, without a verdict: 20 test runs, nothing refutes it; shown with "
+            "96 % confidence:"
         )
         assert said[first + 1].startswith("  peak: at least 0.")
         assert said[first + 2].startswith("  error: at least 0.")
@@ -191,7 +191,7 @@ class TestInterruption:
     def test_of_several_the_one_that_was_interrupted_goes_on(self, here, folder, monkeypatch):
         """The result has its certificate, and is not certified again."""
         monkeypatch.setenv("PEAK", "2")
-        assert here(folder, "--draws", "200")[0] == 3
+        assert here(folder, "--runs", "200")[0] == 3
         result = read_run(folder).summary["trial"]
         outcome, count = InProcessBackend.outcome, []
 
@@ -205,7 +205,7 @@ class TestInterruption:
         monkeypatch.delenv("PEAK")
         with monkeypatch.context() as patch:
             patch.setattr(InProcessBackend, "outcome", stop)
-            assert here(folder, "--trial", str(other), "--draws", "200")[0] == 1
+            assert here(folder, "--trial", str(other), "--runs", "200")[0] == 1
         code, _, err = here(folder, "--until-pass", "3")
         assert code == 0
         assert f"continuing the interrupted certificate of trial {other} after 4 test runs" in err
@@ -228,7 +228,7 @@ class TestFaults:
 
     def test_a_certificate_that_cannot_be_written(self, here, folder):
         (folder / "certificates").touch()
-        code, _, err = here(folder, "--draws", "120")
+        code, _, err = here(folder, "--runs", "120")
         assert code == 1
         assert (
             "certificates/unfinished.jsonl: cannot be written: File exists" in err.splitlines()[-1]
@@ -236,7 +236,7 @@ class TestFaults:
 
     def test_a_crash_between_its_two_files_leaves_the_one_before(self, here, folder, monkeypatch):
         assert here(folder)[0] == 0
-        write = making.write_atomically
+        write = certificate_file.write_atomically
 
         def crash(path, content):
             if path.suffix == ".json":
@@ -244,7 +244,7 @@ class TestFaults:
             return write(path, content)
 
         with monkeypatch.context() as patch:
-            patch.setattr(making, "write_atomically", crash)
+            patch.setattr(certificate_file, "write_atomically", crash)
             assert here(folder)[0] == 1
         names = {path.name for path in (folder / "certificates").iterdir()}
         assert names == {

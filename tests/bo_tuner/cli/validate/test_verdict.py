@@ -22,7 +22,7 @@ from bo_tuner.tuning.summary import with_summary
 class TestVerdict:
     def test_pass(self, runs, folder):
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-        code, out, err = run("validate", folder, "--draws", 120, folder=runs)
+        code, out, err = run("validate", folder, "--runs", 120, folder=runs)
         assert code == 0, err
         # The screen may be narrower.
         assert " ".join(out.split()).startswith(
@@ -35,7 +35,7 @@ class TestVerdict:
         assert "apply will refuse a PASS" in warning
         phases = [line for line in phases if not line.startswith("probably ")]
         told = re.fullmatch(
-            r"at most (\d+) test runs \((\d+) draws, (\d+) to search for the worst contexts, "
+            r"at most (\d+) test runs \((\d+) at random, (\d+) to search for the worst contexts, "
             r"(\d+) in the worst contexts found\), fewer once the verdict is clear",
             most,
         )
@@ -44,8 +44,10 @@ class TestVerdict:
         assert total == sum(parts)
         assert parts[0] == 120
         assert certificate(folder)["tuned"]["evaluations"] <= total
-        assert [line.split(":")[0] for line in phases] == ["draws", "worst case of tuned", "report"]
-        assert phases[0] == "draws: at most 120"
+        assert [line.split(":")[0] for line in phases] == [
+            "test runs at random", "worst case of tuned", "report",
+        ]  # fmt: skip
+        assert phases[0] == "test runs at random: at most 120"
         # No phase has more steps than it said.
         assert all(" at most " in line for line in phases[:2])
         found = certificate(folder)
@@ -86,7 +88,7 @@ class TestVerdict:
 
     def test_the_numbers(self, here, folder):
         """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
-        assert here(folder, "--draws", "150", "--with-default")[0] == 0
+        assert here(folder, "--runs", "150", "--with-default")[0] == 0
         found = certificate(folder)
         # Each of the two has half of the share of the first attempt.
         assert found["bound_confidence"] == pytest.approx(1.0 - 0.04 / 2)
@@ -136,7 +138,7 @@ class TestVerdict:
         assert (code, out.count("PASS: ")) == (0, 1)
 
     def test_with_the_default_the_screen_is_as_short(self, here, folder):
-        code, out, err = here(folder, "--draws", "150", "--with-default")
+        code, out, err = here(folder, "--runs", "150", "--with-default")
         assert code == 0, err
         assert len(out.splitlines()) <= 1 + MOST_LINES
         assert "peak: shown, if " in out
@@ -144,11 +146,11 @@ class TestVerdict:
 
     def test_progress_is_told_now_and_then_where_no_terminal_is(self, here, folder, monkeypatch):
         monkeypatch.setattr(now_and_then, "PERIOD", 0.0)
-        code, _, err = here(folder, "--draws", "150")
+        code, _, err = here(folder, "--runs", "150")
         assert code == 0, err
         found = certificate(folder)["drawn"]
-        lines = [line for line in err.splitlines() if "draws: " in line]
-        assert lines[0] == "draws: at most 150"
+        lines = [line for line in err.splitlines() if "at random: " in line]
+        assert lines[0] == "test runs at random: at most 150"
         told = [line.partition(": ")[::2] for line in lines[1:] if " of " in line]
         phases = dict.fromkeys(phase for phase, _ in told)
         count = {phase: sum(name == phase for name, _ in told) for phase in phases}
@@ -161,20 +163,22 @@ class TestVerdict:
 
     def test_fail(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "2")
-        code, out, err = here(folder, "--draws", "120")
+        code, out, err = here(folder, "--runs", "120")
         assert code == 3, err
         assert out.startswith("FAIL: not proven to stay within the limits of peak and error\n")
         found = certificate(folder)
         assert found["verdict"] == "FAIL"
         # It is clear after a few draws.
         assert found["drawn"] < 10
-        reason = f"{found['drawn']} of {found['drawn']} draws violate the limit or fail: more than"
+        reason = (
+            f"{found['drawn']} of {found['drawn']} test runs violate the limit or fail: more than"
+        )
         assert found["reasons"][0].startswith(f"peak: {reason}")
         assert f"peak: NOT proven: {reason}" in out
 
     def test_failed_evaluations(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "100")
-        code, out, err = here(folder, "--draws", "120")
+        code, out, err = here(folder, "--runs", "120")
         assert code == 3, err
         found = certificate(folder)
         assert found["tuned"]["failures"] == 1 < found["tuned"]["evaluations"]
@@ -183,14 +187,14 @@ class TestVerdict:
 
     def test_every_evaluation_fails(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "1000")
-        code, _, err = here(folder, "--draws", "120")
+        code, _, err = here(folder, "--runs", "120")
         assert code == 3, err
         assert certificate(folder)["tuned"]["objective"]["value"] is None
 
     def test_another_trial(self, here, folder):
         best = json.loads((folder / "summary.json").read_text())["trial"]
         other = (best + 1) % 5
-        code, _, err = here(folder, "--draws", "120", "--trial", other)
+        code, _, err = here(folder, "--runs", "120", "--trial", other)
         assert code == 0, err
         found = certificate(folder)
         assert found["trial"] == other
@@ -198,7 +202,7 @@ class TestVerdict:
         assert not (folder / "deploy" / "certificate.json").exists()
 
     def test_draws_and_confidence(self, here, folder):
-        assert here(folder, "--draws", "459", "--confidence", "0.99")[0] == 0
+        assert here(folder, "--runs", "459", "--confidence", "0.99")[0] == 0
         found = certificate(folder)
         assert (found["draws"], found["confidence"]) == (459, 0.99)
         assert found["bound_confidence"] == pytest.approx(0.992)
@@ -212,7 +216,7 @@ class TestResumeOfACertifiedRun:
         """And ends with its exit code, whatever the validation of the run was."""
         if failing:
             monkeypatch.setenv("FAILING", failing)
-        expected, *_ = here(folder, "--draws", "120")
+        expected, *_ = here(folder, "--runs", "120")
         code, out, err = run("tune", "--resume", folder, folder=runs)
         assert code == expected == (0 if words == "PASS" else 3), err
         assert out.splitlines()[0].startswith(f"{words}: ")
@@ -229,22 +233,22 @@ class TestKey:
         return certificate_problem(record, record.trials[record.summary["trial"]])
 
     def test_a_quick_look_does_not(self, here, folder):
-        code, _, err = here(folder, "--draws", "100", "--confidence", "0.001")
+        code, _, err = here(folder, "--runs", "100", "--confidence", "0.001")
         assert code == 0
-        said = "warning: apply will refuse a PASS: made with 100 draws, the study requires 1000"
+        said = "warning: apply will refuse a PASS: made with 100 test runs, the study requires 1000"
         assert said in err
         # Before the runs.
-        assert err.index(said) < err.index("draws", err.index(said) + len(said))
+        assert err.index(said) < err.index("at random", err.index(said) + len(said))
         assert "the study requires 1000" in self.problem(folder)
 
     def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "1.5")
         assert here(folder)[0] == 3
         monkeypatch.delenv("PEAK")
-        assert here(folder, "--draws", "100", "--confidence", "0.001")[0] == 0
+        assert here(folder, "--runs", "100", "--confidence", "0.001")[0] == 0
         assert certificate(folder, 1)["verdict"] == "FAIL"
         assert certificate(folder, 2)["verdict"] == "PASS"
-        assert "0002.json: made with 100 draws" in self.problem(folder)
+        assert "0002.json: made with 100 test runs" in self.problem(folder)
 
     def test_by_default_it_is_what_the_study_requires(self, here, folder):
         assert here(folder)[0] == 0

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
+from bo_tuner.evidence.certificate.deaths import deaths_in
 from bo_tuner.evidence.verdict import State, Verdict
+from bo_tuner.evidence.words.certificate import of_deaths
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.run_notes import Notes
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
@@ -86,12 +88,12 @@ def test_deaths_in_a_context_are_found(study):
     loads = np.linspace(0.0, 2.0, 40)
     found = deaths_in(study, runs(TUNED, (loads > 1.5).astype(int), loads), [], CONFIDENCE)
     assert found.depend_on == ("load",)
-    first, second = deaths_in_words(found, CONFIDENCE)
+    first, second = of_deaths(found, CONFIDENCE)
     assert first.startswith("a node died in 10 of 50 runs, which were made again; ")
     assert second.startswith("deaths depend on load: ")
 
 
 def test_a_pass_says_of_which_runs_it_is():
     verdict = Verdict(state=State.CERTIFIED, trial=0)
-    assert "of runs that ended" not in verdict.headline
-    assert replace(verdict, of_ended=True).headline.startswith("PASS of runs that ended: ")
+    assert "of runs that ended" not in headline(verdict)
+    assert headline(replace(verdict, of_ended=True)).startswith("PASS of runs that ended: ")

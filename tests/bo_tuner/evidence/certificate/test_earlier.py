@@ -11,10 +11,17 @@ from judged_runs import certify
 from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
 from bo_tuner.evidence.certificate.decisions import decide_draws
 from bo_tuner.evidence.certificate.earlier import earlier_evidence
-from bo_tuner.evidence.certificate.findings import NOTHING, Earlier, Evidence, Refutation
+from bo_tuner.evidence.certificate.findings import (
+    NOTHING,
+    Earlier,
+    Evidence,
+    Refutation,
+    RefutingRuns,
+)
 from bo_tuner.evidence.certificate.independent_search import CARRIED, most_candidates, worst_of_all
 from bo_tuner.evidence.certificate.judgement import judge
 from bo_tuner.evidence.certificate.plan import Subject
+from bo_tuner.evidence.reasons import Reason, Why
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
@@ -69,12 +76,9 @@ class TestDraws:
         found = judged(make_study(**CHANCE), [0.5] * fresh, before=before)
         assert found.passed is passed
         if not passed:
-            share = 20 / (20 + fresh)
-            said = f"20 earlier draws, which count against it, and {fresh} fresh ones together"
-            assert found.reasons[0].startswith(f"peak: {said} violate the limit with a share of ")
-            told = float(found.reasons[0].split("share of ")[1].split(",")[0])
-            assert told == pytest.approx(share, rel=1e-2)
-            assert found.reasons[0].endswith("allowed 0.04")
+            reason = found.constraints[0].reason
+            assert (reason.why, reason.earlier) == (Why.EARLIER, 20)
+            assert reason.together == pytest.approx(20 / (20 + fresh))
 
     def test_earlier_ones_show_nothing(self, make_study):
         before = runs([0.5] * 1000, Stage.VALIDATION)
@@ -103,10 +107,7 @@ class TestRunsInAContext:
         assert worst.earlier == 32
         assert worst.together == pytest.approx((48.0 + values.sum()) / (32 + fresh))
         if not passed:
-            assert (
-                "32 earlier runs in a context (load 1.5), which count against it"
-                in (found.reasons[0])
-            )
+            assert found.constraints[0].reason == Reason(Why.EARLIER_IN_CONTEXT)
 
     @pytest.mark.parametrize(("fresh", "passed"), [(95, False), (100, True)])
     def test_of_single_runs(self, make_study, fresh, passed):
@@ -154,7 +155,7 @@ class TestWhatIsLookedAtAgain:
     def test_where_it_failed(self, make_study, function_backend):
         found, verdict, _ = self.collect(make_study, function_backend, NOTHING)
         assert verdict.passed
-        refuted = Refutation("certificate 0001 was a FAIL", ("peak: too high",), (SPIKE,))
+        refuted = Refutation((SPIKE,), "0001")
         earlier = Earlier((refuted,), certified=True)
         found, verdict, most = self.collect(make_study, function_backend, earlier)
         assert not verdict.passed
@@ -191,9 +192,9 @@ class TestOfARun:
         trial = run.trials[run.summary["trial"]]
         found = earlier_evidence(run, trial.parameters, "inprocess")
         (refuted,) = found.refutations
-        assert refuted.description == "certificate 0001 was a FAIL"
+        assert refuted.certificate == "0001"
         assert refuted.contexts == ({"load": 1.5},)
-        assert refuted.reasons[0].startswith("peak: ")
+        assert not refuted.findings.constraints[0].passed
         assert found.certified
         own = [e for e in run.evaluations if e.parameters == trial.parameters]
         assert len(found.evaluations) == len(own) + 240
@@ -221,7 +222,7 @@ class TestOfARun:
         found = earlier_evidence(changed, trial.parameters, "inprocess")
         assert found.contexts == [{"load": 1.25}]
         assert not found.certified
-        assert found.refutations[0].reasons == ("peak: 10 runs in 1 context",)
+        assert found.refutations[0].runs == RefutingRuns("peak", runs=10, contexts=1)
 
     def test_a_run_that_was_cut_short_is_no_evidence(self, run):
         """It neither violates a limit nor keeps it; one that failed counts."""

@@ -11,9 +11,11 @@ from draws_needed import draws_needed_without_event
 from scipy import stats
 
 from bo_tuner.errors import RunError
-from bo_tuner.evidence.certificate.findings import Evidence
+from bo_tuner.evidence.certificate.findings import Evidence, Failure
 from bo_tuner.evidence.certificate.judgement import judge, most_draws_needed
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
+from bo_tuner.evidence.reasons import Assumption, Reason, Why
+from bo_tuner.evidence.words.reasons import reason
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.bounded_means import log_wealth
 from bo_tuner.numerics.two_kinds import runs_to_see
@@ -76,7 +78,6 @@ class TestChance:
         assert (constraint.violation_bound <= 0.04) is passed
         assert (constraint.violations, constraint.draws) == (violations, draws)
         assert constraint.allowed == pytest.approx(0.04)
-        assert bool(found.reasons) is not passed
 
     def test_the_limit_itself_is_within(self, make_study):
         found = judge(make_study(**CHANCE), evidence([LIMIT] * 100), 0.95)
@@ -86,7 +87,7 @@ class TestChance:
     def test_too_few_draws_are_told(self, make_study):
         found = judge(make_study(**CHANCE), evidence([0.5] * 25), 0.95)
         assert not found.passed
-        assert f"{DRAWS_NEEDED} draws without any are needed" in found.reasons[0]
+        assert found.constraints[0].reason == Reason(Why.SHARE, needed=DRAWS_NEEDED)
         assert most_draws_needed(make_study(**CHANCE), 0.95) == (DRAWS_NEEDED, "peak")
         assert most_draws_needed(make_study(), 0.95) == (runs_to_see(0.975), "peak")
         # In every context as many runs are needed, and there are no more than draws.
@@ -101,10 +102,8 @@ class TestWorstCase:
         assert held.passed
         assert held.constraints[0].violations == 1
         found = judge(make_study(), evidence([1.2, 1.3] * 20, [noisy(20, 0.55, 0.05)]), 0.95)
-        assert found.reasons == (
-            "peak: 40 of 40 draws violate the limit or fail: more than a limit allows that is kept "
-            "in every context",
-        )
+        (peak,) = found.constraints
+        assert (peak.violations, peak.reason) == (40, Reason(Why.DRAWS))
 
     def test_noise_in_the_worst_context_refutes_nothing(self, make_study):
         values = noisy(MANY, 0.9, 0.1)
@@ -121,7 +120,8 @@ class TestWorstCase:
         values = noisy(MANY, 0.9, 0.6)
         found = judge(make_study(), evidence([0.5] * 100, [values]), 0.95)
         assert not found.passed
-        assert "may be" in found.reasons[0]
+        assert found.constraints[0].reason == Reason(Why.MEAN_IN_CONTEXT)
+        assert not found.constraints[0].refuted
 
     def test_every_candidate_counts(self, make_study):
         """One with a smaller mean, but a bound beyond the limit."""
@@ -148,14 +148,14 @@ class TestWorstCase:
         bounds = [w.mean.lower if lower else w.mean.upper for w in found.worst]
         widest = bounds[1]
         assert widest == (min if lower else max)(bounds)
-        assert "in the least certain of the worst contexts" in found.reason
-        assert f"{widest:.4g}, limit" in found.reason
+        assert found.reason == Reason(Why.MEAN_IN_CONTEXT, place=1)
 
     def test_without_contexts_none_is_named(self, make_study):
         (found,) = judge(
             make_study(contexts={}), nowhere(noisy(MANY, 0.55, 0.05)), 0.95
         ).constraints
-        assert found.reason.startswith("mean over noise at most 0.")
+        assert found.passed
+        assert reason(found).startswith("mean over noise at most 0.")
 
     def test_it_needs_a_look_at_the_worst_context(self, make_study):
         assert not judge(make_study(), evidence([0.5] * 100, []), 0.95).passed
@@ -169,7 +169,8 @@ class TestWorstCase:
         (worst,) = found.constraints[0].worst
         assert worst.mean.upper < LIMIT
         assert found.passed is passed is (worst.violation_bound <= 0.15)
-        assert f"{above} of 60 runs violate the limit" in found.constraints[0].reason
+        assert worst.beyond == above
+        assert found.constraints[0].reason == Reason(Why.SHARE_IN_CONTEXT)
 
     def test_a_limit_on_single_runs_needs_none_for_a_bound_of_the_mean(self, make_study):
         """That bound decides nothing there, in whatever context has the fewest runs."""
@@ -190,7 +191,9 @@ class TestWorstCase:
         """
         draws = [0.0] * 29 + [20.0]
         found = judge(make_study(), evidence(draws, [[0.0] * 5]), 0.95)
-        assert "too few test runs (5) in the worst context (load 1.5) to bound" in found.reasons[0]
+        (peak,) = found.constraints
+        assert peak.reason == Reason(Why.MEAN_IN_CONTEXT)
+        assert not math.isfinite(peak.worst[0].mean.upper)
         fewest = next(
             n for n in range(1, 500) if log_wealth([0.0] * n, 1.0, 20.0)[-1] >= math.log(40.0)
         )
@@ -245,7 +248,7 @@ class TestFailures:
         )
         assert not found.passed
         assert found.failures == 1
-        assert "first: axis: stalled (context load 1.5; seed 7)" in found.reasons[0]
+        assert found.first_failure == Failure("axis: stalled", {"load": 1.5}, 7)
 
     def test_it_counts_as_a_violation(self, make_study):
         found = judge(make_study(**CHANCE), evidence([0.5] * 293 + [None] * 7), 0.95)
@@ -344,11 +347,9 @@ class TestUnvisitedContexts:
         )
         by_name = {c.name: c for c in judge(study, found, 0.95).constraints}
         assert not by_name["peak"].passed
-        assert "it is not kept" in by_name["peak"].reason or "may be" in by_name["peak"].reason
+        assert by_name["peak"].reason.why in (Why.REFUTED_IN_CONTEXT, Why.MEAN_IN_CONTEXT)
         assert not by_name["error"].passed
-        assert by_name["error"].reason == (
-            "3 contexts that may be the worst had no run, as another one had decided"
-        )
+        assert by_name["error"].reason == Reason(Why.NOT_RUN, not_run=3)
         # The context that was run is the worst one of the other limit.
         assert by_name["error"].worst == ()
         assert by_name["peak"].worst[0].evaluations == MANY
@@ -365,7 +366,7 @@ class TestUnvisitedContexts:
         (peak,) = judge(study, found, 0.95).constraints
         assert not peak.passed
         assert (peak.worst[0].beyond, peak.worst[0].evaluations) == (1, 10)
-        assert "1 of 10 runs violate the limit: violation probability may be" in peak.reason
+        assert peak.reason == Reason(Why.SHARE_IN_CONTEXT)
 
     def test_they_are_counted(self, make_study, function_backend):
         """The peak is beyond its limit for large loads, the error for small ones alone."""
@@ -383,7 +384,8 @@ class TestUnvisitedContexts:
         for name, count in found.unvisited.items():
             assert count > 0
             assert not by_name[name].passed
-            seen = name not in found.unseen or "it is not kept" in by_name[name].reason
+            refuted = by_name[name].reason.why is Why.REFUTED_IN_CONTEXT
+            seen = name not in found.unseen or refuted
             assert bool(by_name[name].worst) is seen
 
 
@@ -404,10 +406,10 @@ class TestRange:
             assert found.passed is passed
             (worst,) = found.constraints[0].worst
             assert (worst.mean.upper <= LIMIT) is passed
-            assert found.constraints[0].assumption == ""
+            assert found.constraints[0].assumption is None
         told = judge(make_study(), runs, 0.95)
         assert told.passed
-        assert "give the metric a range" in told.constraints[0].assumption
+        assert told.constraints[0].assumption == Assumption("peak")
 
     def test_a_lower_limit_is_the_mirror_image(self, make_study):
         limit = {"kind": "worst_case", "metric": "peak", "lower": -LIMIT}

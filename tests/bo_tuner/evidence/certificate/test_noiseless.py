@@ -14,10 +14,11 @@ from bo_tuner.evidence.certificate.judgement import judge, least_evaluations
 from bo_tuner.evidence.certificate.outlook import outlook
 from bo_tuner.evidence.certificate.plan import Subject
 from bo_tuner.evidence.declarations import contradicted
+from bo_tuner.evidence.reasons import Assumption, Reason, Why
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.numerics.sequential import draws_needed
 from bo_tuner.study.limits import refuted
-from bo_tuner.study.noiseless import noise_in
+from bo_tuner.study.noiseless import Noisy, noise_in
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import ValidationPlan
@@ -50,8 +51,7 @@ def test_one_run_in_each_context(make_study, function_backend, constraints):
     assert [len(group) for group in evidence.repeated] == [1] * len(evidence.repeated)
     assert 1 < len(evidence.repeated) <= most_candidates(study.context_space())
     assert len({e.seed for e in evidence.drawn}) == 1
-    (assumption,) = findings.assumptions
-    assert "the study declares its runs free of noise (noise: none), of which 3 runs" in assumption
+    assert findings.constraints[0].assumption == Assumption("peak", repeats=REPEATS)
     worst = findings.constraints[0].worst[0]
     # The largest load is 2.
     assert worst.mean.value == pytest.approx(0.8, abs=1e-3)
@@ -91,7 +91,7 @@ def test_over_contexts_it_takes_draws_all_the_same(make_study, function_backend)
     evidence, findings = certified(study, function_backend)
     assert findings.passed
     assert len(evidence.drawn) == draws_needed(0.04, 0.95)
-    assert findings.assumptions == ()
+    assert findings.constraints[0].assumption is None
 
 
 def test_without_contexts_one_run_decides(make_study, function_backend):
@@ -99,7 +99,7 @@ def test_without_contexts_one_run_decides(make_study, function_backend):
     evidence, findings = certified(study, function_backend, lambda **_: {"error": 1.0, "peak": 0.5})
     assert findings.passed
     assert (len(evidence.drawn), len(evidence.repeats)) == (1, REPEATS)
-    assert "there is neither noise nor another context" in findings.constraints[0].reason
+    assert findings.constraints[0].reason == Reason(Why.WITHOUT_NOISE)
 
 
 @pytest.mark.parametrize("constraints", [MEAN, CHANCE["constraints"]])
@@ -109,11 +109,8 @@ def test_noise_is_a_fault_of_the_declaration(make_study, function_backend, const
     assert not findings.passed
     assert len(evidence.evaluations) == REPEATS + 1
     first, other = evidence.drawn[0], evidence.repeats[0]
-    (reason, *_) = findings.reasons
-    assert reason.startswith("the study declares noise: none, but peak was ")
-    for run in (first, other):
-        assert f"{run.outcome.metrics['peak']:.10g}" in reason
-        assert str(run.seed) in reason
+    values = first.outcome.metrics["peak"], other.outcome.metrics["peak"]
+    assert findings.contradiction == Noisy("peak", values, (first.seed, other.seed))
 
 
 def test_a_run_repeats_nothing_but_its_first(make_study, function_backend):
@@ -140,8 +137,8 @@ def test_a_noisy_run_is_named(make_study, function_backend):
     trials = list(Tuning(study, Driver(function_backend(study, noisy)), METHODS["boundary"]))
     runs = [e for trial in trials for e in trial.evaluations]
     (found,) = contradicted(study, runs)
-    assert found.how.startswith("the study declares noise: none, but peak")
-    assert noise_in(make_study(constraints=MEAN), runs) == ""
+    assert (type(found.how), found.how.metric) == (Noisy, "peak")
+    assert noise_in(make_study(constraints=MEAN), runs) is None
 
 
 def test_rounding_is_no_noise(make_study, function_backend):
@@ -151,7 +148,7 @@ def test_rounding_is_no_noise(make_study, function_backend):
         return {"error": 1.0, "peak": 0.4 * load * (1.0 + 1e-15 * (seed % 3))}
 
     _, findings = certified(study, function_backend, rounded)
-    assert findings.contradiction == ""
+    assert findings.contradiction is None
 
 
 def test_a_single_run_refutes_a_limit_or_not(make_study):

@@ -17,10 +17,9 @@ from bo_tuner.evidence.certificate.context_tolerance import (
 from bo_tuner.evidence.certificate.parameter_sensitivity import (
     Neighbour,
     ParameterSensitivity,
-    change_in_words,
-    narrow_in_words,
     parameter_sensitivity,
 )
+from bo_tuner.evidence.words.certificate import of_narrow, of_step
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.study.study_file import load_study
@@ -282,7 +281,7 @@ class TestNeighbourhood:
         changed = [set(n.changed.items()) for n in narrow.narrow]
         assert {("prediction_horizon", 3)} in changed
         assert {("control_horizon", 2)} in changed
-        said = narrow_in_words(study, narrow)
+        said = of_narrow(study, narrow)
         assert said.startswith("narrow optimum: ")
         assert "prediction_horizon 3" in said
         # What the table has there.
@@ -309,9 +308,9 @@ class TestNeighbourhood:
             Neighbour({"gain": gain}, {"gain": gain}, objective, 0.9, loss, -0.5)
             for gain, objective, loss in ((0.5, optimum, 0.0), (0.6, optimum + 1.0, 0.3))
         )
-        assert change_in_words(study, best, beside) == change
+        assert of_step(study, best, beside) == change
         around = ParameterSensitivity(best, (beside,), 0.2)
-        assert f"gain 0.6 (objective {change})" in narrow_in_words(study, around)
+        assert f"gain 0.6 (objective {change})" in of_narrow(study, around)
 
     def test_a_calm_one(self, make_study, make_trial):
         study = make_study(objective={"metric": "error", "scale": "log"})
@@ -321,7 +320,7 @@ class TestNeighbourhood:
         ]
         models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
-        assert (around.score, around.narrow, narrow_in_words(study, around)) == (0.0, (), "")
+        assert (around.score, around.narrow) == (0.0, ())
         assert [n.changed["gain"] for n in around.neighbours] == pytest.approx([0.45, 0.55])
         assert around.optimum.loss == 0.0
         assert around.optimum.excess == pytest.approx(0.6 - 1.0, abs=0.02)
@@ -338,7 +337,7 @@ class TestNeighbourhood:
         models = TrialModels()(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
         assert [n.changed["gain"] for n in around.narrow] == pytest.approx([0.55])
-        assert "% over a limit" in narrow_in_words(study, around)
+        assert "% over a limit" in of_narrow(study, around)
 
     @pytest.mark.parametrize("slope", [1.0, 2.0, 8.0])
     def test_the_score_of_a_slope(self, make_study, make_trial, slope):

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths, widths_in_words
+from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
+from bo_tuner.evidence.words.certificate import of_widths
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
 
@@ -58,9 +59,9 @@ def test_discrete_values_alone_have_no_width():
 
 def test_in_words():
     both = [SearchWidth(0.9, 0.1432), SearchWidth(0.5, 0.068)]
-    assert widths_in_words(both) == (
+    assert of_widths(both) == (
         "a violation of at least 0.14 of the box's edges in width would have been found with a "
         "probability of 90 %, one of 0.068 with a probability of 50 %"
     )
-    assert "90 %" not in widths_in_words([SearchWidth(0.9, math.inf), both[1]])
-    assert widths_in_words([SearchWidth(0.9, 1.2), SearchWidth(0.5, math.nan)]) == ""
+    assert "90 %" not in of_widths([SearchWidth(0.9, math.inf), both[1]])
+    assert of_widths([SearchWidth(0.9, 1.2), SearchWidth(0.5, math.nan)]) == ""

@@ -8,7 +8,7 @@ from scipy import integrate, optimize
 
 from bo_tuner.evidence.certificate.certification import Certification
 from bo_tuner.evidence.certificate.plan import Subject
-from bo_tuner.evidence.certificate.so_far import so_far
+from bo_tuner.evidence.words.so_far import so_far
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
 
@@ -48,7 +48,7 @@ def test_a_share_of_the_runs(make_study, function_backend):
     assert certification.cut_short
     assert len(evidence.drawn) == 12
     head, peak = so_far(study, evidence, 0.95)
-    assert head == "12 runs, nothing refutes it; shown with 95 % confidence:"
+    assert head == "12 test runs, nothing refutes it; shown with 95 % confidence:"
     share = math.floor(100.0 * kept(12)) / 100.0
     assert peak == f"peak: at least {share:g} of the runs are below 1, asked 0.96"
 
@@ -77,7 +77,7 @@ def test_no_run_is_begun_once_it_is_over(make_study, function_backend):
     certification, evidence = timed(study, backend, 0)
     assert certification.cut_short
     assert not backend.calls
-    assert [*so_far(study, evidence, 0.95)] == ["nothing is shown by 0 runs"]
+    assert [*so_far(study, evidence, 0.95)] == ["nothing is shown by 0 test runs"]
 
 
 def test_time_that_ends_with_the_verdict_cuts_nothing_short(make_study, function_backend):

@@ -10,11 +10,11 @@ from made_certificates import content_of, made_certificate
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.store import (
-    certificate_text,
     latest_certificate,
     next_path,
     read_certificate,
 )
+from bo_tuner.evidence.certificate_file import certificate_text
 
 WRONG = (
     None, True, -1, 0, 10**400, 1e308, math.nan, math.inf, "", "x", "\ud800", [], [1], [None], {},
@@ -43,7 +43,7 @@ def changed(document, place, value):
 
 @pytest.fixture
 def content(tuned):
-    return content_of(made_certificate(tuned.study, {"gain": 0.25}))
+    return content_of(tuned.study, made_certificate(tuned.study, {"gain": 0.25}))
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_what_was_written_is_read_back(run):
     found = read_certificate(path, run.study)
     # As text, since NaN differs from itself.
     assert repr(found) == repr(written)
-    assert certificate_text(found) == path.read_text()
+    assert certificate_text(run.study, found) == path.read_text()
     assert found.context_tolerances
     assert found.parameter_sensitivity is not None
 

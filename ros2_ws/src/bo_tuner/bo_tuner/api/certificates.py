@@ -5,18 +5,19 @@ from collections.abc import Iterator
 
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.api.in_words import Certificate, certificate_in_words
 from bo_tuner.backends.function import Function
 from bo_tuner.backends.passed_function import backend_of, workers_of
 from bo_tuner.backends.protocol import opened_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.codec import checks
 from bo_tuner.codec.rules import FRACTION
-from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification
-from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.making import make_certificate
 from bo_tuner.evidence.certificate.store import draws_of
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished, attempt_for
+from bo_tuner.evidence.certificate_file import write_certificate
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
@@ -31,7 +32,7 @@ def certify_trial(
     trial: Trial,
     function: Function,
     *,
-    draws: int | None,
+    runs: int | None,
     confidence: float | None,
     workers: int | None,
     timeout: float | None,
@@ -47,10 +48,10 @@ def certify_trial(
         if level is None:
             level = study.certificate.confidence
         level = FRACTION(level, "confidence")
-        if draws is not None:
-            checks.integer(draws, "draws")
+        if runs is not None:
+            checks.integer(runs, "runs")
         attempt = attempt_for(record.path, study, trial.parameters, FUNCTION)
-        most = draws_of(study, level, attempt, draws)
+        most = draws_of(study, level, attempt, runs)
         subjects = subjects_of(record, trial, FUNCTION, with_default=False)
         unfinished = Unfinished(record.path, study, trial.parameters, FUNCTION, attempt)
         with contextlib.closing(unfinished), contextlib.ExitStack() as stack:
@@ -72,9 +73,9 @@ def certify_trial(
             record, trial, evidence, most, level, attempt, FUNCTION, best_sha256=None
         )
         folder.check()
-        write_certificate(record.path, made, evidence)
+        write_certificate(record.path, study, made, evidence)
         unfinished.remove()
-        return made
+        return certificate_in_words(study, made)
 
 
 @contextlib.contextmanager

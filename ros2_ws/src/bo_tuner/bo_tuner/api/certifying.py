@@ -22,7 +22,7 @@ def certify(
     parameters: Mapping[str, Value] | None = None,
     *,
     folder: str | Path | None = None,
-    draws: int | None = None,
+    runs: int | None = None,
     confidence: float | None = None,
     workers: int | None = None,
     timeout: float | None = None,
@@ -42,8 +42,9 @@ def certify(
     folder
         Where the certificate is kept, and goes on after an interruption; not that of a run. All
         certificates in a folder share the confidence. Without it, only the returned object remains.
-    draws
-        Largest number of draws; unless given as many as the study requires.
+    runs
+        Largest number of test runs in random contexts, and in each of the worst ones; unless given
+        as many as the study requires.
     confidence
         Between 0 and 1, of all certificates in the folder together; unless given that of the study.
     workers, timeout
@@ -60,7 +61,7 @@ def certify(
     Raises
     ------
     StudyError
-        If the values are no parameter set of the study, or the draws cannot show its limits.
+        If the values are no parameter set of the study, or the test runs cannot show its limits.
     MetricsError
         If the function returns something else than a number for each metric.
     FunctionError, BackendError, MissingPackageError
@@ -91,7 +92,7 @@ def certify(
             record,
             trial,
             function,
-            draws=draws,
+            runs=runs,
             confidence=confidence,
             workers=workers,
             timeout=timeout,

@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bo_tuner.api.certificates import certify_trial
+from bo_tuner.api.in_words import (
+    Certificate,
+    Verdict,
+    certificate_in_words,
+    verdict_in_words,
+)
 from bo_tuner.backends.function import Function
 from bo_tuner.errors import MissingPackageError, RunRecordError
-from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.store import latest_certificate, read_certificate
 from bo_tuner.evidence.run_verdict import run_verdict
-from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.figures.figure import Figure
 from bo_tuner.storage.csv_tables import evaluation_row, trial_row
 from bo_tuner.storage.record import RunRecord, read_run
@@ -55,7 +59,7 @@ class Result:
     @property
     def verdict(self) -> Verdict:
         """What was found about the result: `headline` and `sentences` say it in words."""
-        return run_verdict(self._record)
+        return verdict_in_words(run_verdict(self._record))
 
     @property
     def certificate(self) -> Certificate | None:
@@ -68,7 +72,10 @@ class Result:
         """
         trial = self._record.result
         path = None if trial is None else latest_certificate(self._record, trial)
-        return None if path is None else read_certificate(path, self._record.study)
+        if path is None:
+            return None
+        study = self._record.study
+        return certificate_in_words(study, read_certificate(path, study))
 
     @cached_property
     def figures(self) -> Mapping[str, "Picture"]:
@@ -104,7 +111,7 @@ class Result:
         self,
         function: Function,
         *,
-        draws: int | None = None,
+        runs: int | None = None,
         confidence: float | None = None,
         workers: int | None = None,
         timeout: float | None = None,
@@ -128,7 +135,7 @@ class Result:
             self._record,
             trial,
             function,
-            draws=draws,
+            runs=runs,
             confidence=confidence,
             workers=workers,
             timeout=timeout,
@@ -157,8 +164,9 @@ class Result:
             f"<tr><th>{html.escape(name)}</th><td>{html.escape(shown(value))}</td></tr>"
             for name, value in (self.best or {}).items()
         )
-        sentences = html.escape(" ".join(self.verdict.sentences))
-        headline = html.escape(self.verdict.headline)
+        verdict = self.verdict
+        headline = html.escape(verdict.headline)
+        sentences = html.escape(" ".join(verdict.sentences))
         return f"<p><b>{headline}</b></p><table>{rows}</table><p>{sentences}</p>"
 
 

@@ -64,8 +64,8 @@ DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
 values or none, reads them back, and saves the previous values in
 RUN/deploy/rollback.yaml. The result needs a certificate: a PASS for this study,
-these parameters and this code, with the draws and confidence that the study
-requires, and no later FAIL.
+these parameters and this code, with the test runs and confidence that the
+study requires, and no later FAIL.
 
 With --write FILE the result goes into the parameter file that the nodes start
 with instead: only its values change, the previous file is kept beside it.

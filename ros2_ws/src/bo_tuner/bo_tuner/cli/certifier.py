@@ -14,12 +14,14 @@ from bo_tuner.cli.common import opened
 from bo_tuner.cli.time_limit import TimeLimit
 from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.certification import Certification, most_evaluations
-from bo_tuner.evidence.certificate.making import make_certificate, write_certificate
+from bo_tuner.evidence.certificate.making import make_certificate
 from bo_tuner.evidence.certificate.outlook import Outlook, outlook
 from bo_tuner.evidence.certificate.plan import Subject
-from bo_tuner.evidence.certificate.so_far import so_far
 from bo_tuner.evidence.certificate.subjects import subjects_of
 from bo_tuner.evidence.certificate.unfinished import Unfinished
+from bo_tuner.evidence.certificate_file import write_certificate
+from bo_tuner.evidence.words.facts import failed_on
+from bo_tuner.evidence.words.so_far import so_far
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.numerics.sequential import spent
@@ -146,7 +148,7 @@ class Certifier:
             best_sha256,
         )
         folder.check()
-        path = write_certificate(folder.path, certificate, evidence)
+        path = write_certificate(folder.path, study, certificate, evidence)
         unfinished.remove()
         return certificate, path, unrestored
 
@@ -157,14 +159,14 @@ class Certifier:
                 count = len(refutation.contexts)
                 failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
                 again = f"its {failed} run again, and " if count else ""
-                what = f"{subject.name}: {refutation.description}"
+                what = f"{subject.name}: {failed_on(refutation)}"
                 line = f"{what}; {again}its runs count against a PASS"
                 print_line(self.console, line, "  ")
 
     def _show_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""
         most = most_evaluations(self.record.study, subjects, draws)
-        parts = [counted(most.drawn, "draw")]
+        parts = [f"{most.drawn} at random"]
         if most.searched:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:

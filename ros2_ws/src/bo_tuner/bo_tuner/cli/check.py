@@ -12,10 +12,11 @@ import numpy as np
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.isolation import named_namespace
-from bo_tuner.backends.ros.safe_state import parks_after_runs
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.cli.check_times import time_of
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.found import fault, note
 from bo_tuner.cli.parameter_runs import show_effects, try_parameters
 from bo_tuner.cli.streams import say_error
 from bo_tuner.cli.study_on_nodes import MistakesError, heard_of_others, hold_against, is_running
@@ -28,15 +29,15 @@ from bo_tuner.cli.study_options import (
 )
 from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError, RunError
-from bo_tuner.evidence.certificate.certification import most_evaluations
-from bo_tuner.evidence.certificate.draws import least_draws
-from bo_tuner.evidence.certificate.judgement import least_evaluations
-from bo_tuner.evidence.certificate.outlook import probable_certificate
-from bo_tuner.evidence.certificate.plan import Subject
-from bo_tuner.evidence.certificate.store import required_draws
-from bo_tuner.evidence.next_drive import asked_of, least_drives
+from bo_tuner.evidence.check import (
+    KeepsValue,
+    NothingMoves,
+    RunFailed,
+    RunRemark,
+    Streamed,
+)
+from bo_tuner.evidence.words.check import in_words, of_proof, of_run, of_study
 from bo_tuner.interruption import Interruption
-from bo_tuner.methods.registry import METHODS, method_of
 from bo_tuner.metrics.equal_runs import (
     all_stand,
     from_the_run_before,
@@ -49,15 +50,12 @@ from bo_tuner.metrics.message_rates import rate_of
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
-from bo_tuner.run_notes import Published
 from bo_tuner.study.ending_early import decided_by
 from bo_tuner.study.noiseless import noise_in
 from bo_tuner.study.sizing import shortages
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, duration, durations, shown
-from bo_tuner.trials import TUNED, Evaluation, Stage
+from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 
 DESCRIPTION = """\
@@ -187,19 +185,11 @@ def _try(
                 whole_range = bool(sensitivity) or not attach
                 acts = _try_parameters(study, backend, complete, whole_range=whole_range)
         if complete:
-            _estimate(study, complete)
+            show_times(study, complete)
         code = ended(left, EXIT_OK if sound and acts else EXIT_INFEASIBLE)
         if code == EXIT_OK:
             shutil.rmtree(folder)
         return code
-
-
-def _in_words(stream: Published) -> str:
-    return (
-        f"{stream.messages} messages, {stream.left_out} left out, late by "
-        f"{stream.late * 1e3:.2f} ms on average and {stream.latest * 1e3:.2f} ms at most, longest "
-        f"gap {stream.gap * 1e3:.1f} ms"
-    )
 
 
 def _show_runs(
@@ -211,21 +201,19 @@ def _show_runs(
     """Show runs of the default; returns whether all are complete, and something moves."""
     show_signals(recordings[-1], RUNS)
     for name, stream in done[-1].outcome.notes.streams.items():
-        say(f"stream on {name}: {_in_words(stream)}")
+        say(in_words(Streamed(name, stream)))
     failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
-        say_error(
-            f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
-        )
+        fault(RunFailed(evaluation.index + 1, evaluation.outcome.reason))
     for evaluation in done:
         if remark := evaluation.outcome.notes.remark:
-            say(f"note: run {evaluation.index + 1}: {remark}")
+            note(RunRemark(evaluation.index + 1, remark))
     if complete := [e for e in done if e not in failed]:
         show_metrics(study, complete)
     if study.budget.cut_short:
-        say(decided_by(study))
-    if noise := noise_in(study, complete):
-        say_error(f"error: {noise}")
+        say(in_words(decided_by(study)))
+    if (noise := noise_in(study, complete)) is not None:
+        fault(noise)
         return False
     # Of a run that failed, nothing may be known.
     return not failed and _show_motion(study, done, recordings, heard)
@@ -293,132 +281,25 @@ def _show_motion(
     heard: Sequence[str],
 ) -> bool:
     """Show what may be wrong with the signals of complete runs; returns whether any moves."""
+    still = standing(recordings, heard)
     if all_stand(recordings, heard):
-        say_error(
-            f"error: nothing moves: {', '.join(standing(recordings, heard))} did not change in "
-            f"{RUNS} runs; see that the machine is switched on, and that run.start sets it going"
-        )
+        fault(NothingMoves(tuple(still), RUNS))
         return False
-    notes = [
-        f"{name}: keeps the value {shown(float(recordings[0].signals[name].value[-1]))} in all "
-        f"{RUNS} runs"
-        for name in standing(recordings, heard)
-    ]
-    notes += unmoved(study, recordings[-1], heard)
-    notes += from_the_run_before(recordings, heard)
-    notes += unlike_starts(recordings, heard)
+    last = {name: float(recordings[0].signals[name].value[-1]) for name in still}
+    note(*(KeepsValue(name, value, RUNS) for name, value in last.items()))
+    note(*unmoved(study, recordings[-1], heard))
+    note(*from_the_run_before(recordings, heard))
+    note(*unlike_starts(recordings, heard))
     rates = [{name: rate_of(r.signals[name], r.end) for name in heard} for r in recordings]
     numbered = [f"run {number}" for number in range(1, RUNS + 1)]
-    notes += uneven_rates(numbered, rates, [e.outcome.load for e in done]).values()
-    for note in notes:
-        say(f"note: {note}")
+    note(*uneven_rates(numbered, rates, [e.outcome.load for e in done]).values())
     return True
 
 
-def evaluations_at_most(study: Study) -> tuple[int, int]:
-    """Return the largest numbers of evaluations of a study and of the certificate of its result."""
-    tuning = METHODS[method_of(study)].most_evaluations(study)
-    # A trial has a suspected context for each worst-case limit.
-    contexts = study.context_space()
-    nominal = contexts.to_dict(contexts.nominal())
-    suspected = (nominal,) * len(study.worst_case_constraints)
-    subject = Subject(TUNED, study.search_space().defaults, suspected)
-    draws = required_draws(study, study.certificate.confidence)
-    certificate = most_evaluations(study, [subject], draws).total
-    # The first run of all is made once more if it is to have no noise.
-    tuning += 2 * study.budget.validation_draws + study.is_noiseless
-    return tuning, certificate
-
-
-def _estimate(study: Study, complete: Sequence[Evaluation]) -> None:
+def show_times(study: Study, complete: Sequence[Evaluation]) -> None:
     """Show how long tuning and certificate will take, by test runs that completed."""
-    notes = [e.outcome.notes for e in complete]
-    starting = sum(n.start_seconds for n in notes)
-    resting = max(n.rested_seconds for n in notes)
-    waiting = starting + sum(n.rested_seconds + n.ramped_seconds for n in notes)
-    seconds = (sum(e.seconds for e in complete) - waiting) / len(complete)
-    say(f"a test run took {seconds:.3g} s")
-    if resting:
-        seconds += resting
-        say(f"the machine rested {resting:.3g} s ahead of one, which counts")
-    ramping_of_run, ramping_of_set = _ramping(study)
-    seconds += ramping_of_run
-    runs, warming = notes[0].warm_ups, notes[0].warm_up_seconds
-    if runs:
-        say(f"{counted(runs, 'run')} to warm up took {warming:.3g} s: once for each command")
-    if study.relative_metrics:
-        seconds *= 2.0
-        say(
-            "note: limits are relative to the default, which is run beside each test run of "
-            "another parameter set: it takes twice the time"
-        )
-    tuning, certificate = evaluations_at_most(study)
-    starts_of_study = 0
-    if starting:
-        each = _starts_each_time(study)
-        starts_of_study = tuning if each else min(tuning, study.budget.trials)
-        say(
-            f"to {_brought_up(study)} with other values took {starting:.3g} s: "
-            f"once for {'each test run' if each else 'each parameter set'}"
-        )
-    seconds_of_study = tuning * seconds + starts_of_study * starting + warming
-    seconds_of_study += min(tuning, study.budget.trials) * ramping_of_set
-
-    def of_certificate(evaluations: int) -> float:
-        starts = 0.0 if not starting else evaluations if _starts_each_time(study) else 1.0
-        return evaluations * seconds + starts * starting + warming
-
-    say(f"study: at most {counted(tuning, 'test run')}, {duration(seconds_of_study)}")
-    for line in shortages(study):
-        say(f"note: {line}")
-    if study.plays_bags:
-        least = least_drives(asked_of(study), spent(study.certificate.confidence, 1))
-        say(f"proof: validate --drives with at least {least} drives that are not in the study")
-        return
-    at_most = f"at most {certificate}, {duration(of_certificate(certificate))}"
-    if (probable := probable_certificate(study)) is not None:
-        fewest = least_evaluations(study, spent(study.certificate.confidence, 1))
-        least = max(fewest, least_draws(study))
-        times = durations(of_certificate(probable.low), of_certificate(probable.high))
-        say(
-            f"certificate: probably {probable} test runs, {times}, if the result passes by a "
-            f"usual margin; at least {least}, {at_most}"
-        )
-    else:
-        say(f"certificate: {at_most}; fewer once the verdict is clear")
-
-
-def _ramping(study: Study) -> tuple[float, float]:
-    """Show how long ramps take; returns it [s] for each test run, and for each parameter set."""
-    ramp = None if study.run is None else study.run.ramp
-    if ramp is None:
-        return 0.0, 0.0
-    # The default beside a run, or the safe parameters after it, change them even within a trial.
-    count = 2 if parks_after_runs(study) else 1 if study.relative_metrics else 0
-    often = ("once for each parameter set", "once for each test run", "twice for each test run")
-    say(f"a ramp takes {ramp:g} s, {often[count]}, which counts")
-    return count * ramp, 0.0 if count else ramp
-
-
-def _brought_up(study: Study) -> str:
-    """Return what is done with nodes that take values while they start, or are configured."""
-    start: list[str] = []
-    configure: list[str] = []
-    for key, spec in study.nodes.items():
-        if any(spec.names_in_braces):
-            start.append(key)
-        elif key in study.start_names:
-            (configure if spec.reconfigure else start).append(key)
-    verbs = (("start", start), ("configure", configure))
-    return " and ".join(f"{verb} {', '.join(keys)}" for verb, keys in verbs if keys)
-
-
-def _starts_each_time(study: Study) -> bool:
-    """Whether a node takes contexts or seeds only while it starts, as it does the parameters."""
-    in_braces = {name for spec in study.nodes.values() for _, name in spec.names_in_braces}
-    if in_braces & study.contexts.keys():
-        return True
-    targets = [(item.node, item.parameter) for item in study.contexts.values()]
-    if study.seed_parameter is not None:
-        targets.append((study.seed_parameter.node, study.seed_parameter.parameter))
-    return any(name in study.start_names.get(node, ()) for node, name in targets)
+    time = time_of(study, complete)
+    for line in (*of_run(time), of_study(time)):
+        say(line)
+    note(*shortages(study))
+    say(of_proof(time))

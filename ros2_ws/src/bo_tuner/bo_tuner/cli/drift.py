@@ -9,19 +9,17 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner import maxima
-from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     attached,
     ended,
-    in_namespace_of,
     named_metrics,
     read_result,
 )
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
-from bo_tuner.cli.extra_runs import complete
+from bo_tuner.cli.extra_runs import complete, make_nodes
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunRecordError, StudyError
@@ -40,7 +38,6 @@ from bo_tuner.evidence.drift import (
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.abort_bags import AbortBags
-from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
@@ -77,15 +74,13 @@ def compare(
     allow_programs(record, trusted=arguments.trust, attach=attach)
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        with writing(folder.log):
-            folder.log.mkdir(exist_ok=True)
-        nodes = make_backend(
+        nodes = make_nodes(
+            record,
+            folder,
             backend,
-            study,
-            folder.log,
+            ros_arguments,
+            interruption,
             attach=attach,
-            ros_arguments=in_namespace_of(record, ros_arguments),
-            interrupted=interruption.check,
             earlier=record.evaluations,
         )
         if isinstance(nodes, RosBackend):
@@ -100,10 +95,10 @@ def compare(
             return code
         drift = result_of(plan, path.name, started, _now())
         written = write_drift(folder.path, number, drift, plan.evaluations)
-    _show(drift, most)
+    _show(study, drift, most)
     say(f"comparison: {written}")
     code = ended(left, EXIT_INFEASIBLE if drift.drifted else EXIT_OK)
-    notify(arguments.notify, record.path, code, _headline(drift), say_error)
+    notify(arguments.notify, record.path, code, _headline(study, drift), say_error)
     return code
 
 
@@ -125,8 +120,8 @@ def _backend(
 def _most_runs(arguments: argparse.Namespace, parser: Parser) -> int:
     """Return the largest number of fresh runs."""
     most: int = RUNS if arguments.runs is None else arguments.runs
-    if not 1 <= most <= maxima.DRAWS:
-        parser.error(f"--runs: expected 1 to {maxima.DRAWS}, found {most}")
+    if not 1 <= most <= maxima.TEST_RUNS:
+        parser.error(f"--runs: expected 1 to {maxima.TEST_RUNS}, found {most}")
     return most
 
 
@@ -139,7 +134,7 @@ def _metrics(arguments: argparse.Namespace, study: Study) -> list[str]:
     return named_metrics(arguments.metrics, study)
 
 
-def _show(drift: Drift, runs: int) -> None:
+def _show(study: Study, drift: Drift, runs: int) -> None:
     table = Table(title=f"fresh runs beside those of {drift.certificate}", title_justify="left")
     for column in ("metric", "unit"):
         table.add_column(column)
@@ -149,7 +144,7 @@ def _show(drift: Drift, runs: int) -> None:
     for item in drift.metrics:
         word = "" if item.found_after is None else f"DRIFTED, found after {item.found_after}"
         numbers = (f"{v:.4g}" for v in (item.baseline, item.deviation, item.fresh))
-        table.add_row(item.metric, item.unit, *numbers, word)
+        table.add_row(study.metrics[item.metric].title, item.unit, *numbers, word)
     print_table(plain_console(), table)
     say(
         f"medians of {counted(drift.baseline, 'run')} then and {drift.fresh} now; false alarms: "
@@ -166,11 +161,12 @@ def _show(drift: Drift, runs: int) -> None:
         )
     else:
         say(f"{counted(runs, 'run')} can hardly find any shift: allow more by --runs")
-    say(_headline(drift))
+    say(_headline(study, drift))
 
 
-def _headline(drift: Drift) -> str:
-    return f"DRIFT: {', '.join(drift.drifted)}" if drift.drifted else "no drift found"
+def _headline(study: Study, drift: Drift) -> str:
+    titles = ", ".join(study.metrics[name].title for name in drift.drifted)
+    return f"DRIFT: {titles}" if titles else "no drift found"
 
 
 def _now() -> str:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.ros.play.bag import Bag
-from bo_tuner.cli.common import Parser, allow_programs, attached, ended, in_namespace_of
+from bo_tuner.cli.common import Parser, allow_programs, attached, ended
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
-from bo_tuner.cli.extra_runs import complete
+from bo_tuner.cli.extra_runs import complete, make_nodes
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import StudyError
@@ -28,7 +27,6 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.sequential import spent
 from bo_tuner.plans import Runs
-from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.distributions import Discrete
@@ -56,16 +54,7 @@ def expect(
     allow_programs(record, trusted=arguments.trust, attach=attach)
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        with writing(folder.log):
-            folder.log.mkdir(exist_ok=True)
-        nodes = make_backend(
-            ROS,
-            study,
-            folder.log,
-            attach=attach,
-            ros_arguments=in_namespace_of(record, ros_arguments),
-            interrupted=interruption.check,
-        )
+        nodes = make_nodes(record, folder, ROS, ros_arguments, interruption, attach=attach)
         number = attempt_in(folder.path)
         _show_too_few(study, len(drives), number)
         defaults = study.search_space().defaults
@@ -158,8 +147,8 @@ def _show(study: Study, made: NextDrive) -> None:
     table = Table(title="drives that the search has not used", title_justify="left")
     table.add_column("drive")
     for name in metrics:
-        unit = study.metrics[name].unit
-        table.add_column(with_unit(name, unit), justify="right")
+        metric = study.metrics[name]
+        table.add_column(with_unit(metric.title, metric.unit), justify="right")
         table.add_column("default", justify="right")
     table.add_column("")
     for run in made.runs:
@@ -168,6 +157,7 @@ def _show(study: Study, made: NextDrive) -> None:
             for name in metrics
             for values in (run.tuned, run.default)
         ]
-        words = f"beyond {listed(run.beyond)}" if run.beyond else ""
+        beyond = [study.limit_title(study.constraints[name]) for name in run.beyond]
+        words = f"beyond {listed(beyond)}" if beyond else ""
         table.add_row(Path(run.drive).name, *cells, words)
     print_table(plain_console(), table)

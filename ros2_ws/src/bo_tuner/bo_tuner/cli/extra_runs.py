@@ -1,10 +1,12 @@
 """Runs of a plan beside a run that has ended."""
 
 import argparse
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.cli.common import opened
+from bo_tuner.cli.common import in_namespace_of, opened
 from bo_tuner.cli.exit_codes import early_end
 from bo_tuner.cli.notify import notify
 from bo_tuner.cli.streams import say_error
@@ -13,9 +15,36 @@ from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.certificate_progress import CertificateProgress
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.plans import Plan
+from bo_tuner.storage.atomic import writing
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.gate import Gate
+
+
+def make_nodes(
+    record: RunRecord,
+    folder: RunFolder,
+    backend: str,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+    *,
+    attach: bool,
+    earlier: Iterable[Evaluation] = (),
+) -> Backend:
+    """Return what runs the evaluations; what it prints goes to the folder of the run."""
+    with writing(folder.log):
+        folder.log.mkdir(exist_ok=True)
+    return make_backend(
+        backend,
+        record.study,
+        folder.log,
+        attach=attach,
+        ros_arguments=in_namespace_of(record, ros_arguments),
+        interrupted=interruption.check,
+        earlier=earlier,
+    )
 
 
 def complete(

@@ -146,9 +146,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     parser = make_parser()
     arguments = parser.parse_args(argv)
-    if not LEAST_SIMULATED <= arguments.simulations <= maxima.DRAWS:
+    if not LEAST_SIMULATED <= arguments.simulations <= maxima.TEST_RUNS:
         parser.error(
-            f"--simulations: expected {LEAST_SIMULATED} to {maxima.DRAWS}, "
+            f"--simulations: expected {LEAST_SIMULATED} to {maxima.TEST_RUNS}, "
             f"found {arguments.simulations}"
         )
     _check_output(arguments, parser)

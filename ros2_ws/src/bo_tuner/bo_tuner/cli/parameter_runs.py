@@ -4,15 +4,17 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from bo_tuner.cli.streams import say_error
-from bo_tuner.evidence.words.effects import amount, not_seen, proposals
+from bo_tuner.cli.found import fault, note, warn
+from bo_tuner.evidence.check import NotSeen, NotTried, SetFailed, TooFewRuns
+from bo_tuner.evidence.words.check import SMALL_STEPS
+from bo_tuner.evidence.words.effects import amount, proposals
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.plans import Runs
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import print_table
-from bo_tuner.text import brief, counted, duration, listed, shown
+from bo_tuner.text import counted, duration, shown
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.variations import (
@@ -73,31 +75,26 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
         print_table(plain_console(), _table(study, planned, moves))
     _show_failures(planned, runs)
     if untried := [name for name in study.search_space().names if name not in judged]:
-        how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
-        say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
-    unseen = [item.effects for item in judged.values() if item.effects.unseen]
+        note(NotTried(tuple(untried), whole_range))
     open_ = [n for n, item in judged.items() if not (item.effects.seen or item.effects.conclusive)]
     if open_:
-        verb = "moves" if len(open_) == 1 else "move"
-        say_error(
-            f"warning: too few runs were completed to tell whether {listed(open_)} {verb} a metric"
-        )
+        warn(TooFewRuns(tuple(open_)))
+    defaults = study.search_space().defaults
+    unseen = [
+        NotSeen(study, effects, tuple(planned.values[name]), defaults[name])
+        for name, item in judged.items()
+        if (effects := item.effects).unseen
+    ]
     if not unseen:
         return True
     none = whole_range and not moves and not open_
-    for item in unseen:
-        tried = listed([shown(value) for value in planned.values[item.parameter]])
-        default = study.search_space().defaults[item.parameter]
-        say_error(
-            f"{'error' if none else 'warning'}: {not_seen(study, item)}; tried: {tried}, beside "
-            f"the default {shown(default)}"
-        )
+    (fault if none else warn)(*unseen)
     if whole_range:
         for proposal in proposals(study, [item.effects for item in judged.values()]):
             say(proposal)
     else:
         # A parameter that acts may act too little in a small step: nothing else follows from it.
-        say("These were small steps; check --sensitivity tries the whole range.")
+        say(SMALL_STEPS)
     return not none
 
 
@@ -141,5 +138,4 @@ def _show_failed(what: str, done: Sequence[Evaluation]) -> None:
     failed = [evaluation for evaluation in done if not evaluation.outcome.complete]
     if failed:
         reasons = "; ".join(dict.fromkeys(e.outcome.reason for e in failed))
-        count = f"{len(failed)} of {counted(len(done), 'run')}"
-        say(f"note: {what}: {count} failed: {brief(reasons)}")
+        note(SetFailed(what, len(failed), len(done), reasons))

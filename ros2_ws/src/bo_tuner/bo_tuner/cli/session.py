@@ -25,7 +25,7 @@ from bo_tuner.cli.web_options import tell_address
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.verdict import Verdict
-from bo_tuner.evidence.words.verdict import as_summary, notes_of_file
+from bo_tuner.evidence.words.verdict import as_summary, headline, notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.method_names import DEFAULT_METHOD
 from bo_tuner.methods.registry import METHODS
@@ -188,7 +188,7 @@ class Session:
     def headline(self) -> str:
         """What has come of the run, in a line, once it has ended."""
         verdict = self._status.now.verdict
-        return self._ended_by or ("" if verdict is None else verdict.headline)
+        return self._ended_by or ("" if verdict is None else headline(verdict))
 
     def warn(self, text: str) -> None:
         """Show a warning."""

@@ -12,6 +12,8 @@ from bo_tuner.backends.workers.workers import Workers
 from bo_tuner.cli.streams import say_error
 from bo_tuner.codec.checks import holds
 from bo_tuner.errors import BackendError
+from bo_tuner.evidence.check import NodesMatch, NothingStarts, OtherClock, OtherValue
+from bo_tuner.evidence.words.check import in_words
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.study.descriptors import Described, node_problems
@@ -20,7 +22,7 @@ from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted, shown
+from bo_tuner.text import counted
 
 
 class MistakesError(Exception):
@@ -49,10 +51,7 @@ def hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:
             undo_killed(study, tuner)
         say_error(f"{counted(len(problems), 'problem')} found; nothing was set")
         raise MistakesError
-    say(
-        f"the nodes match the study: {counted(len(study.parameters), 'parameter')} and "
-        f"{counted(len(study.signals), 'signal')}"
-    )
+    say(in_words(NodesMatch(len(study.parameters), len(study.signals))))
 
 
 def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str], list[str]]:
@@ -73,8 +72,8 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
             problems.append(f"nodes.{key}: {error}")
             absent += 1
             continue
-        if note := _other_clock(study, key, known):
-            notes.append(note)
+        if (clock := _other_clock(study, key, known)) is not None:
+            notes.append(in_words(clock))
         errors = node_problems(study, key, known)
         problems += [str(error) for error in errors]
         refused = {error.path for error in errors}
@@ -86,36 +85,28 @@ def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str],
             described = known.get(item.parameter)
             if described is None or holds(described.value, defaults[name]):
                 continue
-            notes.append(
-                f"parameters.{name}: the node has {described.value} now, the study's "
-                f"default is {shown(defaults[name])}"
-            )
+            notes.append(in_words(OtherValue(name, described.value, defaults[name])))
     if problem := problem_of_workers(study, ROS, Workers(study.budget.workers or 1), attach=False):
         problems.append(f"budget.workers: {problem}")
     if absent == len(study.nodes):
         # Of nodes that were not started, their topics and services are not worth a line each.
         return problems, notes
     if study.run is not None and not study.run.start:
-        notes.append("run.start: missing, so nothing sends a reference when a run starts")
+        notes.append(in_words(NothingStarts()))
     notes += plant_notes(study, tuner)
     problems += [str(error) for error in signal_problems(tuner, heard_of_others(study, tuner))]
     problems += [str(error) for error in run_problems(study, tuner, attached=attached)]
     return problems, notes
 
 
-def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
-    """Return a line if a node has another clock than the run; empty if it has the same."""
+def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> OtherClock | None:
+    """Return that a node has another clock than the run; None if it has the same."""
     described = known.get(USE_SIM_TIME)
     if study.run is None or described is None:
-        return ""
+        return None
     simulated = study.nodes[key].parameters.get(USE_SIM_TIME, described.value) is True
-    if simulated == (study.run.clock == SIM):
-        return ""
-    time = "simulated time" if simulated else "the time of the machine"
-    return (
-        f"nodes.{key}: uses {time}, but the clock of the run is {study.run.clock}: times and "
-        "integrals would be by another clock than the node's (run.clock, docs/procedure.md)"
-    )
+    clock = study.run.clock
+    return None if simulated == (clock == SIM) else OtherClock(key, simulated, clock)
 
 
 def heard_of_others(study: Study, tuner: TunerNode) -> dict[str, Signal]:

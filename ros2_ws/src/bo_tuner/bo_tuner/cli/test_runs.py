@@ -7,9 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.table import Table
 
+from bo_tuner.cli.found import note
+from bo_tuner.evidence.check import DefaultBeyond, FarOff, MeanWithoutRange, Spread
 from bo_tuner.evidence.limit_proof import proof_of
+from bo_tuner.evidence.words.check import limits as limits_in_words
 from bo_tuner.metrics.recording import Recording
-from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.monitoring.display import plain_console
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.ranges import outside
 from bo_tuner.study.study import Study
@@ -73,66 +76,44 @@ def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
     table = Table(title="metrics of the default", title_justify="left")
     for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "violations"):
         table.add_column(column)
-    notes = []
+    notes: list[object] = []
     for name, metric in study.metrics.items():
         values = [e.outcome.metrics[name] for e in done]
         limits = [item for item in study.constraints.values() if item.metric == name]
-        limit = ", ".join(f"{'≤' if item.sign > 0 else '≥'} {item.limit:.4g}" for item in limits)
         beyond = sum(any(item.violations(value) for item in limits) for value in values)
         cells = (f"{value:.4g}" for value in values)
         count = f"{beyond} of {len(values)}" if limits else ""
-        table.add_row(name, metric.unit, *cells, limit, count)
+        table.add_row(name, metric.unit, *cells, limits_in_words(limits), count)
         if beyond:
-            notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+            notes.append(DefaultBeyond(name, tuple(limits), metric.unit))
         if name not in study.relative_metrics:
-            notes += [text for item in limits if (text := far_off(item, metric.unit, values))]
-        notes += [
-            f"{item.name}: limits a mean, which no certificate proves without a range: "
-            f"rare runs may be far beyond the others; give metrics.{name} a range that no run can "
-            f"leave, as [low, high], or constraints.{item.name} a probability"
-            for item in limits
-            if any(proof_of(item).assumption(metric.range))
-        ]
-        if name in study.measured:
-            # Equal runs may well have another wind.
-            continue
-        if text := spread(name, values, [abs(item.limit) for item in limits]):
-            notes.append(text)
+            notes += [far_off(item, metric.unit, values) for item in limits]
+        notes += [MeanWithoutRange(i) for i in limits if proof_of(i).assumes_noise(metric.range)]
+        # Equal runs may well have another wind.
+        if name not in study.measured:
+            notes.append(spread(name, values, [abs(item.limit) for item in limits]))
     print_table(plain_console(), table)
-    if beyond_range := outside(study.metrics, done):
-        notes.append(beyond_range)
-    for note in notes:
-        say(f"note: {note}")
+    note(*(fact for fact in [outside(study.metrics, done), *notes] if fact is not None))
 
 
-def far_off(constraint: Constraint, unit: str, values: Sequence[float]) -> str:
-    """Return what to know of a limit that is far from what the default reaches; empty if it is not.
+def far_off(constraint: Constraint, unit: str, values: Sequence[float]) -> FarOff | None:
+    """Return that a limit is far from what the default reaches; None if it is not.
 
     It may well be meant, but 7 where the default reaches 0.036 rad are rather degrees.
     """
     reached = float(np.median(np.abs(values)))
     limit = abs(constraint.limit)
     if not reached or not limit or 1 / FAR_OFF < limit / reached < FAR_OFF:
-        return ""
-    share = f"{limit / reached:.3g} times" if limit > reached else f"1/{reached / limit:.3g} of"
-    return (
-        f"{constraint.name}: the limit {constraint.limit:.4g} is {share} what the default reaches, "
-        f"{reached:.3g}; is it in {unit or 'the unit of the metric'}?"
-    )
+        return None
+    return FarOff(constraint, unit, reached)
 
 
-def spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
-    """Return what to know of a metric that differs much between equal runs; empty if it does not.
+def spread(name: str, values: Sequence[float], limits: Sequence[float]) -> Spread | None:
+    """Return that a metric differs much between equal runs; None if it does not.
 
     Such noise is possible, but more often one run did not begin as the other. What is small beside
     its limits may differ.
     """
     largest = max([*map(abs, values), *(SMALL * limit for limit in limits)])
     width = max(values) - min(values)
-    if width <= LARGE_SPREAD * largest:
-        return ""
-    return (
-        f"{name}: differs by {width:.3g} between runs of the same parameters: "
-        "either it is that noisy, or the runs do not start from the same state (see the steps "
-        "before and start)"
-    )
+    return Spread(name, width) if width > LARGE_SPREAD * largest else None

@@ -18,7 +18,7 @@ from bo_tuner.study.study_file import shipped_studies
 
 DESCRIPTION = """\
 Find robust, real-time capable, safe parameters by two-stage constrained
-Bayesian optimization, and validate them on fresh draws. For a study of your own
+Bayesian optimization, and validate them in fresh runs. For a study of your own
 nodes, `init` writes a first one, and `check` tries it.
 """
 

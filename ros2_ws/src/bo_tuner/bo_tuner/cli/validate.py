@@ -20,37 +20,35 @@ from bo_tuner.cli.common import (
     allow_programs,
     attached,
     ended,
-    fraction,
     guarded,
     in_namespace_of,
     read_result,
     recorded_backend,
     split_ros_arguments,
     trial_of,
-    whole_number,
 )
-from bo_tuner.cli.drift import FALSE_ALARMS, RUNS, compare
+from bo_tuner.cli.drift import compare
 from bo_tuner.cli.drives import expect, refuse_used_bags
 from bo_tuner.cli.exit_codes import EXIT_FAULT, early_end, exit_code
-from bo_tuner.cli.given_values import add_given_arguments, given
-from bo_tuner.cli.notify import add_notify_argument, notify
-from bo_tuner.cli.time_limit import TimeLimit, time_limit
-from bo_tuner.cli.workers import add_workers_arguments, workers_of
+from bo_tuner.cli.given_values import given
+from bo_tuner.cli.notify import notify
+from bo_tuner.cli.validate_options import check_kind, make_parser
+from bo_tuner.cli.workers import workers_of
 from bo_tuner.errors import OutputError, RunError, RunRecordError, StudyError
 from bo_tuner.evidence.certificate.store import (
-    DRAWS_KEY,
+    RUNS_KEY,
     draws_of,
     latest_certificate,
     read_certificate,
     shortfall,
 )
-from bo_tuner.evidence.certificate.table import certificate_lines
 from bo_tuner.evidence.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.evidence.run_verdict import certified, run_verdict
 from bo_tuner.evidence.verdict import PASS, Verdict
+from bo_tuner.evidence.words.certificate_table import certificate_lines
 from bo_tuner.evidence.words.junit import no_verdict_in_junit, verdict_in_junit
 from bo_tuner.evidence.words.next_steps import next_steps
-from bo_tuner.evidence.words.verdict import notes_of_file
+from bo_tuner.evidence.words.verdict import headline, notes_of_file
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.report.deliverables import write_deliverables
@@ -59,7 +57,6 @@ from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, REPORT, RunFolder
-from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import from_here, print_line
 from bo_tuner.trials import Trial
@@ -69,164 +66,6 @@ MOST_LINES, MOST_STEPS = 8, 2
 """Lines below a verdict, and commands among them."""
 XML = b"<?xml"
 """How a file begins that `--junit` may replace."""
-DESCRIPTION = """\
-Certify the result of a run, or values that somebody else tuned: run them
-in fresh draws of context and noise, search for the worst context again, and
-report PASS or FAIL for the constraints of the study. It ends as soon as the
-verdict is clear, and continues where an interrupted one stopped.
-"""
-
-EPILOG = """\
-PASS requires all of these; a constraint not proven counts as violated:
-  chance constraint   the upper bound of the probability that a draw violates it
-                      is at most 1 - probability
-  worst-case          in each of the worst contexts of the search, the upper
-  constraint          bound of the mean over noise is within the limit, or of
-                      the probability of a violation at most 1 - probability
-  failed test runs    none
-Contexts in which this parameter set failed before are run again, and its
-earlier runs count against a PASS, never for it.
-The bounds hold after each test run, and over all certificates of the run: the
-first has four fifths of the error probability, and each later one fresh draws
-and less; --with-default divides that between the two parameter sets.
-
---drives runs a parameter set, and the default, once on each of some bags that
-the search has not used. PASS requires that as large a share of drives as the
-limits ask for is within all of them, with the confidence of the study, by the
-count of those that are; a failed run is not. It writes RUN/drives/0001.json.
-
-writes RUN/certificates/0001.json, or the next number, and the test runs as
-CSV beside it; earlier certificates stay. For `apply` a certificate needs the
-draws and the confidence that the study requires, and no later FAIL of the same
-parameters.
-
---against tests whether the machine has drifted since a certificate: with a few
-fresh runs of its parameter set, metric by metric, after each run. It writes
-RUN/drift/0001.json, or the next number, and no certificate.
-
-exit codes:
-  0    PASS
-  1    no verdict (nodes lost or disturbed three times in a row, their guard
-       ended, disk full, the --time is over); an existing certificate is kept,
-       and the next call continues from here; or an attached node was not
-       restored
-  2    bad input: run, option or nodes
-  3    FAIL; --against: a metric has drifted
-  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: the output pipe was closed); as 1
-
-examples:
-  validate latest                          as many draws as the study requires
-  validate latest --time 10min             what is shown by then, if no verdict
-  validate runs/latest --draws 1000 --confidence 0.99
-  validate runs/latest --backend inprocess
-  validate runs/latest --workers 4         four test runs at once
-  validate runs/latest --attach            on nodes that are running
-  validate runs/latest --trial 12          another parameter set of the run
-  validate runs/latest --until-pass 3      up to two more if the result fails
-  validate runs/latest --with-default      the default, too, in the same draws
-  validate --parameters my_params.yaml --study my_study.yaml    without a run
-  validate latest --junit report.xml       for a CI server
-  validate --against runs/latest/certificates/0001.json    drifted since?
-  validate latest --drives new_drives/*    what to expect of the next drive
-  validate runs/latest && echo fit for use
-"""
-
-
-OF_DRIFT: tuple[str, ...] = ("runs", "metrics", "false_alarms")
-OF_CERTIFICATE: tuple[str, ...] = (
-    "run", "trial", "until_pass", "with_default", "parameters", "study", "output", "draws",
-    "confidence", "time", "junit", "workers", "window",
-)  # fmt: skip
-"""Names of the arguments that only one of the two kinds of the command takes."""
-
-
-def make_parser() -> Parser:
-    """Return the parser of the command line."""
-    parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_run_argument(optional=True)
-    sets = parser.add_argument_group("what to certify")
-    sets.add_argument(
-        "--trial",
-        type=whole_number,
-        metavar="N",
-        help=f"the parameter set of this trial (default: that of the run's {BEST})",
-    )
-    sets.add_argument(
-        "--until-pass",
-        type=whole_number,
-        default=1,
-        metavar="K",
-        help="after a FAIL, continue with the next-ranked parameter sets that are believed "
-        "feasible and have no certificate yet, up to K in all",
-    )
-    sets.add_argument(
-        "--with-default", action="store_true", help="certify the default as well, to compare"
-    )
-    add_given_arguments(sets)
-    evidence = parser.add_argument_group("evidence")
-    evidence.add_argument(
-        "--draws",
-        type=whole_number,
-        metavar="N",
-        help="fresh draws of context and noise, at most (default: as the study requires)",
-    )
-    evidence.add_argument(
-        "--confidence",
-        type=fraction,
-        metavar="P",
-        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
-        "requires)",
-    )
-    evidence.add_argument(
-        "--time",
-        type=time_limit,
-        default=TimeLimit(),
-        metavar="TIME",
-        help="begin no more runs after this time, such as 90s, 10min or 2h, and say what is shown "
-        "by then; the next call goes on",
-    )
-    drift = parser.add_argument_group("drift since a certificate, instead")
-    drift.add_argument(
-        "--against",
-        type=Path,
-        metavar="CERTIFICATE",
-        help="run its parameter set again, and compare the metrics with its runs; RUN is left out",
-    )
-    drift.add_argument(
-        "--runs", type=whole_number, metavar="N", help=f"fresh runs at most (default: {RUNS})"
-    )
-    drift.add_argument(
-        "--metrics",
-        metavar="NAME,...",
-        help="metrics to compare (default: all but measured times and what is computed from "
-        "others)",
-    )
-    drift.add_argument(
-        "--false-alarms",
-        type=fraction,
-        metavar="P",
-        help="probability of a drift in any metric where there is none, at most (default: "
-        f"{FALSE_ALARMS})",
-    )
-    parser.add_argument_group("drives, instead").add_argument(
-        "--drives",
-        nargs="+",
-        default=[],
-        metavar="BAG",
-        help="for a study that plays bags: run the parameter set on drives that the search has "
-        "not used, and say what to expect of the next one",
-    )
-    parser.add_argument_group("files").add_argument(
-        "--junit",
-        type=Path,
-        metavar="FILE",
-        help="also write the verdict as JUnit XML, with a test case for each limit",
-    )
-    parser.add_backend_arguments(f"as in the run, else {BACKENDS[0]}")
-    add_workers_arguments(parser, "as in the run")
-    add_notify_argument(parser.add_argument_group("output"))
-    return parser
 
 
 def certify(argv: Sequence[str], interruption: Interruption) -> int:
@@ -234,7 +73,7 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    _check_kind(arguments, parser)
+    check_kind(arguments, parser)
     if arguments.against is not None:
         return compare(arguments, parser, ros_arguments, interruption)
     of_given = given(arguments, parser, ros_arguments, interruption)
@@ -281,8 +120,8 @@ def certify(argv: Sequence[str], interruption: Interruption) -> int:
             window=workers.window,
             time=arguments.time,
         )
-        headline, code = _certify(task, certifier, trial, again)
-    notify(arguments.notify, folder.path, code, headline, task.show)
+        ending, code = _certify(task, certifier, trial, again)
+    notify(arguments.notify, folder.path, code, ending, task.show)
     return code
 
 
@@ -334,9 +173,9 @@ class _Task:
         arguments, sets = self.arguments, 2 if self.arguments.with_default else 1
         study, confidence = self.record.study, self.confidence
         try:
-            return draws_of(study, confidence, attempt, arguments.draws, sets=sets)
+            return draws_of(study, confidence, attempt, arguments.runs, sets=sets)
         except StudyError as error:
-            option = "--draws: " if error.path == DRAWS_KEY else ""
+            option = "--runs: " if error.path == RUNS_KEY else ""
             self.parser.error(f"{option}{error.problem}" if option else str(error))
 
     def check_draws(self, trial: Trial) -> None:
@@ -367,7 +206,7 @@ def _bench(task: _Task, ros_arguments: Sequence[str]) -> tuple[Workers, bool]:
 
 
 def _certify(task: _Task, certifier: Certifier, trial: Trial, again: str) -> tuple[str, int]:
-    """Certify one parameter set after another until one passes; return a headline and the code."""
+    """Certify one parameter set after another until one passes; return the ending and the code."""
     folder, path = certifier.folder, None
     try:
         with writing(folder.log):
@@ -383,22 +222,22 @@ def _certify(task: _Task, certifier: Certifier, trial: Trial, again: str) -> tup
         if verdict.certificate == PASS and not verdict.is_result and task.most > 1:
             task.show(_not_the_result(verdict))
     except UndecidedError as undecided:
-        headline, code = "the time is over, without a verdict", EXIT_FAULT
-        task.show(f"{headline}: {undecided.shown[0]}")
+        ending, code = "the time is over, without a verdict", EXIT_FAULT
+        task.show(f"{ending}: {undecided.shown[0]}")
         for line in undecided.shown[1:]:
             task.show(f"  {line}")
         task.show(again)
     except (Interrupted, RunError, OutputError) as error:
-        headline, code = early_end(error)
-        task.show(f"{headline}; {again}")
+        ending, code = early_end(error)
+        task.show(f"{ending}; {again}")
     else:
-        headline, code = verdict.headline, ended(left, exit_code(verdict))
+        ending, code = headline(verdict), ended(left, exit_code(verdict))
     finally:
         if path is not None and task.record.result is not None:
             # The verdict on it names the confidence of all certificates of the run.
             write_deliverables(folder.path, lambda _: None, task.show)
             task.show(f"report: {from_here(folder.path / REPORT)}")
-    return headline, code
+    return ending, code
 
 
 def _attempts(
@@ -418,19 +257,6 @@ def _attempts(
 
 
 run = guarded(certify)
-
-
-def _check_kind(arguments: argparse.Namespace, parser: Parser) -> None:
-    """Refuse options of a certificate in a comparison with one, and the other way round."""
-    names, why = (
-        (OF_DRIFT, "needs --against")
-        if arguments.against is None
-        else (OF_CERTIFICATE, "is not for --against")
-    )
-    for name in names:
-        if getattr(arguments, name) != parser.get_default(name):
-            option = "RUN" if name == "run" else f"--{name.replace('_', '-')}"
-            parser.error(f"{option} {why}")
 
 
 def _refuse_other_content(path: Path) -> None:
@@ -520,7 +346,7 @@ def _not_the_result(verdict: Verdict) -> str:
 def _report(verdict: Verdict, study: Study, path: Path) -> None:
     """Print the verdict, and at most `MOST_LINES` below it; the report has the others."""
     out, certificate = plain_console(), read_certificate(path, study)
-    print_line(out, verdict.headline, "")
+    print_line(out, headline(verdict), "")
     steps = next_steps(verdict, str(from_here(path.parent.parent)))[:MOST_STEPS]
     # With the path, those of the commands and that of the report.
     for line in certificate_lines(verdict, study, certificate, MOST_LINES - 2 - len(steps)):

@@ -11,7 +11,7 @@ import numpy as np
 from bo_tuner.evidence.differences import ALIKE
 from bo_tuner.evidence.facts import Contradicted, Drift, Fact, NoLogarithm, TwoKinds, UnevenRates
 from bo_tuner.metrics.collect import NO_LOGARITHM
-from bo_tuner.metrics.equal_runs import uneven_rates
+from bo_tuner.metrics.equal_runs import UnevenRate, uneven_rates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.trends import trend
 from bo_tuner.numerics.two_kinds import gap
@@ -27,10 +27,9 @@ CHANCE = 0.01
 
 def contradicted(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Fact]:
     """Yield a fact for each declared range, scale or noise that evaluations contradict."""
-    if beyond_range := outside(study.metrics, evaluations):
-        yield Contradicted(beyond_range)
-    if noise := noise_in(study, evaluations):
-        yield Contradicted(noise)
+    for how in (outside(study.metrics, evaluations), noise_in(study, evaluations)):
+        if how is not None:
+            yield Contradicted(how)
     reasons = [e.outcome.reason for e in evaluations if NO_LOGARITHM in e.outcome.reason]
     for name in study.logarithmic_metrics:
         if count := sum(reason.startswith(f"metric {name} is ") for reason in reasons):
@@ -71,7 +70,7 @@ def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
     for evaluation in evaluations:
         if evaluation.outcome.complete and evaluation.outcome.notes.rates:
             by_set.setdefault(evaluation.parameter_set, []).append(evaluation)
-    found: dict[str, str] = {}
+    found: dict[str, UnevenRate] = {}
     for runs in by_set.values():
         outcomes = [e.outcome for e in runs]
         of_set = uneven_rates(
@@ -79,8 +78,8 @@ def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
         )
         found = of_set | found
     if found:
-        (_, how), *others = found.items()
-        yield UnevenRates(how, tuple(name for name, _ in others))
+        first, *others = found.values()
+        yield UnevenRates(first, tuple(other.signal for other in others))
 
 
 def _two_kinds(study: Study, metric: str, name: str, values: Array, between: float) -> TwoKinds:

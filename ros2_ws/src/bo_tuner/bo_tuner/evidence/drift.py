@@ -126,7 +126,7 @@ def baseline_runs(path: Path, certificate: Certificate, study: Study) -> list[Ou
     if complete < LEAST_BASELINE:
         raise RunRecordError(
             f"{path}: has {complete} complete baseline runs; expected at least "
-            f"{LEAST_BASELINE}: run validate again, with more --draws"
+            f"{LEAST_BASELINE}: run validate again, with more --runs"
         )
     return rows[-MOST_BASELINE:]
 

@@ -6,9 +6,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Failure, Refutation
 from bo_tuner.evidence.differences import Difference
 from bo_tuner.evidence.limit_verdict import LimitVerdict
+from bo_tuner.evidence.reasons import Assumption
+from bo_tuner.metrics.equal_runs import UnevenRate
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.measured import SeenRange
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.study.study import Study
 from bo_tuner.tuning.effects import ParameterEffects
 
@@ -65,6 +71,39 @@ class RunsLost(Fact):
     lost: int
     runs: int
     why: str
+
+
+@dataclass(frozen=True)
+class FirstFailure(Fact):
+    """So many of the test runs of a certificate failed, and how the first did."""
+
+    failed: int
+    runs: int
+    first: Failure
+
+
+@dataclass(frozen=True)
+class NotShown(Fact):
+    """A certificate does not show a limit of this title."""
+
+    title: str
+    found: ConstraintVerdict
+
+
+@dataclass(frozen=True)
+class Contradiction(Fact):
+    """Runs of a certificate contradict what the study declares, and how."""
+
+    how: OutOfRange | Noisy
+
+
+@dataclass(frozen=True)
+class RefutedInRun(Fact):
+    """So many runs of a tuning run, in so many contexts, refute a limit of this title."""
+
+    title: str
+    runs: int
+    contexts: int
 
 
 @dataclass(frozen=True)
@@ -130,12 +169,12 @@ class Claim(Fact):
     limits
         The limits on single runs.
     conditions
-        What it rests on that runs do not prove, as clauses behind *if*.
+        What it rests on that runs do not prove.
     """
 
     searched: bool = False
     limits: tuple[ClaimedLimit, ...] = ()
-    conditions: tuple[str, ...] = ()
+    conditions: tuple[Assumption, ...] = ()
 
 
 NO_CLAIM = Claim()
@@ -165,6 +204,31 @@ class CertificateBegun(Fact):
     """An unfinished certificate has so many test runs on record."""
 
     runs: int
+
+
+@dataclass(frozen=True)
+class FailedBefore(Fact):
+    """What a parameter set failed on before its certificate, and whether a PASS covers that."""
+
+    refutation: Refutation
+    reasons: tuple[Fact, ...]
+    covered: bool
+
+
+@dataclass(frozen=True)
+class Seen(Fact):
+    """What runs have seen of a measured context, in its unit."""
+
+    title: str
+    unit: str
+    range: SeenRange
+
+
+@dataclass(frozen=True)
+class EvidenceMissing(Fact):
+    """The evidence of an earlier certificate cannot be read, and why."""
+
+    why: str
 
 
 @dataclass(frozen=True)
@@ -256,7 +320,7 @@ class Biases(Fact):
 class Contradicted(Fact):
     """A run contradicts what the study declares, and how."""
 
-    how: str
+    how: OutOfRange | Noisy
 
 
 @dataclass(frozen=True)
@@ -294,12 +358,12 @@ class Drift(Fact):
 
 @dataclass(frozen=True)
 class UnevenRates(Fact):
-    """A signal comes less often in one run of a parameter set than in another, and how.
+    """A signal comes less often in one run of a parameter set than in another.
 
     Others of these names do likewise.
     """
 
-    how: str
+    first: UnevenRate
     others: tuple[str, ...] = ()
 
 

@@ -9,9 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import singledispatch
+from typing import Protocol
 
 import numpy as np
 
+from bo_tuner.evidence.reasons import Reason, Why
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.mean_tests import (
     Betting,
@@ -27,19 +29,34 @@ from bo_tuner.numerics.sequential import (
     is_refuted,
     is_shown,
 )
-from bo_tuner.numerics.two_kinds import RARE, gap
+from bo_tuner.numerics.two_kinds import gap
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.base import LimitKind
 from bo_tuner.study.limit_kinds.on_mean import OnMean
 from bo_tuner.study.limit_kinds.on_runs import OnRuns
 
-TAIL = (
-    f"the noise is normal or log-normal, without a second kind of runs in less than "
-    f"{100.0 * RARE:g} % of them; to be sure give the metric a range, or limit single runs "
-    "(probability)"
-)
-"""Assumption of a certificate of a mean if its metric has no range; the level is measured by
-benchmarks/repeated_certificates.py and benchmarks/false_passes.py."""
+
+class BoundedMean(Protocol):
+    """A mean over noise with its confidence bounds."""
+
+    def bound(self, side: str) -> float:
+        """Return the bound on a side, ``upper`` or ``lower``."""
+
+
+class InContext(Protocol):
+    """What runs in one context have shown."""
+
+    @property
+    def mean(self) -> BoundedMean:
+        """Mean over noise."""
+
+    @property
+    def needs_range(self) -> bool:
+        """Whether only a range of the metric would bound the mean, as runs are of two kinds."""
+
+    @property
+    def violation_bound(self) -> float:
+        """Upper confidence bound of the probability of a violation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +96,9 @@ class Proof(ABC):
     def fewest(self, declared: tuple[float, float] | None, confidence: float) -> int:
         """Return the least number of runs in a context that show it, by the range of the metric."""
 
-    def assumption(self, declared: tuple[float, float] | None) -> tuple[str, str]:
-        """Return the assumption under which runs show the limit, and briefly; empty if none."""
-        return "", ""
+    def assumes_noise(self, declared: tuple[float, float] | None) -> bool:
+        """Return whether runs show the limit only if no rare ones are far beyond the others."""
+        return False
 
     @abstractmethod
     def is_shown(self, runs: Runs, confidence: float) -> bool:
@@ -98,6 +115,22 @@ class Proof(ABC):
     def needs_range(self, runs: Runs) -> bool:
         """Return whether the runs can show the limit only if their metric declares a range."""
         return False
+
+    @abstractmethod
+    def by_draws(self, runs: Runs, confidence: float) -> Reason:
+        """Return why draws of a certificate show the limit, or do not."""
+
+    @abstractmethod
+    def in_contexts(self, worst: Sequence[InContext], refuting: Sequence[InContext]) -> Reason:
+        """Return why runs in the worst contexts show the limit, or do not.
+
+        Parameters
+        ----------
+        worst
+            The contexts that may be the worst, by their mean, the worst one first.
+        refuting
+            Those that refute the limit.
+        """
 
     @abstractmethod
     def together(self, runs: Runs) -> float:
@@ -125,6 +158,15 @@ class ProofByRuns(Proof):
     def is_hopeless(self, runs: Runs, most: int, confidence: float) -> bool:  # noqa: D102
         return is_hopeless(runs.events, most, self.rule.allowed, confidence)
 
+    def by_draws(self, runs: Runs, confidence: float) -> Reason:  # noqa: D102
+        return Reason(Why.SHARE, needed=draws_needed(self.rule.allowed, confidence))
+
+    def in_contexts(  # noqa: D102
+        self, worst: Sequence[InContext], refuting: Sequence[InContext]
+    ) -> Reason:
+        likeliest = max(worst, key=lambda context: context.violation_bound)
+        return Reason(Why.SHARE_IN_CONTEXT, place=_place(likeliest, worst))
+
     def together(self, runs: Runs) -> float:
         """Return the share of runs beyond the limit or failed."""
         return float(np.mean(runs.events))
@@ -141,11 +183,8 @@ class ProofByMean(Proof):
     ) -> int:
         return self._test(declared).fewest(self.limited.sign * self.limited.limit, confidence)
 
-    def assumption(  # noqa: D102
-        self, declared: tuple[float, float] | None
-    ) -> tuple[str, str]:
-        kinds = f"no rare runs are far beyond the {self.limited.metric} of the others"
-        return (TAIL, kinds) if declared is None else ("", "")
+    def assumes_noise(self, declared: tuple[float, float] | None) -> bool:  # noqa: D102
+        return declared is None
 
     def is_shown(self, runs: Runs, confidence: float) -> bool:  # noqa: D102
         sign, test = self.limited.sign, self._test(runs.declared, runs.farthest)
@@ -177,12 +216,34 @@ class ProofByMean(Proof):
         """Return whether runs without a range are of two kinds: no test then bounds their mean."""
         return runs.declared is None and gap(runs.values) is not None
 
+    def by_draws(self, runs: Runs, confidence: float) -> Reason:  # noqa: D102
+        if self.needs_range(runs):
+            return Reason(Why.TWO_KINDS)
+        return Reason(Why.MEAN, bound=self.bound(runs, confidence))
+
+    def in_contexts(self, worst: Sequence[InContext], refuting: Sequence[InContext]) -> Reason:
+        """Return it by the bound: the largest mean need not have the largest bound."""
+        sign, side = self.limited.sign, self.limited.side
+        top = max(worst, key=lambda context: sign * context.mean.bound(side))
+        mixed = [context for context in worst if context.needs_range]
+        why, by = Why.MEAN_IN_CONTEXT, top
+        if refuting and not np.isfinite(top.mean.bound(side)):
+            # A refutation ends the evaluations before there are enough runs for a bound.
+            why, by = Why.REFUTED_IN_CONTEXT, refuting[0]
+        elif mixed:
+            why, by = Why.TWO_KINDS_IN_CONTEXT, mixed[0]
+        return Reason(why, place=_place(by, worst))
+
     def together(self, runs: Runs) -> float:
         """Return the mean of the values; NaN of none."""
         return float(runs.values.mean()) if len(runs.values) else float("nan")
 
     def contradicts(self, together: float) -> bool:  # noqa: D102
         return bool(self.limited.violations(together))
+
+
+def _place(one: InContext, worst: Sequence[InContext]) -> int:
+    return next(place for place, context in enumerate(worst) if context is one)
 
 
 @singledispatch

@@ -7,6 +7,7 @@ limit permits. *Kept* is only what is shown. The words are those of `words.limit
 from dataclasses import dataclass
 from math import nan
 
+from bo_tuner.evidence.reasons import Assumption
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limits import Sample, Standing
 from bo_tuner.study.study import Study
@@ -34,7 +35,7 @@ class LimitVerdict:
     refuted
         Whether the runs show that the limit is not kept; else a violated one is not proven.
     condition
-        What it rests on that runs do not prove, in words that follow *if*; else empty.
+        What it rests on that runs do not prove; None if on nothing.
     confidence
         With which test runs show it.
     """
@@ -49,7 +50,7 @@ class LimitVerdict:
     certified: bool = False
     unsearched: bool = False
     refuted: bool = False
-    condition: str = ""
+    condition: Assumption | None = None
     confidence: float = nan
 
     @property
@@ -90,7 +91,7 @@ def by_certificate(
     draws: int,
     violations: int,
     refuted: bool = False,
-    condition: str = "",
+    condition: Assumption | None = None,
 ) -> LimitVerdict:
     """Return what a certificate says of a limit."""
     return LimitVerdict(
@@ -103,5 +104,5 @@ def by_certificate(
         everywhere=constraint.rule.in_every_context and bool(study.contexts),
         certified=True,
         refuted=refuted,
-        condition=condition if passed else "",
+        condition=condition if passed else None,
     )

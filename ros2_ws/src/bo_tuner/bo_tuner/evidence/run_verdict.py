@@ -11,8 +11,7 @@ from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
 from bo_tuner.evidence.busy import COMPUTING, high_load, times_by
-from bo_tuner.evidence.certificate.claim import claimed
-from bo_tuner.evidence.certificate.earlier import earlier_in_words
+from bo_tuner.evidence.certificate.claim import claimed, failed_before, objections, seen
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Findings, widest
 from bo_tuner.evidence.certificate.store import (
@@ -56,7 +55,7 @@ from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.plans import TIME_UP, finish_in, standstill_in
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import limits
-from bo_tuner.study.measured import seen_in, seen_in_words
+from bo_tuner.study.measured import seen_in
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     DEFAULT,
@@ -137,7 +136,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
         runs = [e for e in record.evaluations if e.stage is Stage.VALIDATION]
-        seen = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
+        ranges = seen_in(record.study.measured, evaluations_of(runs, trial.parameters))
         effects = read(tuple[ParameterEffects, ...], summary.get("effects", ()), JSON)
         alike = {side: [e for e in runs if e.whose == side] for side in (DEFAULT, TUNED)}
         # The default was not chosen by its runs: those of its trial are like those of the end.
@@ -146,7 +145,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             replace(verdict, effects=Effects(record.study, tuple(effects))),
             *_passed_over(record.study, summary.get("passed_over", ())),  # type: ignore[arg-type]
             *_biases(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
-            *map(Said, seen_in_words(record.study.metrics, seen)),
+            *seen(record.study, ranges),
             *drifts(record.study, alike),
             *two_kinds(record.study, alike),
         )
@@ -204,8 +203,7 @@ def _outliers(record: RunRecord, ranked: object) -> list[int]:
     return [
         trial.number
         for trial in record.trials
-        if key(trial.parameters) not in known
-        and limits.outcome_in_words(record.study, trial) == limits.WITHIN
+        if key(trial.parameters) not in known and limits.keeps_limits(record.study, trial)
     ]
 
 
@@ -247,14 +245,14 @@ def _certified(
     draws, confidence = certificate.drawn, certificate.bound_confidence
     overall = min(certificate.confidence, *_confidences(record))
     tuned, default = certificate.tuned, certificate.default
-    reasons: tuple[Fact, ...] = tuple(map(Said, tuned.reasons))
+    reasons = objections(study, tuned)
     of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
     if default is None:
         observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
         default_limits = {} if by_validation is None else _default_limits(by_validation)
     else:
         observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
-        default_reasons = tuple(map(Said, default.reasons))
+        default_reasons = objections(study, default)
         default_limits = _limits(study, default, draws)
     numbers = quantities(
         study,
@@ -272,9 +270,9 @@ def _certified(
         quantities=numbers,
         trade_offs=by_validation.trade_offs if by_validation is not None and is_result else (),
         remarks=(
-            *map(Said, earlier_in_words(certificate)),
+            *failed_before(study, certificate),
             Confidence(confidence, overall, str(record.path) if given else ""),
-            *map(Said, seen_in_words(study.metrics, certificate.seen)),
+            *seen(study, certificate.seen),
             *remarks,
         ),
         observed=observed,
@@ -392,7 +390,7 @@ def _limits(study: Study, findings: Findings, draws: int) -> dict[str, LimitVerd
             draws=draws,
             violations=finding.violations,
             refuted=finding.refuted,
-            condition=finding.condition,
+            condition=finding.assumption,
         )
         for finding in findings.constraints
     }

@@ -58,7 +58,7 @@ class SingleRun:
         if not count:
             return "the run is complete; the study has no limits"
         if self.beyond:
-            names = ", ".join(limit.name for limit in self.beyond)
+            names = ", ".join(map(self.study.limit_title, self.beyond))
             return f"this run is beyond {len(self.beyond)} of {counted(count, 'limit')}: {names}"
         return f"this run is within its {'limit' if count == 1 else f'{count} limits'}"
 

@@ -229,26 +229,6 @@ class Verdict:
         """`PASS`, `FAIL`, or empty without a certificate."""
         return {State.CERTIFIED: PASS, State.REFUSED: FAIL}.get(self.state, "")
 
-    @property
-    def headline(self) -> str:
-        """The verdict in one line."""
-        # The words know the verdict.
-        from bo_tuner.evidence.words.verdict import headline
-
-        return headline(self)
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The explanation: evidence, reasons, the default, and what changed beyond chance."""
-        from bo_tuner.evidence.words.verdict import sentences
-
-        return sentences(self)
-
-    def _repr_html_(self) -> str:
-        from bo_tuner.evidence.words.notebook import verdict_html
-
-        return verdict_html(self)
-
 
 def all_shown(limits: Iterable[LimitVerdict]) -> bool:
     """Return whether all limits are shown to be kept."""

@@ -35,7 +35,7 @@ class DrawnContexts:
 
     def refusal(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Refuse trials with means over another distribution."""
-        return other_distribution(moved[0], "takes means over draws") if moved else ""
+        return other_distribution(moved[0], "takes means over random contexts") if moved else ""
 
 
 def other_distribution(name: str, what: str) -> str:

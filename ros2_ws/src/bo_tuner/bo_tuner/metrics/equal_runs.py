@@ -1,6 +1,7 @@
 """Checks of a study by equal runs of the default: whether anything moves, and how they start."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from bo_tuner.metrics.message_rates import fewest
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import SignalSource
 from bo_tuner.metrics.source import MissingMetricError
-from bo_tuner.processor_load import Load, busy_in_words
+from bo_tuner.processor_load import Load, busy_share
 from bo_tuner.run_notes import Rate
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.signals import TIME, expression
@@ -28,6 +29,56 @@ RARE = 0.02
 """Share of runs with too few messages that may be: such a run is remarked on by itself."""
 NOISES = 4.0
 """The same in standard deviations of its noise, of which a difference of two values has 1.4."""
+
+
+@dataclass(frozen=True)
+class AsIfStill:
+    """A metric is what it would be if these signals stood still."""
+
+    metric: str
+    signals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class UnlikeStart:
+    """A signal at the start of a run, and at that of the first one."""
+
+    signal: str
+    run: int
+    value: float
+    first: float
+
+
+@dataclass(frozen=True)
+class OfRunBefore:
+    """A signal has a value at the start of a run, and had none at that of the first one."""
+
+    signal: str
+    run: int
+
+
+@dataclass(frozen=True)
+class UnevenRate:
+    """A signal comes less often in one of several equal runs.
+
+    Attributes
+    ----------
+    signal
+        Its name.
+    seldom, least
+        The run in which it comes least often, and how often [1/s].
+    often, most
+        The run in which it comes most often, and how often [1/s].
+    waited
+        Share of the time for which processes waited in the first; None if it was not busy.
+    """
+
+    signal: str
+    seldom: str
+    least: float
+    often: str
+    most: float
+    waited: float | None
 
 
 def standing(recordings: Sequence[Recording], heard: Collection[str]) -> list[str]:
@@ -56,7 +107,7 @@ def all_stand(recordings: Sequence[Recording], heard: Collection[str]) -> bool:
     return bool(often) and len(standing(recordings, often)) == len(often)
 
 
-def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Iterator[str]:
+def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Iterator[AsIfStill]:
     """Yield the metrics that are what they would be if the signals of others stood still.
 
     Where a machine does not move but its signals are noisy, no signal keeps one value, but an
@@ -85,15 +136,11 @@ def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Itera
         actual, frozen = (_value(metric, study, each) for each in (recording, still))
         # Without a step of the reference there is nothing to follow.
         if frozen != 0.0 and abs(actual - frozen) <= STILL * abs(frozen):
-            names = ", ".join(sorted(response))
-            yield (
-                f"{name}: is what it would be if {names} stood still; see that the machine is "
-                "switched on, and takes its commands"
-            )
+            yield AsIfStill(name, tuple(sorted(response)))
 
 
-def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> Iterator[str]:
-    """Yield the signals in which equal runs do not start alike, a line each.
+def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> Iterator[UnlikeStart]:
+    """Yield the signals in which equal runs do not start alike.
 
     Parameters
     ----------
@@ -112,15 +159,13 @@ def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> It
             one, two = (float(each.value[0]) for each in seen)
             span = float(np.ptp(np.concatenate([each.value for each in seen])))
             if abs(two - one) > max(UNLIKE * span, NOISES * max(map(_noise, seen))):
-                yield (
-                    f"{name}: is {two:.4g} at the start of run {number} and {one:.4g} at that of "
-                    "run 1: the run before has not come to rest, or the machine not back to where "
-                    "it began (run.before, such as wait_until; docs/procedure.md)"
-                )
+                yield UnlikeStart(name, number, two, one)
                 break
 
 
-def from_the_run_before(recordings: Sequence[Recording], heard: Collection[str]) -> Iterator[str]:
+def from_the_run_before(
+    recordings: Sequence[Recording], heard: Collection[str]
+) -> Iterator[OfRunBefore]:
     """Yield the signals that start the last of equal runs with a value of the one before.
 
     Parameters
@@ -137,18 +182,15 @@ def from_the_run_before(recordings: Sequence[Recording], heard: Collection[str])
         # What is published between runs, too, was only not heard yet when run 1 began.
         often = last[name].messages >= MESSAGES
         if not often or -last[name].time[0] > OLD * np.median(np.diff(last[name].time[1:])):
-            yield (
-                f"{name}: has a value at the start of run {len(recordings)} and none at that of "
-                "run 1: it is published in runs only (docs/procedure.md, signals at the start)"
-            )
+            yield OfRunBefore(name, len(recordings))
 
 
 def uneven_rates(
     runs: Sequence[str],
     rates: Sequence[Mapping[str, Rate | None]],
     loads: Sequence[Load | None],
-) -> dict[str, str]:
-    """Return by name the signals that come less often in one of several equal runs, in words.
+) -> dict[str, UnevenRate]:
+    """Return by name the signals that come less often in one of several equal runs.
 
     Parameters
     ----------
@@ -169,11 +211,8 @@ def uneven_rates(
         too_few = [rate for rate in seen if rate.messages < fewest(often[most] * rate.duration)]
         if len(too_few) <= RARE * len(seen):
             continue
-        busy = busy_in_words(loads[least])
-        why = busy or "a simulator does not wait for its controller, or a publisher leaves some out"
-        uneven[name] = (
-            f"{name} comes {often[least]:.4g} times a second in {runs[least]} and "
-            f"{often[most]:.4g} times in {runs[most]}, which are equal: {why}"
+        uneven[name] = UnevenRate(
+            name, runs[least], often[least], runs[most], often[most], busy_share(loads[least])
         )
     return uneven
 

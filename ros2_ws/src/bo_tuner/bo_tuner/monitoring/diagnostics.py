@@ -6,12 +6,13 @@ from enum import IntEnum
 
 import numpy as np
 
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import BAGS, trial_bag
-from bo_tuner.study.limits import WITHIN, outcome_in_words, tightest
+from bo_tuner.study.limits import keeps_limits, outcome_in_words, tightest
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
@@ -80,7 +81,7 @@ def progress(study: Study, now: Snapshot) -> Status:
         "result": now.verdict.trial,
     }
     level = Level.OK if now.verdict.feasible else Level.WARN
-    return Status(PROGRESS, level, now.verdict.headline, _text(values))
+    return Status(PROGRESS, level, headline(now.verdict), _text(values))
 
 
 def surrogate(study: Study, now: Snapshot) -> Status:
@@ -152,7 +153,7 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
 def _level(study: Study, trial: Trial) -> Level:
     if trial.state is TrialState.FAILED:
         return Level.ERROR
-    return Level.OK if outcome_in_words(study, trial) == WITHIN else Level.WARN
+    return Level.OK if keeps_limits(study, trial) else Level.WARN
 
 
 def _of_incumbent(best: Candidate | None) -> dict[str, object]:

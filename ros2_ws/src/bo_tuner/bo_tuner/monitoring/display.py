@@ -11,6 +11,7 @@ from rich.text import Text
 
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.evidence.words.terminal import print_next_steps, print_verdict
+from bo_tuner.evidence.words.verdict import headline, sentences
 from bo_tuner.monitoring.front import print_front
 from bo_tuner.plans import ON_REQUEST, Event, EventKind, Phase
 from bo_tuner.study.study import Study
@@ -104,8 +105,8 @@ class Display(RunObserver):
 
     def no_result(self, verdict: Verdict, folder: Path) -> None:
         """Warn that the run in a folder has no result, with why and what to do next."""
-        self.warn(verdict.headline)
-        for sentence in verdict.sentences:
+        self.warn(headline(verdict))
+        for sentence in sentences(verdict):
             self.warn(f"  {sentence}")
         print_next_steps(self._console, verdict, folder)
 

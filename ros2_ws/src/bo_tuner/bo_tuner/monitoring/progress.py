@@ -10,11 +10,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextCol
 from rich.table import Column
 from rich.text import Text
 
+from bo_tuner.evidence.trial_row import trial_row
+from bo_tuner.evidence.words.trials import ending, outcome
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.display import Display
 from bo_tuner.monitoring.now_and_then import NowAndThen
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.monitoring.trial_table import INDENT, TrialTable, ending_in_words
+from bo_tuner.monitoring.trial_table import INDENT, TrialTable
 from bo_tuner.optimizers.base import (
     ACQUISITION,
     DEFAULT,
@@ -27,7 +29,7 @@ from bo_tuner.optimizers.base import (
     START,
 )
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.study.limits import WITHIN, outcome_on_screen
+from bo_tuner.study.limits import keeps_limits
 from bo_tuner.study.study import Study
 from bo_tuner.terminal import from_here, print_line
 from bo_tuner.text import JOIN, counted, percent, printable, shown
@@ -207,11 +209,7 @@ def best_within(best: Candidate | None, study: Study) -> str:
         return "none yet"
     likely = f"{percent(best.feasibility)} likely within limits"
     if not best.believed_feasible:
-        own = (
-            "kept all limits in its own test runs, "
-            if outcome_on_screen(study, best.trial) == WITHIN
-            else ""
-        )
+        own = "kept all limits in its own test runs, " if keeps_limits(study, best.trial) else ""
         return f"none yet; closest: trial {best.trial.number}, {own}{likely}"
     metric = study.metrics[study.objective.metric]
     # The same number as in the row of the trial; models have another one, when they smooth.
@@ -270,7 +268,7 @@ def describe(trial: Trial, study: Study) -> str:
     tuned = [item for item in study.parameters.values() if item.is_tuned]
     where = "  ".join(_pair(item.title, trial.parameters[item.name]) for item in tuned)
     if trial.state is not TrialState.COMPLETE:
-        return f"{where}  {ending_in_words(trial)}"
+        return f"{where}  {ending(trial_row(study, trial))}"
     mean, title = trial.mean(study.objective.metric), study.metrics[study.objective.metric].title
     text = f"{where}  {trial.origin if mean is None else _pair(title, mean)}"
     for objective in study.further_objectives:
@@ -280,7 +278,7 @@ def describe(trial: Trial, study: Study) -> str:
     for worst in study.worst_case_constraints:
         value = _pair(f"worst {study.limited(worst)}", trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if (outcome := outcome_on_screen(study, trial)) != WITHIN:
-        text += f"  {outcome}"
+    if not keeps_limits(study, trial):
+        text += f"  {outcome(trial_row(study, trial))}"
     count = len(trial.evaluations)
     return f"{text}  [{counted(count, 'test run').replace(' ', JOIN)}]"

@@ -1,28 +1,27 @@
 """The table of a run's trials in the terminal: a header, then a line for each as it ends.
 
-A value beyond its limit has the sign `OVER`, one that is too close to it `MARGIN`, and a colour.
+A value beyond its limit, or too close to it, has a sign and a colour.
 Values whose columns do not fit follow below the line: those of the parameters first.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import nan
 
 from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limits import held_against, outcome_on_screen, uncertain, violated
+from bo_tuner.evidence.trial_row import OF_VALUE, TrialLimit, TrialOutcome, TrialRow, trial_row
+from bo_tuner.evidence.words.trials import ending, outcome, sign
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, printable, shown, shown_beside, wrapped
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import Trial
 
 INDENT = " " * 6
 """Of the lines that continue that of a trial."""
-OVER, MARGIN, KEPT = "!", "~", " "
-STYLES = {OVER: "red", MARGIN: "yellow", KEPT: "green"}
+STYLES = {TrialOutcome.VIOLATES: "red", TrialOutcome.UNCERTAIN: "yellow"}
+KEPT = "green"
 NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""
 LONGEST_NAME = 11
@@ -73,19 +72,20 @@ class TrialTable:
         if self._shown % REPEATED == 0:
             yield from _header(columns)
         self._shown += 1
-        cells = self._cells(trial)
+        row = trial_row(self._study, trial)
+        cells = self._cells(row)
         line = Text(" ").join(_aligned(cells[id(column)], column) for column in columns)
         left = None if room is None else room - line.cell_len - 2
-        outcome, style = self._outcome(trial, None if left is None or mark else left)
-        said, rest = "; ".join(filter(None, (mark, outcome))), []
+        said_of_values, style = _outcome(row, None if left is None or mark else left)
+        said, rest = "; ".join(filter(None, (mark, said_of_values))), []
         if left is not None and cell_len(said) > left:
             rest, said = [said], ""
         if said:
             line = Text.assemble(line, "  ", (said, style))
         line.rstrip()
         yield line
-        if trial.state is not TrialState.COMPLETE:
-            rest.append(ending_in_words(trial))
+        if row.outcome not in OF_VALUE:
+            rest.append(ending(row))
         if shown_apart:
             named = (f"{column.name} {cells[id(column)]}".strip() for column in shown_apart)
             rest.append("  ".join(pair.replace(" ", JOIN) for pair in named))
@@ -98,43 +98,26 @@ class TrialTable:
         first, *others = self._values
         return [first, *(self._parameters if beside else ()), *others]
 
-    def _cells(self, trial: Trial) -> dict[int, Text]:
+    def _cells(self, row: TrialRow) -> dict[int, Text]:
         """Return the cells by the identity of their columns; two may have the same name."""
-        study, complete = self._study, trial.state is TrialState.COMPLETE
-        cells = [Text(str(trial.number))]
-        cells += [Text(printable(shown(trial.parameters[item.name]))) for item in self._tuned]
-        for objective in study.objectives:
-            mean = trial.mean(objective.metric) if complete else None
-            cells.append(Text(shown(nan if mean is None else mean)))
-        over, close = (violated(study, trial), uncertain(study, trial)) if complete else ((), ())
-        for name, constraint in study.constraints.items():
-            sign = OVER if name in over else MARGIN if name in close else KEPT
-            cells.append(_against(constraint, trial, sign) if complete else Text(f"–{KEPT}"))
+        cells = [Text(str(row.number))]
+        cells += [Text(printable(shown(value))) for value in row.parameters]
+        cells += [Text(shown(mean)) for mean in row.objectives]
+        complete = row.outcome in OF_VALUE
+        cells += [_against(limit) if complete else Text("– ") for limit in row.limits]
         columns = map(id, self._columns(beside=True))
         return dict(zip(columns, cells, strict=True))
 
-    def _outcome(self, trial: Trial, left: int | None) -> tuple[str, str]:
-        """Return the outcome in words that fit into the room that is left, and their style."""
-        over, close = violated(self._study, trial), uncertain(self._study, trial)
-        if trial.state is not TrialState.COMPLETE or not (over or close):
-            return "", STYLES[KEPT]
-        words = outcome_on_screen(self._study, trial)
-        if left is not None and cell_len(words) > left:
-            # The values stand in the table.
-            words = words.partition(" (")[0]
-        return words, STYLES[OVER if over else MARGIN]
 
-
-def ending_in_words(trial: Trial) -> str:
-    """Return how a trial ended that is not complete, with what it takes to repeat that."""
-    evaluation = trial.evaluations[-1]
-    context = ", ".join(
-        f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {shown(value)}"
-        for name, value in evaluation.context.items()
-    )
-    conditions = f"context {context or 'none'}; seed {evaluation.seed}"
-    how = "" if trial.state is TrialState.CUT_SHORT else f"{trial.ending.upper()}: "
-    return f"{how}{trial.reason} ({conditions})"
+def _outcome(row: TrialRow, left: int | None) -> tuple[str, str]:
+    """Return the outcome in words that fit into the room that is left, and their style."""
+    if row.outcome not in STYLES:
+        return "", KEPT
+    words = outcome(row)
+    if left is not None and cell_len(words) > left:
+        # The values stand in the table.
+        words = words.partition(" (")[0]
+    return words, STYLES[row.outcome]
 
 
 def _column(title: str, unit: str, limit: str, least: int, trailing: int = 0) -> _Column:
@@ -180,9 +163,9 @@ def _header(columns: Sequence[_Column]) -> Iterator[Text]:
             yield Text(Text(" ").join(cells).plain.rstrip())
 
 
-def _against(constraint: Constraint, trial: Trial, sign: str) -> Text:
-    value = held_against(constraint, trial)
-    return Text(f"{shown_beside(value, constraint.limit)}{sign}", STYLES[sign])
+def _against(limit: TrialLimit) -> Text:
+    value, over = shown_beside(limit.value, limit.constraint.limit), limit.outcome in STYLES
+    return Text(f"{value}{sign(limit.outcome) if over else ' '}", STYLES.get(limit.outcome, KEPT))
 
 
 def _aligned(cell: Text, column: _Column) -> Text:

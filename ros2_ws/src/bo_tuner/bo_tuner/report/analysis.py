@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import cached_property
 from typing import TypeVar
 
@@ -17,6 +16,7 @@ from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.differences import CONFIDENCE
 from bo_tuner.evidence.estimates import Estimate, Source, of_runs
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.trial_row import TrialOutcome, outcome_of
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.figures.figure import Panel
 from bo_tuner.models.surrogates import Surrogates
@@ -26,8 +26,6 @@ from bo_tuner.report.content import Section
 from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.report.time_response import Responses
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study import limits
-from bo_tuner.study.limits import uncertain, violated
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import titled_values
@@ -35,33 +33,6 @@ from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.recorded_method import recorded_method
 
 T = TypeVar("T")
-
-
-class TrialOutcome(StrEnum):
-    """Outcome of a trial, as displayed; the rule is that of `study.limits`."""
-
-    WITHIN = limits.WITHIN
-    UNCERTAIN = limits.MARGIN
-    VIOLATES = limits.OVER
-    OUTLIER = "far off"
-    CUT_SHORT = "cut short"
-    FAILED = "failed"
-    LOST = "lost"
-    DISTURBED = "disturbed"
-    UNPREPARED = "unprepared"
-
-
-OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
-"""Outcomes of trials that say something about their parameters."""
-
-
-def outcome_by_runs(study: Study, trial: Trial) -> TrialOutcome:
-    """Return the outcome of a trial by its own runs, without models."""
-    if trial.state is not TrialState.COMPLETE:
-        return TrialOutcome(trial.ending)
-    if violated(study, trial):
-        return TrialOutcome.VIOLATES
-    return TrialOutcome.UNCERTAIN if uncertain(study, trial) else TrialOutcome.WITHIN
 
 
 K = TypeVar("K", bound=Hashable)
@@ -234,7 +205,7 @@ class Analysis:
         complete = trial.state is TrialState.COMPLETE
         if complete and trial.number in self.models.outliers:
             return TrialOutcome.OUTLIER
-        return outcome_by_runs(self.study, trial)
+        return outcome_of(self.study, trial)
 
     def blind(self, points: Array) -> NDArray[np.bool_]:
         """Return where trials nearby are not in the models, at points (n, d) of the unit cube.

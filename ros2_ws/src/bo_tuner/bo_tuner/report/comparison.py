@@ -9,7 +9,7 @@ from bo_tuner.evidence.quantity import Quantity
 from bo_tuner.evidence.verdict import Status
 from bo_tuner.evidence.words.limits import in_words as limit_in_words
 from bo_tuner.evidence.words.quantities import gain
-from bo_tuner.evidence.words.verdict import basis
+from bo_tuner.evidence.words.verdict import basis, headline
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
@@ -70,7 +70,6 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
     """Return what there is to say of a run in a row of a table, by the heading of its column."""
     record, verdict = analysis.record, analysis.verdict
     method = method_in_words(record.algorithm)
-    headline = verdict.headline
     gains = [
         f"{gain(q)}, {q.estimates[1].source}" if q.estimates else gain(q)
         for q in verdict.quantities
@@ -80,7 +79,7 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
         # What a set that breaks a limit gains in the objective is no gain.
         gains = []
     return {
-        "verdict": MARKS[verdict.status] + headline,
+        "verdict": MARKS[verdict.status] + headline(verdict),
         "objective": "; ".join(gains) or "–",
         "trial": "–" if verdict.trial is None else str(verdict.trial),
         "evidence": basis(verdict),
@@ -95,7 +94,7 @@ def _verdicts(runs: Mapping[str, Analysis]) -> Section:
     return Section(
         name="verdicts",
         title="Verdicts",
-        lead="Each verdict is that of the run's own report, and rests on the draws of that run.",
+        lead="Each verdict is that of the run's own report, and rests on the run's own test runs.",
         tables=[verdicts_table(runs, "The results")],
         notes=[f"The record is damaged: {damage}." for damage in damaged],
     )
@@ -139,7 +138,7 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
         notes=[
             "Runs with different seeds, budgets or studies draw different contexts and noise, so "
             "part of the difference between two columns is chance. Only differences from the "
-            "default are measured in the same draws.",
+            "default are measured in the same contexts and noise.",
             *(["The difference is the second run minus the first."] if len(runs) == 2 else []),
         ],
     )

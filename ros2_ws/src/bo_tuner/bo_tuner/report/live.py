@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_tuner.evidence.trial_row import TrialOutcome, outcome_of, trial_row
+from bo_tuner.evidence.words.trials import outcome, sign
 from bo_tuner.figures.figure import Axis, Element, Limit, Line, Panel, Points, Scale
-from bo_tuner.monitoring.trial_table import MARGIN as MARGIN_SIGN
-from bo_tuner.monitoring.trial_table import OVER as OVER_SIGN
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.report.analysis import TrialOutcome, outcome_by_runs
 from bo_tuner.report.content import Table
 from bo_tuner.report.marks import OFF_SCALE, RESULT
 from bo_tuner.report.sections.convergence import (
@@ -21,7 +20,6 @@ from bo_tuner.report.sections.convergence import (
     scale_end,
 )
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.limits import held_against, outcome_on_screen
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside, with_unit
 from bo_tuner.trials import Trial, TrialState
@@ -48,7 +46,7 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
     """Return the objective by trial, and the best within limits so far, from the first one on."""
     objective = study.objective
     axis, sign = mean_axis(study, objective), objective.sign
-    outcomes = [outcome_by_runs(study, trial) for trial in trials]
+    outcomes = [outcome_of(study, trial) for trial in trials]
     values = np.array([_mean(trial, objective.metric) for trial in trials])
     places = _places(trials)
     elements: list[Element] = []
@@ -70,20 +68,15 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
 
 def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
     """Return a strip for each limit, in percent of it, with a line at 100 %."""
-    outcomes = [outcome_by_runs(study, trial) for trial in trials]
+    rows = [trial_row(study, trial) for trial in trials]
+    outcomes = [row.outcome for row in rows]
     places = _places(trials)
     panels = []
-    for constraint in study.constraints.values():
+    for place, constraint in enumerate(study.constraints.values()):
         metric = study.metrics[constraint.metric]
         unit = "%" if in_percent(constraint) else metric.unit
         values = np.array(
-            [
-                of_limit(constraint, held_against(constraint, trial))
-                if trial.state is TrialState.COMPLETE
-                else math.nan
-                for trial in trials
-            ],
-            dtype=float,
+            [of_limit(constraint, row.limits[place].value) for row in rows], dtype=float
         )
         line = of_limit(constraint, constraint.limit)
         title = with_unit(study.limit_title(constraint), unit)
@@ -116,17 +109,17 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
         header.append(f"{study.limit_title(limit)}, {unit}".removesuffix(", "))
     rows = []
     for trial in list(trials)[: -LATEST - 1 : -1]:
-        complete = trial.state is TrialState.COMPLETE
-        against = [of_limit(c, held_against(c, trial)) if complete else math.nan for c in limits]
-        outcome = outcome_on_screen(study, trial)
+        row = trial_row(study, trial)
+        against = [of_limit(limit.constraint, limit.value) for limit in row.limits]
+        why = f": {row.reason}" if row.reason else ""
         rows.append(
             [
-                str(trial.number),
-                *(shown(trial.parameters[item.name]) for item in tuned),
-                *(_shown(_mean(trial, objective.metric)) for objective in study.objectives),
+                str(row.number),
+                *(shown(value) for value in row.parameters),
+                *(_shown(mean) for mean in row.objectives),
                 *(_shown(value, 3) for value in against),
-                str(len(trial.evaluations)),
-                f"{_sign(trial, study)} {outcome}" + ("" if complete else f": {trial.reason}"),
+                str(row.runs),
+                f"{sign(row.outcome)} {outcome(row)}{why}",
             ]
         )
     header += ["test runs", "outcome"]
@@ -220,16 +213,6 @@ def step_in_words(change: Change) -> str:
     if isinstance(now, bool | str) or isinstance(then, bool | str):
         return "other"
     return f"{then - now:+.4g}"
-
-
-def _sign(trial: Trial, study: Study) -> str:
-    """Return the sign of an outcome, for one with values as in the terminal."""
-    signs = {
-        TrialOutcome.WITHIN: "✓",
-        TrialOutcome.UNCERTAIN: MARGIN_SIGN,
-        TrialOutcome.VIOLATES: OVER_SIGN,
-    }
-    return signs.get(outcome_by_runs(study, trial), "✗")
 
 
 def _mean(trial: Trial, metric: str) -> float:

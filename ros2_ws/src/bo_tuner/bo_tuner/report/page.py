@@ -179,11 +179,6 @@ def _write(path: Path, content: str | bytes) -> Path:
     return write_atomically(path, content)
 
 
-def section_html(section: Section) -> str:
-    """Return the HTML of a section by itself."""
-    return str(_macros().show_section(section))
-
-
 def question_html(asked: Asked) -> str:
     """Return the HTML of what is asked before a parameter set is tried."""
     return (

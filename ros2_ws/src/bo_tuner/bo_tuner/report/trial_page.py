@@ -5,9 +5,12 @@ from dataclasses import replace
 from functools import partial
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
+from bo_tuner.evidence.trial_row import OF_VALUE, trial_row
+from bo_tuner.evidence.words import trials as words
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import (
@@ -18,7 +21,6 @@ from bo_tuner.report.sections.trajectories import (
     simulate,
 )
 from bo_tuner.storage.run_files import BAGS, bag_name
-from bo_tuner.study.limits import outcome_on_screen
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import capitalized, counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
@@ -36,7 +38,7 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
     sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
         # What its own evaluations say may differ from what fresh ones showed.
-        title += f", the result. {of_run.headline}"
+        title += f", the result. {headline(of_run)}"
         sentences.append(f"By its own test runs alone: {own}.")
     else:
         title += f": {own}"
@@ -91,7 +93,7 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
 def _in_words(analysis: Analysis, trial: Trial) -> str:
     """Return the outcome of a trial; of limits that it may not keep the names, too."""
     outcome = analysis.outcome(trial)
-    return outcome_on_screen(analysis.study, trial) if outcome in OF_VALUE else str(outcome)
+    return words.outcome(trial_row(analysis.study, trial)) if outcome in OF_VALUE else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
+from bo_tuner.evidence.trial_row import trial_row
+from bo_tuner.evidence.words.trials import outcome
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import LINES, Cell, Row, side_by_side
@@ -11,7 +13,6 @@ from bo_tuner.report.content import Section, number
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import NoTraceError, panels, simulate
 from bo_tuner.report.trial_page import worst_run
-from bo_tuner.study.limits import outcome_on_screen
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import capitalized, values
 from bo_tuner.trials import Trial
@@ -21,7 +22,7 @@ def two_trials(analysis: Analysis, one: Trial, other: Trial) -> list[Section]:
     """Return the sections of the page."""
     trials = {f"trial {trial.number}": trial for trial in (one, other)}
     study = analysis.study
-    outcomes = [f"{name}: {outcome_on_screen(study, trial)}" for name, trial in trials.items()]
+    outcomes = [f"{name}: {outcome(trial_row(study, trial))}" for name, trial in trials.items()]
     return [
         Section(
             name="parameters",

@@ -1,5 +1,7 @@
 """Whether what runs the evaluations of a study can end a run before its time."""
 
+from dataclasses import dataclass
+
 from bo_tuner.errors import StudyError
 from bo_tuner.study.growing import why_not
 from bo_tuner.study.parts import IN_PROCESS, ROS
@@ -31,13 +33,16 @@ def check_ends_early(study: Study, backend: str) -> None:
     )
 
 
-def decided_by(study: Study) -> str:
-    """Return in a line by which metrics a run may be cut short, and by which not, with why."""
-    decisive = study.decisive_metrics
-    reasons = [
-        f"{name}: {reason}"
-        for name, metric in study.metrics.items()
-        if name not in decisive and (reason := why_not(metric))
-    ]
-    others = f"; not by {'; '.join(reasons)}" if reasons else ""
-    return f"runs of trials may be cut short by {', '.join(decisive)}{others}"
+@dataclass(frozen=True)
+class CutShortBy:
+    """By which metrics runs may be cut short, and by which not, with why."""
+
+    metrics: tuple[str, ...]
+    others: tuple[tuple[str, str], ...]
+
+
+def decided_by(study: Study) -> CutShortBy:
+    """Return by which metrics a run may be cut short, and by which not."""
+    by = study.decisive_metrics
+    others = {name: why_not(metric) for name, metric in study.metrics.items() if name not in by}
+    return CutShortBy(tuple(by), tuple((name, why) for name, why in others.items() if why))

@@ -11,7 +11,7 @@ of less than 5 %. In a study without contexts all draws are in the only context.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -21,12 +21,7 @@ from numpy.typing import ArrayLike
 from bo_tuner.codec.rules import Count
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown_beside
 from bo_tuner.trials import Evaluation, Outcome, ParameterSet, Trial, TrialState, WorstCase
-
-WITHIN = "within limits"
-OVER = "over the limit"
-MARGIN = "margin too small"
 
 
 class Standing(StrEnum):
@@ -266,32 +261,19 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
     return max(pairs, key=lambda pair: excess(*pair), default=None)
 
 
+def keeps_limits(study: Study, trial: Trial) -> bool:
+    """Return whether a trial is complete, and by its own estimates within all limits."""
+    complete = trial.state is TrialState.COMPLETE
+    return complete and not violated(study, trial) and not uncertain(study, trial)
+
+
 def outcome_in_words(study: Study, trial: Trial) -> str:
-    """Return the outcome of a trial: `WITHIN`, or the limits that it violates, or may violate.
+    """Return the outcome of a trial in files and on topics, with the names of limits.
 
     For a trial without values it is the `Trial.ending`, such as ``failed`` or ``cut short``.
     """
-    return _outcome(study, trial, "violates {}", "may violate {}", str)
-
-
-def outcome_on_screen(study: Study, trial: Trial) -> str:
-    """Return the same in the words of screens: with the values, and what they are held against."""
-
-    def beside(name: str) -> str:
-        constraint = study.constraints[name]
-        value = shown_beside(held_against(constraint, trial), constraint.limit)
-        sign = ">" if constraint.sign > 0.0 else "<"
-        title = study.limit_title(constraint)
-        return f"{title} {value} {sign} {constraint.limit:g}"
-
-    return _outcome(study, trial, f"{OVER} ({{}})", f"{MARGIN} ({{}})", beside)
-
-
-def _outcome(
-    study: Study, trial: Trial, over: str, margin: str, named: Callable[[str], str]
-) -> str:
     if trial.state is not TrialState.COMPLETE:
         return trial.ending
-    kinds = {over: violated(study, trial), margin: uncertain(study, trial)}
-    parts = [words.format(", ".join(map(named, names))) for words, names in kinds.items() if names]
-    return "; ".join(parts) or WITHIN
+    kinds = {"violates": violated(study, trial), "may violate": uncertain(study, trial)}
+    parts = [f"{words} {', '.join(names)}" for words, names in kinds.items() if names]
+    return "; ".join(parts) or "within limits"

@@ -1,6 +1,6 @@
 """Measured contexts: metrics of the surroundings of a run, such as wind, that nobody sets."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +13,6 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.metrics import COMPUTED, RelativeMetric, StudyMetric
 from bo_tuner.study.parts import Objective
-from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation
 
 
@@ -93,18 +92,6 @@ def seen_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> dict[
     return {
         name: SeenRange(float(low), float(high), float(mean)) for name, low, high, mean in ranges
     }
-
-
-def seen_in_words(
-    metrics: Mapping[str, StudyMetric], seen: Mapping[str, SeenRange]
-) -> Iterator[str]:
-    """Yield a sentence on each measured context: its range, and that nothing is claimed beyond."""
-    for name, seen_range in seen.items():
-        ends = f"{shown(seen_range.low)} and {shown(seen_range.high)} {metrics[name].unit}".rstrip()
-        yield (
-            f"{metrics[name].title} was between {ends} in these runs (mean "
-            f"{shown(seen_range.mean)}); nothing is claimed beyond."
-        )
 
 
 def values_in(measured: Sequence[str], evaluations: Iterable[Evaluation]) -> Array:

@@ -6,6 +6,7 @@ with different seeds.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Value
@@ -14,10 +15,19 @@ ALIKE = 1e-9
 """Share of their size by which values differ by rounding alone."""
 
 
-def noise_in(study: Study, evaluations: Iterable[Evaluation]) -> str:
-    """Say in which metric two runs differ that must not; empty if none do, or may."""
+@dataclass(frozen=True)
+class Noisy:
+    """Two runs, with these seeds, differ in a metric though they are declared free of noise."""
+
+    metric: str
+    values: tuple[float, float]
+    seeds: tuple[int, int]
+
+
+def noise_in(study: Study, evaluations: Iterable[Evaluation]) -> Noisy | None:
+    """Return in which metric two runs differ that must not; None if none do, or may."""
     if not study.is_noiseless:
-        return ""
+        return None
     first: dict[tuple[frozenset[tuple[str, Value]], ...], Evaluation] = {}
     for evaluation in evaluations:
         if not evaluation.outcome.complete:
@@ -27,9 +37,5 @@ def noise_in(study: Study, evaluations: Iterable[Evaluation]) -> str:
         for name in study.responses:
             one, two = other.outcome.metrics[name], evaluation.outcome.metrics[name]
             if abs(one - two) > ALIKE * max(abs(one), abs(two)):
-                return (
-                    f"the study declares noise: none, but {name} was {one:.10g} and {two:.10g} in "
-                    "two runs of the same parameter set in the same context (seeds "
-                    f"{other.seed} and {evaluation.seed}); leave it out"
-                )
-    return ""
+                return Noisy(name, (one, two), (other.seed, evaluation.seed))
+    return None

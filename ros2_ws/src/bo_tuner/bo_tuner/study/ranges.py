@@ -4,6 +4,7 @@ A certificate relies on it, and no sample can show it: it bounds rare runs, whic
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from bo_tuner.errors import StudyError
@@ -50,15 +51,22 @@ def check_free(constraints: Iterable[Constraint], declared: Mapping[str, Range |
             )
 
 
-def outside(metrics: Mapping[str, Any], evaluations: Iterable[Evaluation]) -> str:
-    """Return in words the first value outside the range of its metric; empty if there is none."""
+@dataclass(frozen=True)
+class OutOfRange:
+    """A run has a value of a metric outside its declared range."""
+
+    metric: str
+    value: float
+    low: float
+    high: float
+
+
+def outside(metrics: Mapping[str, Any], evaluations: Iterable[Evaluation]) -> OutOfRange | None:
+    """Return the first value outside the range of its metric; None if there is none."""
     declared = {name: m.range for name, m in metrics.items() if m.range is not None}
     for evaluation in evaluations if declared else ():
         for name, (low, high) in declared.items():
             value = evaluation.outcome.metrics.get(name)
             if evaluation.outcome.complete and value is not None and not low <= value <= high:
-                return (
-                    f"{name} was {value:.4g}, outside its range [{low:g}, {high:g}] in the study "
-                    f"(metrics.{name}.range); declare one that no run can leave"
-                )
-    return ""
+                return OutOfRange(name, value, low, high)
+    return None

@@ -1,7 +1,9 @@
 """How large a budget a study needs, by its number of parameters, contexts and kinds of limits."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
 
 OF_PARAMETER = 10
 """Trials for each parameter (Loeppky, Sacks and Welch 2009, sec. 3), and once more as many."""
@@ -9,6 +11,20 @@ FEW = 0.5
 """Share of these trials below which they are said to be few."""
 DRAWN = 2
 """Drawn contexts of a trial where its runs differ, and a limit asks by how much."""
+
+
+@dataclass(frozen=True)
+class FewTrials:
+    """Trials are few for a number of tuned parameters, beside as many as usual."""
+
+    trials: int
+    parameters: int
+    usual: int
+
+
+@dataclass(frozen=True)
+class FewContexts:
+    """A trial has one drawn context, which says little of them."""
 
 
 def usual_trials(parameters: int) -> int:
@@ -32,23 +48,15 @@ def first_budget(parameters: int, *, contexts: bool, limits_runs: bool) -> dict[
         "trials": usual_trials(parameters),
         "initial_trials": max(8, 2 * (parameters + 1)),
         "drawn_contexts": DRAWN if contexts or limits_runs else 1,
-        "validation_draws": 5,
+        "validation_runs": 5,
     }
 
 
-def shortages(study: Study) -> list[str]:
-    """Return what is too small of a study's budget, a line each."""
+def shortages(study: Study) -> Iterator[FewTrials | FewContexts]:
+    """Yield what is too small of a study's budget."""
     budget, tuned = study.budget, len(study.search_space().names)
     usual = usual_trials(tuned)
-    lines = []
     if budget.trials < FEW * usual:
-        lines.append(
-            f"budget.trials: {budget.trials} are few for {counted(tuned, 'parameter')}; "
-            f"{usual} are usual, {OF_PARAMETER} for each and {OF_PARAMETER} more"
-        )
+        yield FewTrials(budget.trials, tuned, usual)
     if budget.drawn_contexts == 1 and study.contexts:
-        lines.append(
-            "budget.drawn_contexts: 1 says little of contexts, since each of the first trials has "
-            f"one run; {DRAWN} or more are usual"
-        )
-    return lines
+        yield FewContexts()

@@ -16,7 +16,7 @@ from scipy.special import ndtri, stdtrit
 
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.study.limits import keeps_limits
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, pooled
 
@@ -86,7 +86,7 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
             bool(first.estimates),
         )
         for first, trial in joint
-        if first.believed_feasible and outcome_in_words(study, trial) == WITHIN
+        if first.believed_feasible and keeps_limits(study, trial)
     ]
     if not points:
         return []

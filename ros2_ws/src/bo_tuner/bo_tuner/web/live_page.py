@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Self
 
 from bo_tuner.codec.writing import to_json
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.methods.stopping import StopAdvice
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
@@ -228,7 +229,7 @@ class LivePage(RunObserver):
                 "question": {"number": number, "text": parts[-1]},
                 "best": printable(best_within(best, self._study)),
                 "best_trial": best.trial.number if best and best.believed_feasible else None,
-                "verdict": "" if now.verdict is None else printable(now.verdict.headline),
+                "verdict": "" if now.verdict is None else printable(headline(now.verdict)),
                 "texts": {
                     name: printable(text)[:LONGEST_TEXT] for name, text in texts.items() if text
                 },

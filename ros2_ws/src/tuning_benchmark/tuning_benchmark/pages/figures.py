@@ -70,7 +70,7 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
             "a run predicts to be its best feasible one, over the runs where it is truly feasible. "
             "Right: share of the runs whose incumbent is truly feasible. What lies beyond the axis "
             "is poorer. The truth is over "
-            f"{Effort().drawn} drawn contexts, not over 25 draws as in the paper; the chance "
+            f"{Effort().drawn} drawn contexts, not over 25 test runs as in the paper; the chance "
             f"constraints of incumbents are judged by {FEW_REAL_EVALUATIONS} evaluations on the "
             f"real objects, those of answers by {Effort().real_evaluations}."
         ),

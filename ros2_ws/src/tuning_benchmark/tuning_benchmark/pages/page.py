@@ -35,7 +35,7 @@ LEGEND = """\
 *Truly feasible*: in each context of a grid over the whole box the limit is kept by the mean over
 noise, or by a single run with the limit's probability where the case has one, and evaluations on
 the real objects satisfy the chance constraints. *Held*: the run called its answer feasible, and 25
-fresh draws showed no violation. *Objective*: true mean over 600 drawn contexts, of the truly
+fresh test runs showed no violation. *Objective*: true mean over 600 drawn contexts, of the truly
 feasible answers. *Regret at equal margin*: their distance to the lowest objective of any parameter
 set whose worst case is as large. *Within the limit*: share of runs in the answer's worst context,
 mean and lowest over all answers. *Near*: runs whose incumbent was truly feasible and within 5 % of

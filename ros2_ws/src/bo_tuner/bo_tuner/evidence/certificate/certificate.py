@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from bo_tuner.evidence.busy import HighLoad
 from bo_tuner.evidence.certificate.context_tolerance import ContextTolerance
 from bo_tuner.evidence.certificate.deaths import Deaths
 from bo_tuner.evidence.certificate.findings import EarlierInBrief, Findings
 from bo_tuner.evidence.certificate.parameter_sensitivity import ParameterSensitivity
 from bo_tuner.evidence.certificate.search_width import SearchWidth
 from bo_tuner.evidence.certificate.winners_curse import Gap
+from bo_tuner.evidence.facts import Drift, TwoKinds, UnevenRates
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.study.measured import SeenRange
 from bo_tuner.study.study import Study
@@ -73,8 +75,11 @@ class Certificate:
         How often a node died in runs that were made again; None if none is ignored.
     in_force
         How it is known that the parameters were in force on nodes of ROS, a line each.
-    warnings
-        Warnings that do not affect the verdict.
+    high_load
+        Of limits on measured times that were not shown: runs in which the computer was busy.
+    drifts, two_kinds, uneven
+        Of runs that are alike: metrics that drift, those of which runs are of two kinds, and
+        signals that come less often in one of them.
     provenance
         Versions, sources, machine, backend and seed.
     finished
@@ -106,7 +111,10 @@ class Certificate:
     parameter_sensitivity: ParameterSensitivity | None
     deaths: Deaths | None
     in_force: tuple[str, ...]
-    warnings: tuple[str, ...]
+    high_load: HighLoad | None
+    drifts: tuple[Drift, ...]
+    two_kinds: tuple[TwoKinds, ...]
+    uneven: tuple[UnevenRates, ...]
     provenance: Mapping[str, str]
     finished: str
 
@@ -134,12 +142,6 @@ class Certificate:
     def is_of(self, trial: Trial) -> bool:
         """Return whether the parameter set is that of a trial."""
         return dict(self.parameters) == dict(trial.parameters)
-
-    def _repr_html_(self) -> str:
-        # The words know the certificate.
-        from bo_tuner.evidence.words.notebook import certificate_html
-
-        return certificate_html(self)
 
     def check_names(self, study: Study) -> None:
         """Refuse one whose constraints, parameters or contexts are not those of a study."""

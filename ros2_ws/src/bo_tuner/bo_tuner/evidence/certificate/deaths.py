@@ -12,7 +12,6 @@ import numpy as np
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.nodes import IGNORE
 from bo_tuner.study.study import Study
-from bo_tuner.text import percent
 from bo_tuner.trials import Evaluation
 
 CHANCE = 0.01
@@ -51,20 +50,6 @@ def deaths_in(
     bound = float(probability_bounds(events, confidence)[-1]) if len(events) else 1.0
     dependent = tuple(_dependent(study, of_set, others))
     return Deaths(int(events.sum()), len(events), bound, dependent)
-
-
-def deaths_in_words(deaths: Deaths, confidence: float) -> Iterator[str]:
-    """Yield what to know of deaths beside a verdict on the runs that ended."""
-    yield (
-        f"a node died in {deaths.deaths} of {deaths.runs} runs, which were made again; the "
-        f"probability of that is at most {percent(deaths.bound)} with "
-        f"{100.0 * confidence:.4g} % confidence"
-    )
-    if deaths.depend_on:
-        yield (
-            f"deaths depend on {' and '.join(deaths.depend_on)}: what holds of the runs that ended "
-            "need not hold of all; leave out death: ignore"
-        )
 
 
 def _events(evaluations: Iterable[Evaluation]) -> np.ndarray:

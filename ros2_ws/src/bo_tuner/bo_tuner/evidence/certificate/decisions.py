@@ -14,8 +14,8 @@ from bo_tuner.evidence.certificate.limited_runs import (
 )
 from bo_tuner.evidence.limit_proof import Runs, proof_of
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.noiseless import noise_in
-from bo_tuner.study.ranges import outside
+from bo_tuner.study.noiseless import Noisy, noise_in
+from bo_tuner.study.ranges import OutOfRange, outside
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -112,8 +112,8 @@ def is_refuted_by(
     )
 
 
-def contradiction(study: Study, evaluations: Sequence[Evaluation]) -> str:
-    """Say how evaluations of a certificate contradict what the study declares; else empty."""
+def contradiction(study: Study, evaluations: Sequence[Evaluation]) -> OutOfRange | Noisy | None:
+    """Return how evaluations of a certificate contradict what the study declares; None if not."""
     return outside(study.metrics, evaluations) or noise_in(study, evaluations)
 
 

@@ -10,7 +10,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.validation import by_turns
 
-DRAWS = "draws"
+DRAWS = "test runs at random"
 """Name of the first phase; the others are searches."""
 
 LEAST_DRAWS = 30

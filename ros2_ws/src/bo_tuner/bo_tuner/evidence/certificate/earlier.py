@@ -9,12 +9,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner import text
 from bo_tuner.errors import RunRecordError
-from bo_tuner.evidence.certificate.certificate import Certificate
 from bo_tuner.evidence.certificate.decisions import is_refuted_by
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
-from bo_tuner.evidence.certificate.findings import Earlier, Findings, Refutation
+from bo_tuner.evidence.certificate.findings import (
+    Earlier,
+    Findings,
+    Refutation,
+    RefutingRuns,
+)
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     evaluations_problem,
@@ -65,33 +68,13 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
-def refutation(
-    description: str, findings: Findings, evaluations: Iterable[Evaluation]
-) -> Refutation:
+def refuted_by(number: str, findings: Findings, evaluations: Iterable[Evaluation]) -> Refutation:
     """Return what a certificate failed on."""
     contexts: list[Context] = [e.context for e in evaluations if not e.outcome.complete]
     for constraint in findings.constraints:
         if not constraint.passed:
             contexts += [worst.context for worst in constraint.worst if not worst.shown]
-    return Refutation(description, findings.reasons, tuple(_each_once(contexts)))
-
-
-def earlier_in_words(certificate: Certificate) -> Iterator[str]:
-    """Yield sentences on what had failed before a certificate, and that a PASS covers it."""
-    for failure in certificate.earlier.refutations:
-        what = failure.description
-        sentence = f"{what[:1].upper()}{what[1:]} ({'; '.join(failure.reasons)})"
-        if not certificate.passed:
-            yield f"{sentence}."
-            continue
-        contexts = " and ".join(f"({text.values(c)})" for c in failure.contexts if c)
-        where = f"in the context {contexts}" if contexts else "by fresh test runs"
-        yield (
-            f"{sentence}. This PASS covers it: the limits were shown anew {where}, and the earlier "
-            "runs, which count against a PASS only, do not contradict."
-        )
-    for reason in certificate.earlier.unread:
-        yield f"Evidence of an earlier certificate is missing: {reason}."
+    return Refutation(tuple(_each_once(contexts)), number, findings)
 
 
 def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutation]:
@@ -108,9 +91,9 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
             )
         ]
         if refuting:
-            runs = text.counted(sum(e.context in refuting for e in evaluations), "run")
-            reason = f"{constraint.name}: {runs} in {text.counted(len(refuting), 'context')}"
-            yield Refutation("the tuning run itself refuted a limit", (reason,), tuple(refuting))
+            runs = sum(e.context in refuting for e in evaluations)
+            by = RefutingRuns(constraint.name, runs, len(refuting))
+            yield Refutation(tuple(refuting), runs=by)
 
 
 @dataclass(frozen=True)
@@ -142,9 +125,8 @@ def _of_certificate(study: Study, path: Path, parameters: Mapping[str, Value]) -
             for row in read_evaluations(path)
             if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
         ]
-    source = f"certificate {path.stem} was a FAIL"
     return _Certified(
-        None if sides[side].passed else refutation(source, sides[side], runs),
+        None if sides[side].passed else refuted_by(path.stem, sides[side], runs),
         certificate.provenance.get("backend", ""),
         runs,
         f"{path}: {unread}" if unread else "",

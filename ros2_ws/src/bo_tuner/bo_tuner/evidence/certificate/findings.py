@@ -3,11 +3,15 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
-from bo_tuner import text
+from bo_tuner.codec.rules import Chosen
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.estimates import Estimate
+from bo_tuner.evidence.reasons import Assumption, Reason
 from bo_tuner.study.limit_kinds.limited import UPPER
+from bo_tuner.study.noiseless import Noisy
+from bo_tuner.study.ranges import OutOfRange
 from bo_tuner.trials import Context, Evaluation, Stage, Value
 
 TAIL = 0.95
@@ -20,22 +24,32 @@ def widest(side: str, bounds: Iterable[float]) -> float:
 
 
 @dataclass(frozen=True)
+class RefutingRuns:
+    """Runs of the tuning run that refute a limit: their number, and that of their contexts."""
+
+    constraint: str
+    runs: int
+    contexts: int
+
+
+@dataclass(frozen=True)
 class Refutation:
     """What a parameter set failed on before.
 
     Attributes
     ----------
-    description
-        Where, as a clause, such as ``certificate 0001 was a FAIL``.
-    reasons
-        Why.
     contexts
         The contexts in which it failed; empty if only the draws as a whole show it.
+    certificate, findings
+        Number of the certificate that was a FAIL, such as ``0001``, and its findings.
+    runs
+        Without a certificate: those of the tuning run itself.
     """
 
-    description: str
-    reasons: tuple[str, ...]
     contexts: tuple[Context, ...]
+    certificate: str = ""
+    findings: "Findings | None" = None
+    runs: RefutingRuns | None = None
 
 
 @dataclass(frozen=True)
@@ -211,11 +225,6 @@ class WorstContext:
     earlier: int = 0
     together: float = float("nan")
 
-    @property
-    def place(self) -> str:
-        """The values of the context, in words; empty if there are none."""
-        return text.values(self.context)
-
 
 @dataclass(frozen=True)
 class ConstraintVerdict:
@@ -239,9 +248,8 @@ class ConstraintVerdict:
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, by their mean, the worst one first.
-    assumption, condition
-        On what it rests besides the numbers of runs that are counted, in a line, and the same in a
-        few words that follow *if*; empty if on nothing.
+    assumption
+        On what it rests besides the numbers of runs that are counted; None if on nothing.
     refuted
         Whether runs show that it does not hold.
     passed, reason
@@ -262,18 +270,23 @@ class ConstraintVerdict:
     extreme: float
     tail: float
     worst: tuple[WorstContext, ...]
-    assumption: str
-    condition: str
+    assumption: Assumption | None
     refuted: bool
     passed: bool
-    reason: str
+    reason: Reason
 
-    @property
-    def proof(self) -> str:
-        """Whether it is proven, in a few words."""
-        if not self.passed:
-            return "NOT proven"
-        return f"shown, if {self.condition}" if self.condition else "proven"
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed run: why, in which context, and the seed of its noise."""
+
+    why: str
+    context: Context
+    seed: int
+
+
+def _contradiction(value: object) -> type[OutOfRange | Noisy]:
+    return Noisy if isinstance(value, Mapping) and "seeds" in value else OutOfRange
 
 
 @dataclass(frozen=True)
@@ -291,10 +304,10 @@ class Findings:
     evaluations, failures
         Number of all evaluations, and of those that did not complete.
     first_failure
-        Reason and context of the first failure; empty without one.
+        The first failure; None without one.
     contradiction
         How runs contradict the declared range of a metric, or that they are free of noise: a fault
-        of the declaration; else empty.
+        of the declaration; None if they do not.
     least
         Fewest runs with which any certificate shows these limits with its confidence.
     constraints
@@ -306,8 +319,8 @@ class Findings:
     tail: float
     evaluations: int
     failures: int
-    first_failure: str
-    contradiction: str
+    first_failure: Failure | None
+    contradiction: Annotated[OutOfRange | Noisy | None, Chosen(_contradiction)]
     least: int
     constraints: tuple[ConstraintVerdict, ...]
 
@@ -316,35 +329,6 @@ class Findings:
         """Whether every constraint is shown to hold, and no run failed or contradicts the study."""
         return (
             self.failures == 0
-            and not self.contradiction
+            and self.contradiction is None
             and all(c.passed for c in self.constraints)
         )
-
-    @property
-    def assumptions(self) -> tuple[str, ...]:
-        """On what it rests besides the numbers of runs that are counted, a line each."""
-        return tuple(
-            f"{constraint.name}: with an assumption: {constraint.assumption}"
-            for constraint in self.constraints
-            if constraint.assumption
-        )
-
-    @property
-    def price(self) -> str:
-        """The number of runs beside the least, in words."""
-        if not self.least:
-            return text.counted(self.evaluations, "run")
-        runs = text.counted(self.evaluations, "run")
-        times = text.shown(round(self.evaluations / self.least, 1))
-        return f"{runs}, {times} times the fewest that can show these limits ({self.least})"
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why the parameter set does not pass; empty if it does."""
-        failed = (
-            f"{self.failures} of {text.counted(self.evaluations, 'test run')} failed, first: "
-            f"{self.first_failure}",
-        )
-        of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
-        contradiction = (self.contradiction,) if self.contradiction else ()
-        return (failed if self.failures else ()) + contradiction + of_constraints

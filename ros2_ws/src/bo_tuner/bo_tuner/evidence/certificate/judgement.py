@@ -36,7 +36,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from bo_tuner import text
 from bo_tuner.evidence.certificate.decisions import (
     contradiction,
     contradicts_earlier,
@@ -48,6 +47,7 @@ from bo_tuner.evidence.certificate.findings import (
     TAIL,
     ConstraintVerdict,
     Evidence,
+    Failure,
     Findings,
     WorstContext,
 )
@@ -62,7 +62,7 @@ from bo_tuner.evidence.certificate.limited_runs import (
 from bo_tuner.evidence.certificate.risk import Mean, conditional_value_at_risk, mean_of
 from bo_tuner.evidence.estimates import Estimate, Source, of_draws
 from bo_tuner.evidence.limit_proof import ProofByMean, Runs, proof_of
-from bo_tuner.evidence.words.limit_kinds import words_of
+from bo_tuner.evidence.reasons import Assumption, Reason, Why
 from bo_tuner.numerics.sequential import probability_bounds
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
@@ -112,7 +112,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
         tail=sign * conditional_value_at_risk(sign * values, TAIL),
         evaluations=len(evidence.evaluations),
         failures=len(failed),
-        first_failure=_failure(failed[0]) if failed else "",
+        first_failure=_failure(failed[0]) if failed else None,
         contradiction=contradiction(study, evidence.evaluations),
         least=least_evaluations(study, confidence),
         constraints=tuple(
@@ -137,46 +137,41 @@ def _objective(study: Study, drawn: Sequence[Evaluation]) -> Estimate:
 def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
-    rule, unit = constraint.rule, study.metrics[constraint.metric].unit
     runs = drawn_runs(study, constraint, evidence.drawn, evidence.earlier)
     worst: tuple[WorstContext, ...] = ()
-    assumption, condition = _assumption(study, constraint, evidence)
-    bound = _bound(runs, confidence)
-    against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
+    against = _earlier_draws(constraint, evidence.earlier.drawn, evidence.drawn)
     refuted = refutes(constraint, runs, confidence)
-    if rule.in_every_context:
+    if constraint.rule.in_every_context:
         worst, refuting, passed, reason = _in_every_context(
-            study, constraint, evidence, runs, unit, confidence, against
+            study, constraint, evidence, confidence, against, refuted_by_draws=refuted
         )
         refuted = refuted or refuting
     else:
         shown = shows(constraint, runs, confidence)
-        passed = shown and not against
-        reason_of_draws = words_of(constraint).said_of_draws(runs, unit, confidence, passed=passed)
-        if runs.exact:
-            reason_of_draws = (
-                f"{sum(runs.events)} of {text.counted(len(runs.events), 'run')} violate the limit "
-                "or fail, and there is neither noise nor another context"
-            )
-        reason = against if shown and against else reason_of_draws
+        passed = shown and against is None
+        if shown and against is not None:
+            reason = against
+        elif runs.exact:
+            reason = Reason(Why.WITHOUT_NOISE)
+        else:
+            reason = proof_of(constraint).by_draws(runs, confidence)
     values, draws = runs.values, len(evidence.drawn)
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
         metric=constraint.metric,
-        unit=unit,
+        unit=study.metrics[constraint.metric].unit,
         limit=constraint.limit,
         side=constraint.side,
         allowed=constraint.allowed,
         draws=draws,
         violations=int(np.sum(constraint.violations(values))),
         failures=draws - len(values),
-        violation_bound=bound,
+        violation_bound=_bound(runs, confidence),
         extreme=constraint.farthest(values),
         tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
-        assumption=assumption,
-        condition=condition,
+        assumption=_assumption(study, constraint, evidence),
         refuted=refuted,
         passed=passed,
         reason=reason,
@@ -187,11 +182,11 @@ def _in_every_context(
     study: Study,
     constraint: Constraint,
     evidence: Evidence,
-    drawn: Runs,
-    unit: str,
     confidence: float,
-    against: str,
-) -> tuple[tuple[WorstContext, ...], bool, bool, str]:
+    against: Reason | None,
+    *,
+    refuted_by_draws: bool,
+) -> tuple[tuple[WorstContext, ...], bool, bool, Reason]:
     """Return the contexts that may be the worst, whether one refutes the limit, and the verdict."""
     everywhere = [
         _worst_context(study, place, constraint, evidence, confidence)
@@ -211,51 +206,33 @@ def _in_every_context(
     if constraint.name in evidence.unseen and not decided:
         # Those that were run are the worst ones of other limits.
         worst = ()
-    passed, reason = _worst_case(
-        constraint,
-        drawn.events,
-        worst,
-        unit,
-        refuted_by_draws=refutes(constraint, drawn, confidence),
-        against=against,
-        refuting=refuting,
-        unvisited=evidence.unvisited.get(constraint.name, 0),
-    )
+    if refuted_by_draws:
+        return worst, bool(refuting), False, Reason(Why.DRAWS)
+    not_run = evidence.unvisited.get(constraint.name, 0)
+    passed, reason = _worst_case(constraint, worst, refuting, against, not_run)
     return worst, bool(refuting), passed, reason
 
 
 def _worst_case(
     constraint: Constraint,
-    events: Sequence[bool],
     worst: Sequence[WorstContext],
-    unit: str,
-    *,
-    refuted_by_draws: bool,
-    against: str,
     refuting: Sequence[WorstContext],
-    unvisited: int,
-) -> tuple[bool, str]:
-    if refuted_by_draws:
-        return False, (
-            f"{sum(events)} of {len(events)} draws violate the limit or fail: more than a limit "
-            "allows that is kept in every context"
-        )
-    contexts = text.counted(unvisited, "context")
-    not_run = f"{contexts} that may be the worst had no run, as another one had decided"
+    against: Reason | None,
+    not_run: int,
+) -> tuple[bool, Reason]:
     if not worst:
-        return False, not_run if unvisited else "its worst contexts were not run"
-    if failures := sum(w.failures for w in worst):
-        failed = text.counted(failures, "test run")
-        return False, f"{failed} failed in the worst contexts (none is allowed)"
+        return False, Reason(Why.NOT_RUN, not_run=not_run)
+    if any(w.failures for w in worst):
+        return False, Reason(Why.FAILED)
     passed = all(w.shown for w in worst)
-    if passed and unvisited:
-        return False, not_run
-    if passed and against:
+    if passed and not_run:
+        return False, Reason(Why.NOT_RUN, not_run=not_run)
+    if passed and against is not None:
         return False, against
-    doubted = [w for w in worst if w.contradicted]
+    doubted = [place for place, w in enumerate(worst) if w.contradicted]
     if doubted and all(w.shown or w.contradicted for w in worst):
-        return False, _said_of_both(constraint, doubted[0])
-    return passed, words_of(constraint).said_of_contexts(worst, refuting, unit, passed=passed)
+        return False, Reason(Why.EARLIER_IN_CONTEXT, place=doubted[0])
+    return passed, proof_of(constraint).in_contexts(worst, refuting)
 
 
 def _worst_context(
@@ -296,24 +273,14 @@ def _mean(constraint: Constraint, runs: Runs, confidence: float) -> Mean:
     return replace(mean, upper=bound) if constraint.sign > 0.0 else replace(mean, lower=bound)
 
 
-def _said_of_draws(
-    constraint: Constraint,
-    earlier: Sequence[Evaluation],
-    fresh: Sequence[Evaluation],
-) -> str:
-    """Say that earlier draws and fresh ones together break the limit; empty if they do not."""
+def _earlier_draws(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> Reason | None:
+    """Return that earlier draws and fresh ones together break the limit; None if they do not."""
     if not contradicts_earlier(constraint, earlier, fresh):
-        return ""
-    both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
-    return words_of(constraint).said_together(both, together(constraint, earlier, fresh))
-
-
-def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
-    inside = text.values(worst.context)
-    where = f" in a context ({inside})" if inside else ""
-    fresh = worst.evaluations + worst.failures
-    both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
-    return words_of(constraint).said_together(both, worst.together)
+        return None
+    both = together(constraint, earlier, fresh)
+    return Reason(Why.EARLIER, earlier=len(earlier), together=both)
 
 
 def _bound(runs: Runs, confidence: float) -> float:
@@ -325,17 +292,13 @@ def _bound(runs: Runs, confidence: float) -> float:
     return float(probability_bounds(runs.events, confidence)[-1])
 
 
-def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> tuple[str, str]:
-    """Return on what the evidence rests besides its number, and briefly; empty if on nothing."""
+def _assumption(study: Study, constraint: Constraint, evidence: Evidence) -> Assumption | None:
+    title = study.metrics[constraint.metric].title
     if is_exact(study, constraint):
-        return (
-            "the study declares its runs free of noise (noise: none), of which "
-            f"{text.counted(len(evidence.repeats), 'run')} with another seed had the same metrics",
-            "its runs are free of noise, as declared",
-        )
-    return proof_of(constraint).assumption(declared_range(study, constraint))
+        return Assumption(title, len(evidence.repeats))
+    assumed = proof_of(constraint).assumes_noise(declared_range(study, constraint))
+    return Assumption(title) if assumed else None
 
 
-def _failure(evaluation: Evaluation) -> str:
-    context = text.values(evaluation.context) or "none"
-    return f"{evaluation.outcome.reason} (context {context}; seed {evaluation.seed})"
+def _failure(evaluation: Evaluation) -> Failure:
+    return Failure(evaluation.outcome.reason, evaluation.context, evaluation.seed)

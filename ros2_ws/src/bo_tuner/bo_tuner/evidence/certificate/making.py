@@ -1,36 +1,25 @@
-"""Makes the certificate of a parameter set of its evidence, and writes both to their files."""
+"""Makes the certificate of a parameter set of its evidence."""
 
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import datetime
-from pathlib import Path
 
 from bo_tuner.codec.checks import same_value
-from bo_tuner.evidence.busy import high_load
+from bo_tuner.evidence.busy import HighLoad, high_load
 from bo_tuner.evidence.certificate.certificate import Certificate, CertifiedObjective
 from bo_tuner.evidence.certificate.context_tolerance import context_tolerances
-from bo_tuner.evidence.certificate.deaths import deaths_in, deaths_in_words
+from bo_tuner.evidence.certificate.deaths import deaths_in
 from bo_tuner.evidence.certificate.evaluations_file import evaluations_csv
 from bo_tuner.evidence.certificate.findings import Evidence, Findings
 from bo_tuner.evidence.certificate.judgement import judge
-from bo_tuner.evidence.certificate.parameter_sensitivity import (
-    narrow_in_words,
-    parameter_sensitivity,
-)
+from bo_tuner.evidence.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.evidence.certificate.search_width import SearchWidth, search_widths
-from bo_tuner.evidence.certificate.store import (
-    certificate_text,
-    evaluations_path,
-    next_path,
-    parameters_sha256,
-)
+from bo_tuner.evidence.certificate.store import parameters_sha256
 from bo_tuner.evidence.certificate.winners_curse import training_gaps
 from bo_tuner.evidence.declarations import drifts, two_kinds, uneven
-from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.numerics.sequential import spent
-from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.in_force import in_force
@@ -65,10 +54,6 @@ def make_certificate(
     fresh = [
         evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION
     ]
-    held, sensitivity = (
-        _held(study, tuned),
-        parameter_sensitivity(study, trial.parameters, surrogates),
-    )
     others = [e for e in record.evaluations if e.parameter_set != trial.parameter_set]
     others += evidence[DEFAULT].evaluations if DEFAULT in evidence else ()
     deaths = deaths_in(study, tuned.evaluations, others, level)
@@ -80,7 +65,7 @@ def make_certificate(
         study_sha256=made_by["study_sha256"],
         trial=trial.number,
         parameters_sha256=parameters_sha256(tuned.parameters),
-        held=held,
+        held=_held(study, tuned),
         seen=seen_in(study.measured, tuned.evaluations),
         best_yaml_sha256=best_sha256,
         evaluations_sha256=_sha256(evaluations_csv(evidence, study.contexts, study.metrics)),
@@ -98,51 +83,24 @@ def make_certificate(
         search_widths=_widths(study, tuned),
         training_gaps=training_gaps(study, trial, predicted, findings),
         context_tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
-        parameter_sensitivity=sensitivity,
+        parameter_sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
         deaths=deaths,
         in_force=in_force(study) if backend == ROS else (),
-        warnings=(
-            *(() if deaths is None else deaths_in_words(deaths, level)),
-            *filter(None, [] if sensitivity is None else [narrow_in_words(study, sensitivity)]),
-            *_busy(study, findings, tuned),
-            *_rounded(findings, held),
-            *map(in_words, drifts(study, drawn)),
-            *map(in_words, two_kinds(study, drawn)),
-            *map(in_words, uneven(tuned.evaluations)),
-        ),
+        high_load=_busy(study, findings, tuned),
+        drifts=tuple(drifts(study, drawn)),
+        two_kinds=tuple(two_kinds(study, drawn)),
+        uneven=tuple(uneven(tuned.evaluations)),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
     )
 
 
-def write_certificate(
-    folder: Path, certificate: Certificate, evidence: Mapping[str, Evidence]
-) -> Path:
-    """Write the evaluations, then the certificate with their digest; return the latter's path.
-
-    Earlier certificates stay. The file of the certificate comes last: without it, after a crash,
-    its evaluations are no certificate.
-    """
-    path = next_path(folder, certificate.attempt)
-    table = evaluations_csv(evidence, certificate.contexts, certificate.metrics)
-    write_atomically(evaluations_path(path), table)
-    return write_atomically(path, certificate_text(certificate))
-
-
-def _busy(study: Study, findings: Findings, evidence: Evidence) -> Iterator[str]:
-    """Yield what to know of limits on times that were not shown: how busy the computer was."""
+def _busy(study: Study, findings: Findings, evidence: Evidence) -> HighLoad | None:
+    """Return how busy the computer was in runs of limits on times that were not shown."""
     open_limits = (study.constraints[c.name] for c in findings.constraints if not c.passed)
     titles = {study.metrics[constraint.metric].title for constraint in open_limits}
     high = high_load(study, evidence.evaluations)
-    if high is not None and titles & set(high.metrics):
-        yield in_words(high)
-
-
-def _rounded(findings: Findings, held: Mapping[str, float]) -> Iterator[str]:
-    """Yield what a device holds in fewer digits than it was set to; that was measured."""
-    for name, value in held.items():
-        wanted = findings.parameters[name]
-        yield f"{name}: the device holds {value}, in 32 bits, of the {wanted} that it is told"
+    return high if high is not None and titles & set(high.metrics) else None
 
 
 def _widths(study: Study, evidence: Evidence) -> tuple[SearchWidth, ...]:

@@ -18,7 +18,6 @@ import numpy as np
 from bo_tuner.models.narrowness import TOLERABLE, intolerable, relative_excess, relative_loss
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.study.study import Study
-from bo_tuner.study.titles import titled_values
 from bo_tuner.trials import Value
 
 
@@ -80,36 +79,6 @@ class ParameterSensitivity:
     def narrow(self) -> tuple[Neighbour, ...]:
         """The neighbours that are not tolerable; the optimum is narrow if there is one."""
         return tuple(n for n in self.neighbours if not n.tolerable)
-
-
-def narrow_in_words(study: Study, around: ParameterSensitivity) -> str:
-    """Return one line on a narrow optimum; empty if every step is tolerable."""
-    if not around.narrow:
-        return ""
-    steps = "; ".join(
-        titled_values(study.parameters, n.changed)
-        + f" (objective {change_in_words(study, around.optimum, n)}"
-        + (f", {100.0 * n.excess:.0f} % over a limit)" if n.excess > 0.0 else ")")
-        for n in around.narrow
-    )
-    return (
-        f"narrow optimum: {len(around.narrow)} of {len(around.neighbours)} steps to a neighbour "
-        f"break a limit, or cost more than {100.0 * TOLERABLE:.0f} %: {steps}"
-    )
-
-
-def change_in_words(study: Study, optimum: Neighbour, neighbour: Neighbour) -> str:
-    """Return how much the objective changes by a step.
-
-    In percent, or in its unit if the optimum is not positive, for a percentage of it would say
-    nothing. Of several objectives, the cost of the compromise in percent of its spread.
-    """
-    if len(study.objectives) > 1:
-        return f"{100.0 * neighbour.loss:+.1f} %"
-    if optimum.objective > 0.0:
-        return f"{100.0 * (neighbour.objective / optimum.objective - 1.0):+.1f} %"
-    unit = study.metrics[study.objective.metric].unit
-    return f"{neighbour.objective - optimum.objective:+.3g} {unit}".rstrip()
 
 
 def parameter_sensitivity(

@@ -10,7 +10,7 @@ This is geometry alone. A run within the violation makes its context a candidate
 again and again; where the noise is as large as the excess over the limit, it can be overlooked.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Annotated
@@ -79,20 +79,3 @@ def distances(space: ContextSpace, contexts: Sequence[Context]) -> Array:
     tree = KDTree(space.to_unit(space.rows(contexts)) * apart)
     distance, _ = tree.query(places * apart, p=np.inf)
     return np.where(distance > 1.0, np.inf, distance)
-
-
-def widths_in_words(widths: Iterable[SearchWidth]) -> str:
-    """Say what the search would have found; empty if there is nothing to say."""
-    chances = [
-        (w.width, f"with a probability of {100.0 * w.probability:.0f} %")
-        for w in widths
-        if w.width <= 1
-    ]
-    if not chances:
-        return ""
-    (width, probability), *others = chances
-    rest = "".join(f", one of {other:.2g} {probably}" for other, probably in others)
-    return (
-        f"a violation of at least {width:.2g} of the box's edges in width would have been found "
-        f"{probability}{rest}"
-    )

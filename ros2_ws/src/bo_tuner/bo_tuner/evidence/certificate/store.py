@@ -12,11 +12,8 @@ from pathlib import Path
 from bo_tuner import maxima
 from bo_tuner.codec import checks
 from bo_tuner.codec.reading import JSON, read
-from bo_tuner.codec.writing import to_json
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.context_tolerance import CREDIBLE
-from bo_tuner.evidence.certificate.findings import TAIL
 from bo_tuner.evidence.certificate.judgement import most_draws_needed
 from bo_tuner.evidence.verdict import FAIL, PASS
 from bo_tuner.numerics.sequential import spent
@@ -31,12 +28,12 @@ from bo_tuner.text import counted, one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 7
+FORMAT = 8
 """Version of the files' format."""
 
 FEWEST_DRAWS = 2
-DRAWS_KEY = ("draws",)
-"""Path of the number of draws in an error."""
+RUNS_KEY = ("runs",)
+"""Path of the number of test runs in an error."""
 
 
 def certificate_paths(folder: Path) -> list[Path]:
@@ -66,23 +63,6 @@ def next_attempt(folder: Path) -> int:
     Evaluations alone, which a crash has left, are no attempt: it goes on with the same draws.
     """
     return next_number(folder / CERTIFICATES)
-
-
-def certificate_text(certificate: Certificate) -> str:
-    """Return the text of a certificate's file.
-
-    Besides the certificate it has what follows from it, for readers in other languages.
-    """
-    content = {
-        "format": FORMAT,
-        "verdict": certificate.verdict,
-        "reasons": certificate.tuned.reasons,
-        "parameters": dict(certificate.parameters),
-        "tail_level": TAIL,
-        "credible": CREDIBLE,
-        **to_json(certificate),
-    }
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def read_certificate(path: Path, study: Study) -> Certificate:
@@ -145,7 +125,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
 
 def required_draws(study: Study, confidence: float) -> int:
     """Return the number of draws that a certificate of a study takes."""
-    return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
+    return max(study.certificate.runs, most_draws_needed(study, confidence)[0])
 
 
 def draws_of(
@@ -153,20 +133,20 @@ def draws_of(
 ) -> int:
     """Return the largest number of draws, which must be able to show every chance constraint."""
     needed, constraint = most_draws_needed(study, spent(confidence, attempt, sets))
-    if needed > maxima.DRAWS:
+    if needed > maxima.TEST_RUNS:
         raise StudyError(
-            f"expected a probability that {maxima.DRAWS} draws can show, found one that takes "
-            f"{needed}",
+            f"expected a probability that {maxima.TEST_RUNS} test runs can show, found one that "
+            f"takes {needed}",
             ("constraints", constraint),
         )
     if draws is None:
         draws = max(required_draws(study, confidence), needed)
-    if draws > maxima.DRAWS:
-        raise StudyError(f"expected at most {maxima.DRAWS}, found {draws}", DRAWS_KEY)
+    if draws > maxima.TEST_RUNS:
+        raise StudyError(f"expected at most {maxima.TEST_RUNS}, found {draws}", RUNS_KEY)
     if draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""
         raise StudyError(
-            f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", DRAWS_KEY
+            f"expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}", RUNS_KEY
         )
     return draws
 
@@ -176,7 +156,7 @@ def shortfall(study: Study, draws: int, confidence: float) -> str:
     required = study.certificate.confidence
     needed = required_draws(study, required)
     if draws < needed:
-        return f"made with {counted(draws, 'draw')}, the study requires {needed}"
+        return f"made with {counted(draws, 'test run')}, the study requires {needed}"
     if not confidence >= required:
         return f"has a confidence of {checks.show(confidence)}, the study requires {required:g}"
     return ""

@@ -52,14 +52,6 @@ class Gap:
         observed = 0.0 if np.isnan(self.observed_error) else self.observed_error
         return hypot(self.validated_error, observed)
 
-    @property
-    def in_words(self) -> str:
-        """The gap with its standard error."""
-        if np.isnan(self.value):
-            return "–"
-        error = self.standard_error
-        return f"{self.value:+.2g}" + ("" if np.isnan(error) else f" ± {error:.1g}")
-
 
 def training_gaps(
     study: Study, trial: Trial, predicted: float, findings: Findings

@@ -5,6 +5,7 @@ from functools import singledispatch
 
 from bo_tuner import text
 from bo_tuner.evidence.busy import HighLoad
+from bo_tuner.evidence.certificate.findings import Refutation
 from bo_tuner.evidence.facts import (
     AgainstLimit,
     AllTrialsFailed,
@@ -19,28 +20,37 @@ from bo_tuner.evidence.facts import (
     ComputingTimes,
     Confidence,
     Contradicted,
+    Contradiction,
     Doubt,
     Drift,
     Effects,
+    EvidenceMissing,
     Fact,
+    FailedBefore,
+    FirstFailure,
     MetricBias,
     NoLogarithm,
+    NotShown,
     OnlyTimesOver,
     PassedOver,
     Progress,
+    RefutedInRun,
     RunsFailed,
     RunsLost,
     RunsToRepeat,
     Said,
     SearchStoodStill,
+    Seen,
     TrialsEnded,
     TwoKinds,
     UnevenRates,
     WorstCaseOver,
 )
+from bo_tuner.evidence.words import check
 from bo_tuner.evidence.words.effects import effects_in_words
 from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.evidence.words.limits import counted_runs, limit_with_unit
+from bo_tuner.evidence.words.reasons import condition, reason
 from bo_tuner.text import capitalized, counted, shown, uncapitalized
 
 NAMED = 3
@@ -101,6 +111,29 @@ def _(fact: RunsLost) -> str:
 
 
 @in_words.register
+def _(fact: FirstFailure) -> str:
+    first = fact.first
+    context = text.values(first.context) or "none"
+    failed = f"{fact.failed} of {counted(fact.runs, 'test run')} failed"
+    return f"{failed}, first: {first.why} (context {context}; seed {first.seed})"
+
+
+@in_words.register
+def _(fact: NotShown) -> str:
+    return f"{fact.title}: {reason(fact.found)}"
+
+
+@in_words.register
+def _(fact: Contradiction) -> str:
+    return check.in_words(fact.how)
+
+
+@in_words.register
+def _(fact: RefutedInRun) -> str:
+    return f"{fact.title}: {counted(fact.runs, 'run')} in {counted(fact.contexts, 'context')}"
+
+
+@in_words.register
 def _(fact: AllTrialsFailed) -> str:
     failed = "The only trial" if fact.trials == 1 else f"All {fact.trials} trials"
     return f"{failed} failed{f': {fact.why}' if fact.why else ''}"
@@ -134,7 +167,8 @@ def _(fact: Claim) -> str:
     claim = f"{where}{f', {among}' if among else ''}"
     if not fact.conditions:
         return f"{WITHIN}{claim}"
-    return f"shown to stay within all limits{claim}, if {' and '.join(fact.conditions)}"
+    conditions = " and ".join(map(condition, fact.conditions))
+    return f"shown to stay within all limits{claim}, if {conditions}"
 
 
 def _share(limit: ClaimedLimit) -> str:
@@ -159,6 +193,41 @@ def _(fact: SearchStoodStill) -> str:
 def _(fact: CertificateBegun) -> str:
     runs = counted(fact.runs, "test run")
     return f"An unfinished certificate has {runs} on record; validate continues from there."
+
+
+def failed_on(refutation: Refutation) -> str:
+    """Return on what a parameter set failed before its certificate."""
+    if refutation.certificate:
+        return f"certificate {refutation.certificate} was a FAIL"
+    return "the tuning run itself refuted a limit"
+
+
+@in_words.register
+def _(fact: FailedBefore) -> str:
+    reasons = "; ".join(map(in_words, fact.reasons))
+    sentence = f"{capitalized(failed_on(fact.refutation))} ({reasons})."
+    if not fact.covered:
+        return sentence
+    contexts = " and ".join(f"({text.values(c)})" for c in fact.refutation.contexts if c)
+    where = f"in the context {contexts}" if contexts else "by fresh test runs"
+    return (
+        f"{sentence} This PASS covers it: the limits were shown anew {where}, and the earlier "
+        "runs, which count against a PASS only, do not contradict."
+    )
+
+
+@in_words.register
+def _(fact: Seen) -> str:
+    ends = f"{shown(fact.range.low)} and {shown(fact.range.high)} {fact.unit}".rstrip()
+    mean = shown(fact.range.mean)
+    return (
+        f"{fact.title} was between {ends} in these runs (mean {mean}); nothing is claimed beyond."
+    )
+
+
+@in_words.register
+def _(fact: EvidenceMissing) -> str:
+    return f"Evidence of an earlier certificate is missing: {fact.why}."
 
 
 @in_words.register
@@ -233,7 +302,7 @@ def _bias(bias: MetricBias) -> str:
 
 @in_words.register
 def _(fact: Contradicted) -> str:
-    return f"A run contradicts the study: {fact.how}."
+    return f"A run contradicts the study: {check.in_words(fact.how)}."
 
 
 @in_words.register
@@ -262,7 +331,7 @@ def _(fact: Drift) -> str:
 @in_words.register
 def _(fact: UnevenRates) -> str:
     so = f" ({text.listed(fact.others)} likewise)" if fact.others else ""
-    return f"Equal runs are not alike{so}: {fact.how}"
+    return f"Equal runs are not alike{so}: {check.in_words(fact.first)}"
 
 
 @in_words.register

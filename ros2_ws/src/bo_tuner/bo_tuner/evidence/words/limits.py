@@ -2,6 +2,7 @@
 
 from bo_tuner.evidence.limit_verdict import LimitVerdict
 from bo_tuner.evidence.words.limit_kinds import words_of
+from bo_tuner.evidence.words.reasons import condition
 from bo_tuner.study.limits import Standing
 from bo_tuner.text import counted
 
@@ -31,8 +32,8 @@ def in_words(found: LimitVerdict) -> str:
     """Return what was found, in words that follow those of the limit."""
     passed = found.standing is Standing.SHOWN
     if found.certified:
-        if passed and found.condition:
-            return f"shown to stay within it {asked(found)}, if {found.condition}"
+        if passed and found.condition is not None:
+            return f"shown to stay within it {asked(found)}, if {condition(found.condition)}"
         return f"{'' if passed else 'NOT '}proven to be kept {asked(found)}"
     evidence = counted_runs(found)
     if passed:
@@ -61,5 +62,5 @@ def as_mapping(found: LimitVerdict) -> dict[str, object]:
         "evidence": "" if found.certified else counted_runs(found),
         "words": in_words(found),
         "refuted": found.refuted,
-        "condition": found.condition,
+        "condition": "" if found.condition is None else condition(found.condition),
     }

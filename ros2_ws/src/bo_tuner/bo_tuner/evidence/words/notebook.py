@@ -8,6 +8,8 @@ from bo_tuner.evidence.certificate.findings import ConstraintVerdict
 from bo_tuner.evidence.verdict import Verdict
 from bo_tuner.evidence.words.limits import in_words
 from bo_tuner.evidence.words.quantities import change
+from bo_tuner.evidence.words.reasons import proven, reason
+from bo_tuner.evidence.words.verdict import headline
 from bo_tuner.text import counted, shown_beside, with_unit
 
 
@@ -23,24 +25,25 @@ def verdict_html(verdict: Verdict) -> str:
         ]
         for quantity in verdict.quantities
     ]
-    return _html(verdict.headline, ["", "default", "tuned", "difference", "limit", "found"], rows)
+    return _html(headline(verdict), ["", "default", "tuned", "difference", "limit", "found"], rows)
 
 
 def certificate_html(certificate: Certificate) -> str:
     """Return what a certificate is of, and what it found of each limit."""
     runs = counted(certificate.tuned.evaluations, "fresh test run")
-    headline = (
+    title = (
         f"{certificate.verdict}: {certificate.study}, trial {certificate.trial}, {runs}, "
         f"{100.0 * certificate.bound_confidence:.4g} % confidence of each bound"
     )
     rows = [_limit(found) for found in certificate.tuned.constraints]
-    return _html(headline, ["limit", "of", "farthest", "found", "why"], rows)
+    return _html(title, ["limit", "of", "farthest", "found", "why"], rows)
 
 
 def _limit(found: ConstraintVerdict) -> list[str]:
     sign = "≤" if found.side == "upper" else "≥"
     limit = f"{sign} {found.limit:g} {found.unit}".rstrip()
-    return [limit, found.name, shown_beside(found.extreme, found.limit), found.proof, found.reason]
+    farthest = shown_beside(found.extreme, found.limit)
+    return [limit, found.name, farthest, proven(found), reason(found)]
 
 
 def _html(headline: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

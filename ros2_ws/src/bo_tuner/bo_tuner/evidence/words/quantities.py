@@ -63,7 +63,7 @@ def _details(quantity: Quantity) -> Iterator[str]:
 
 
 def _violation(found: ViolationBound, limit: LimitVerdict) -> str:
-    beyond = f"{found.violations} of {counted(found.draws, 'drawn test run')}"
+    beyond = f"{found.violations} of {counted(found.draws, 'test run')}"
     said = f"{beyond} {limit.constraint.beyond} the limit; probability "
     confidence = f"with {100.0 * found.confidence:g} % confidence"
     at_most = f"at most {found.bound:.3g}"

@@ -4,17 +4,24 @@ from pathlib import Path, PurePath
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.earlier import earlier_in_words
-from bo_tuner.evidence.certificate.search_width import widths_in_words
+from bo_tuner.evidence.certificate.claim import failed_before, seen
 from bo_tuner.evidence.certificate.store import (
     certificate_paths,
     latest_certificate,
     read_certificate,
 )
-from bo_tuner.evidence.certificate.table import certificate_rows
+from bo_tuner.evidence.words.certificate import (
+    assumptions,
+    of_gap,
+    of_widths,
+    price,
+    reasons,
+    warnings,
+)
+from bo_tuner.evidence.words.certificate_table import certificate_rows
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import capitalized
 from bo_tuner.trials import Trial
@@ -40,10 +47,10 @@ def _is_readable(path: Path, study: Study) -> bool:
 
 
 def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
-    searched = widths_in_words(certificate.search_widths)
+    searched = of_widths(certificate.search_widths)
     lead = (
         f"Trial {certificate.trial}, attempt {certificate.attempt} of this run: "
-        f"{certificate.tuned.price}; {100.0 * certificate.bound_confidence:.4g} % confidence of "
+        f"{price(certificate.tuned)}; {100.0 * certificate.bound_confidence:.4g} % confidence of "
         "each bound."
     )
     return Section(
@@ -52,13 +59,13 @@ def _section(study: Study, certificate: Certificate, path: PurePath) -> Section:
         lead=lead,
         tables=[_numbers(study, certificate), *_gaps(certificate)],
         notes=[
-            *certificate.tuned.reasons,
-            *certificate.tuned.assumptions,
-            *earlier_in_words(certificate),
+            *reasons(study, certificate.tuned),
+            *assumptions(study, certificate.tuned),
+            *map(in_words, failed_before(study, certificate)),
             *([f"Search for the worst context: {searched}."] if searched else []),
-            *seen_in_words(study.metrics, certificate.seen),
+            *map(in_words, seen(study, certificate.seen)),
             *(f"{capitalized(line)}." for line in certificate.in_force),
-            *certificate.warnings,
+            *warnings(study, certificate),
             f"All of it is in {path}.",
         ],
     )
@@ -81,7 +88,7 @@ def _gaps(certificate: Certificate) -> list[Table]:
             number(gap.observed),
             number(gap.predicted),
             number(gap.validated),
-            gap.in_words,
+            of_gap(gap),
             gap.unit,
         ]
         for gap in certificate.training_gaps

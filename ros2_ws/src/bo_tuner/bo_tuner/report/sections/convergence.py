@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.evidence.words.limit_kinds import words_of
 from bo_tuner.figures.figure import (
     Axis,
@@ -25,7 +26,7 @@ from bo_tuner.figures.figure import (
 from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.report.analysis import Analysis, Known, TrialOutcome, remembered
+from bo_tuner.report.analysis import Analysis, Known, remembered
 from bo_tuner.report.content import Section, number, numbered, quantity
 from bo_tuner.report.marks import DEFAULT, OFF_SCALE, OVER_LIMIT, RESULT
 from bo_tuner.storage.provenance import (

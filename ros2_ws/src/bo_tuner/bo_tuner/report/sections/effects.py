@@ -8,10 +8,10 @@ import numpy as np
 from bo_tuner.evidence.certificate.parameter_sensitivity import (
     Neighbour,
     ParameterSensitivity,
-    change_in_words,
-    narrow_in_words,
     parameter_sensitivity,
 )
+from bo_tuner.evidence.trial_row import OF_VALUE
+from bo_tuner.evidence.words.certificate import of_narrow, of_step
 from bo_tuner.evidence.words.effects import amount, title_of
 from bo_tuner.evidence.words.verdict import of_parameters
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
@@ -21,12 +21,12 @@ from bo_tuner.models.narrowness import TOLERABLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.study import Study
 from bo_tuner.study.titles import mean_title
-from bo_tuner.text import listed, percent, shown
+from bo_tuner.text import capitalized, listed, percent, shown
 from bo_tuner.trials import Trial, Value, pooled
 from bo_tuner.tuning.effects import Effect, ParameterEffects
 
@@ -82,8 +82,8 @@ def _lead(study: Study, steps: ParameterSensitivity | None) -> list[str]:
     """Say whether a step away from the answer is tolerable."""
     if steps is None or not steps.neighbours:
         return []
-    if warning := narrow_in_words(study, steps):
-        return [f"{warning[:1].upper()}{warning[1:]}."]
+    if steps.narrow:
+        return [f"{capitalized(of_narrow(study, steps))}."]
     return [
         f"None of {len(steps.neighbours)} steps to a neighbour loses more than "
         f"{100.0 * TOLERABLE:.0f} % of the objective or breaks a limit."
@@ -125,7 +125,7 @@ def _predicted(analysis: Analysis, optimum: Neighbour, neighbour: Neighbour) -> 
         )
         for name, value in neighbour.changed.items()
     )
-    text = f"{step}: {change_in_words(analysis.study, optimum, neighbour)}"
+    text = f"{step}: {of_step(analysis.study, optimum, neighbour)}"
     if analysis.study.constraints:
         text += f", {percent(neighbour.feasibility)} likely within limits"
     return text

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from bo_tuner.evidence.trial_row import OF_VALUE
 from bo_tuner.evidence.words.next_steps import Step, to_use
 from bo_tuner.figures.figure import (
     Color,
@@ -17,7 +18,7 @@ from bo_tuner.figures.figure import (
     Panel,
     Points,
 )
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Choice, Section, Table, number
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.report.sections.trajectories import response_of
@@ -59,7 +60,7 @@ def front(analysis: Analysis) -> Section | None:
         title="Which compromises are there?",
         lead=f"The front has {counted(len(points), 'parameter set')} likely within limits: no "
         f"other such trial is as good in every objective, and better in one.{rule}",
-        notes=[f"Only the result was validated on fresh draws; {_of_others(points)}."],
+        notes=[f"Only the result was validated in fresh test runs; {_of_others(points)}."],
         choices=_choices(analysis, points, result),
     )
 

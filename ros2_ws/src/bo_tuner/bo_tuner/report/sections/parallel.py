@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.marks import OVER_LIMIT, RESULT
 from bo_tuner.text import shown

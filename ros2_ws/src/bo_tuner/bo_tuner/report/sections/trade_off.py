@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bo_tuner.evidence.estimates import Estimate
+from bo_tuner.evidence.trial_row import OF_VALUE
 from bo_tuner.evidence.words.verdict import basis
 from bo_tuner.figures.figure import (
     Axis,
@@ -21,13 +22,13 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
-from bo_tuner.report.analysis import OF_VALUE, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.marks import DEFAULT
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.limit_kinds.limited import UPPER
-from bo_tuner.study.limits import WITHIN, outcome_in_words
+from bo_tuner.study.limits import keeps_limits
 from bo_tuner.study.titles import mean_title
 from bo_tuner.text import capitalized, counted, with_unit
 from bo_tuner.trials import Trial
@@ -206,7 +207,7 @@ def _moved_limits(
         upper = constraint.side == UPPER
         moved = replace(constraint, upper=limit) if upper else replace(constraint, lower=limit)
         other = replace(study, constraints={**study.constraints, constraint.name: moved})
-        within = np.flatnonzero([outcome_in_words(other, trial) == WITHIN for trial in trials])
+        within = np.flatnonzero([keeps_limits(other, trial) for trial in trials])
         best = int(within[np.argmin(cost[within])]) if len(within) else NONE
         alike = [k for k in limits_by_trial if _alike(estimates, k, best)]
         limits_by_trial.setdefault(alike[0] if alike else best, []).append(limit)

@@ -9,13 +9,14 @@ from collections.abc import Iterator
 from bo_tuner import text
 from bo_tuner.evidence.certificate.findings import ConstraintVerdict, Evidence, widest
 from bo_tuner.evidence.certificate.judgement import judge
+from bo_tuner.evidence.words.reasons import reason
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 
 
 def so_far(study: Study, evidence: Evidence, confidence: float) -> Iterator[str]:
     """Yield what the runs of an undecided certificate show, a line for each limit."""
-    runs = text.counted(len(evidence.evaluations), "run")
+    runs = text.counted(len(evidence.evaluations), "test run")
     if not evidence.drawn:
         yield f"nothing is shown by {runs}"
         return
@@ -26,7 +27,8 @@ def so_far(study: Study, evidence: Evidence, confidence: float) -> Iterator[str]
         f"{100.0 * confidence:.4g} % confidence:"
     )
     for found in findings.constraints:
-        yield f"{found.name}: {_shown(study, study.constraints[found.name], found, evidence)}"
+        constraint = study.constraints[found.name]
+        yield f"{study.limit_title(constraint)}: {_shown(study, constraint, found, evidence)}"
 
 
 def _shown(
@@ -35,7 +37,7 @@ def _shown(
     if not constraint.rule.in_every_context:
         if constraint.rule.on_runs:
             return _share(found.violation_bound, constraint)
-        return found.reason
+        return reason(found)
     where = "in random contexts; the search for its worst one is not done"
     if not evidence.repeated:
         return f"{_share(found.violation_bound, constraint)} {where}"

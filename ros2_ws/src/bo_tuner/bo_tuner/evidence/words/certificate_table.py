@@ -6,7 +6,7 @@ from functools import partial
 from math import isfinite, isnan, nan
 
 from bo_tuner.evidence.certificate.certificate import Certificate
-from bo_tuner.evidence.certificate.earlier import earlier_in_words
+from bo_tuner.evidence.certificate.claim import failed_before, seen
 from bo_tuner.evidence.certificate.findings import (
     TAIL,
     ConstraintVerdict,
@@ -15,9 +15,11 @@ from bo_tuner.evidence.certificate.findings import (
 )
 from bo_tuner.evidence.certificate.risk import Mean
 from bo_tuner.evidence.verdict import FAIL, PASS, Verdict
+from bo_tuner.evidence.words.certificate import warnings
+from bo_tuner.evidence.words.facts import in_words
 from bo_tuner.evidence.words.quantities import basis, gain
+from bo_tuner.evidence.words.reasons import proven, reason
 from bo_tuner.evidence.words.verdict import of_default
-from bo_tuner.study.measured import seen_in_words
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
 
@@ -63,14 +65,14 @@ def certificate_lines(
     verdict: Verdict, study: Study, certificate: Certificate, most: int
 ) -> list[str]:
     """Return what a terminal says of a certificate: of each limit, and what speaks against it."""
-    others = [*earlier_in_words(certificate)][:1]
+    others = [*map(in_words, failed_before(study, certificate))][:1]
     others += [f"{gain(q)}; {basis(q)}" for q in verdict.quantities if q.objective][:1]
     others += [of_default(verdict)] if certificate.default is not None else []
-    others += [f"warning: {warning}" for warning in certificate.warnings][:1]
-    others += seen_in_words(study.metrics, certificate.seen)
+    others += [f"warning: {warning}" for warning in warnings(study, certificate)][:1]
+    others += map(in_words, seen(study, certificate.seen))
     limits = sorted(certificate.tuned.constraints, key=lambda item: item.passed)
     titles = {name: study.limit_title(item) for name, item in study.constraints.items()}
-    lines = [f"{titles[item.name]}: {item.proof}: {item.reason}" for item in limits]
+    lines = [f"{titles[item.name]}: {proven(item)}: {reason(item)}" for item in limits]
     if certificate.tuned.failures:
         lines.insert(0, f"{certificate.tuned.failures} of {certificate.tuned.evaluations} failed")
     room = most - len(others)
@@ -93,7 +95,7 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
     )
     yield row(extreme, unit, (shown_beside(c.extreme, limit) for c in both))
     yield row(CVAR, unit, (shown(c.tail) for c in both))
-    yield row(f"  draws {beyond}", "", (str(c.violations) for c in both))
+    yield row(f"  test runs {beyond}", "", (str(c.violations) for c in both))
     violation = f"  P(violation), {level}"
     yield row(violation, "", (shown_beside(c.violation_bound, allowed) for c in both))
     if constraint.rule.on_runs and not constraint.rule.in_every_context:
@@ -119,11 +121,11 @@ def _of_constraint(study: Study, both: Sequence[ConstraintVerdict], level: str) 
         for name in study.contexts:
             yield row(f"  at {name}", "", searched(partial(_coordinate, name)))
         counts = searched(lambda worst: f"{worst[0].beyond} of {worst[0].evaluations}")
-        yield row(f"  test runs {beyond}", "", counts)
+        yield row(f"  test runs there {beyond}", "", counts)
     yield row(
         f"  {'kept in every context' if constraint.rule.in_every_context else 'kept'}",
         "",
-        (c.proof.partition(",")[0] for c in both),
+        (proven(c).partition(",")[0] for c in both),
     )
 
 
