@@ -167,7 +167,7 @@ def short_study() -> Study:
     mapping["constraints"]["overshoot"] = overshoot
     mapping["certificate"] = {"draws": 20, "confidence": 0.5}
     return study_from_mapping(mapping).replace(
-        trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_runs=3
+        trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_draws=3
     )
 
 

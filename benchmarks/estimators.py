@@ -69,7 +69,7 @@ def study(drives: list[int]) -> bt.Study:
         metrics={"error": {"unit": "m"}, "consistent": {"range": (0.0, 1.0)}},
         objective="error",
         constraints={"consistency": bt.WorstCase("consistent", lower=LEAST)},
-        budget=bt.Budget(trials=TRIALS, initial_trials=8, drawn_contexts=2, validation_runs=4),
+        budget=bt.Budget(trials=TRIALS, initial_trials=8, drawn_contexts=2, validation_draws=4),
         seed=drives[0],
     )
 

@@ -81,7 +81,7 @@ contexts: {load: {node: axis, distribution: uniform, bounds: [1.0, 2.0]}}
 trigger: {node: axis, service: ~/cut}
 metrics: {error: {node: axis}}
 objective: {metric: error}
-budget: {trials: 5, initial_trials: 3, drawn_contexts: 4, validation_runs: 10}
+budget: {trials: 5, initial_trials: 3, drawn_contexts: 4, validation_draws: 10}
 """
 JUDGE = """\
 from pathlib import Path
@@ -142,7 +142,7 @@ def write_studies(folder: Path) -> None:
     content["run"]["end"] = {"after": 0.5}
     content["metrics"]["largest"] = {"python": "judge:largest", "unit": "rad"}
     content["budget"] = {
-        "trials": 3, "initial_trials": 3, "drawn_contexts": 1, "validation_runs": 3
+        "trials": 3, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3
     }  # fmt: skip
     content["certificate"] = {"draws": 40, "confidence": 0.5}
     (folder / "study.yaml").write_text(strict_yaml.dump(content))

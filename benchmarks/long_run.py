@@ -113,7 +113,7 @@ class Formula:
 def make_run(folder: Path, name: str, trials: int, more: int) -> Path:
     """Write a run with so many trials, which has `more` to go."""
     study = load_study(name).replace(
-        trials=trials + more, drawn_contexts=2, search_evaluations=3, validation_runs=5
+        trials=trials + more, drawn_contexts=2, search_evaluations=3, validation_draws=5
     )
     run = RunFolder.create(folder, study)
     try:

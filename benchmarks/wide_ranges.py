@@ -129,7 +129,7 @@ def study_of(bounds: Mapping[str, tuple[float, float]], scales: Mapping[str, str
             name: {"kind": "chance", "metric": name, "upper": upper, "probability": PROBABILITY}
             for name, upper in limits.items()
         },
-        budget={"trials": 20, "initial_trials": 8, "drawn_contexts": 1, "validation_runs": 5},
+        budget={"trials": 20, "initial_trials": 8, "drawn_contexts": 1, "validation_draws": 5},
     ).checked
 
 

@@ -356,7 +356,7 @@ def nodes_of_example(folder, monkeypatch, *scripts):
 @pytest.mark.ros
 def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     study = load_study(EXAMPLE / "study.yaml").replace(
-        trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=3, validation_runs=2
+        trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=3, validation_draws=2
     )
     (tmp_path / "study.yaml").write_text(study_to_yaml(study))
     with nodes_of_example(tmp_path, monkeypatch, EXAMPLE / "hot_plate_node.py") as environment:
@@ -383,7 +383,7 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
 def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
     scripts = [UNCHANGED / "motor_node.py", UNCHANGED / "pid_node.py"]
     study = load_study(UNCHANGED / "study.yaml").replace(
-        trials=3, initial_trials=2, validation_runs=1
+        trials=3, initial_trials=2, validation_draws=1
     )
     mapping = study_to_mapping(study)
     # A node that gets no processor for a moment fails no run: replay would repeat another one.

@@ -339,7 +339,7 @@ class TestLimit:
     ):
         monkeypatch.setitem(KINDS, "mean", MeanOverContexts)
         peak = {"kind": "mean", "metric": "peak", "upper": 1.0}
-        budget = {"trials": 12, "initial_trials": 6, "drawn_contexts": 2, "validation_runs": 20}
+        budget = {"trials": 12, "initial_trials": 6, "drawn_contexts": 2, "validation_draws": 20}
         text = yaml.safe_dump(axis_study(constraints={"peak": peak}, budget=budget))
         record = read_run(run_study(tmp_path, text, "--algorithm", algorithm))
         # In every context it would be 0.25 at most, over all of them 1/3.
@@ -379,7 +379,7 @@ class TestMethod:
         """By the commands, once a package offers it."""
         offer(tmp_path / "site", "half_methods", halves=f"{__name__}:HALVES")
         monkeypatch.syspath_prepend(tmp_path / "site")
-        budget = {"trials": 4, "initial_trials": 1, "validation_runs": 4}
+        budget = {"trials": 4, "initial_trials": 1, "validation_draws": 4}
         text = yaml.safe_dump(axis_study(budget=budget))
         record = read_run(run_study(tmp_path, text, "--algorithm", "halves"))
         assert [t.parameters["gain"] for t in record.trials] == [1.0, 0.5, 0.25, 0.125]

@@ -67,7 +67,7 @@ def test_the_numbers_shown_are_those_of_the_journal(chromium, feed_axis_page, fe
         of_column = [
             evaluation.outcome.metrics for evaluation in evaluations if evaluation.trial == column
         ]
-        assert len(of_column) == record.study.budget.validation_runs
+        assert len(of_column) == record.study.budget.validation_draws
         errors = [metrics["tracking_error"] for metrics in of_column]
         overshoots = [metrics["overshoot"] for metrics in of_column]
         assert cells["tracking_error [(m/s)^2]"][column] == f"{sum(errors) / len(errors):.4g}"

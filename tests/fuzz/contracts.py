@@ -118,7 +118,7 @@ def check_study_bytes(data, folder):
 
 def make_run(folder):
     """Make a run folder with a journal of a few trials."""
-    study = load_study("benchmark").replace(**INITIAL, validation_runs=1)
+    study = load_study("benchmark").replace(**INITIAL, validation_draws=1)
     return made_runs.make_run(folder, study, InProcessBackend(study))
 
 

@@ -14,7 +14,7 @@ def short_study(cut=True, **sections):
     """A study of `error` and `peak`, which only grow."""
     budget = {"trials": 14, "initial_trials": 8, "drawn_contexts": 2, "search_evaluations": 1}
     sections = {"metrics": {"error": GROWS, "peak": GROWS}} | sections
-    return make_study(budget=budget | {"cut_short": cut, "validation_runs": 3}, **sections)
+    return make_study(budget=budget | {"cut_short": cut, "validation_draws": 3}, **sections)
 
 
 class EndingBackend(FunctionBackend):

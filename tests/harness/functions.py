@@ -39,7 +39,7 @@ def study_mapping(**sections):
             "initial_trials": 3,
             "drawn_contexts": 2,
             "search_evaluations": 2,
-            "validation_runs": 5,
+            "validation_draws": 5,
         },
         # The initial design alone; what comes before it is tested on its own.
         "start": [],

@@ -77,7 +77,7 @@ def made_certificate(study, parameters, passed=True, *, backend="inprocess", alg
         seen={},
         best_yaml_sha256=None,
         evaluations_sha256="0" * 64,
-        draws=study.certificate.runs,
+        draws=study.certificate.draws,
         drawn=112,
         confidence=study.certificate.confidence,
         attempt=1,

@@ -75,7 +75,7 @@ def axis_study(**sections):
                 "initial_trials": 5,
                 "drawn_contexts": 2,
                 "search_evaluations": 2,
-                "validation_runs": 5,
+                "validation_draws": 5,
             },
             "start": None,
         }
@@ -96,7 +96,7 @@ def feed_axis_study(**budget):
         "initial_trials": 5,
         "drawn_contexts": 3,
         "search_evaluations": 3,
-        "validation_runs": 6,
+        "validation_draws": 6,
     }
     return study_to_yaml(load_study("benchmark").replace(**small | budget))
 

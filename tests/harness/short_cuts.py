@@ -17,7 +17,7 @@ def small_study(trials, *, plant=SHORT, controller=None, **budget):
         "initial_trials": trials,
         "drawn_contexts": 2,
         "search_evaluations": 2,
-        "validation_runs": 2,
+        "validation_draws": 2,
     }
     study = study_to_mapping(load_study("benchmark").replace(trials=trials, **sizes | budget))
     study["nodes"]["plant"]["parameters"] = plant

@@ -138,7 +138,7 @@ def drive_study(**changes):
             "initial_trials": 4,
             "drawn_contexts": 2,
             "search_evaluations": 0,
-            "validation_runs": 2,
+            "validation_draws": 2,
         },
         start=None,
     )

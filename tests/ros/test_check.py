@@ -85,7 +85,7 @@ def write_study(tmp_path, **changes):
         "nodes": {"servo": node},
         "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
         "objective": {"metric": "error"},
-        "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_runs": 2},
+        "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
 

@@ -99,7 +99,7 @@ def write_study(folder, *names, **changes):
         },
         "metrics": {"level": {"of": "out", "measure": "maximum", "unit": "m"}},
         "objective": {"metric": "level"},
-        "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_runs": 2},
+        "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
     (folder / "odd.yaml").write_text(json.dumps(mapping | changes))
 

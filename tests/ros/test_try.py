@@ -22,7 +22,7 @@ STUDY = {
     "metrics": {"largest": {"of": "angle", "measure": "maximum"}},
     "constraints": {"largest": {"kind": "worst_case", "metric": "largest", "upper": 2.0}},
     "objective": {"metric": "largest"},
-    "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_runs": 2},
+    "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
 }
 
 

@@ -33,7 +33,7 @@ def make_function_study():
                 initial_trials=3,
                 drawn_contexts=2,
                 search_evaluations=2,
-                validation_runs=4,
+                validation_draws=4,
             ),
         }
         return bt.Study(**given | sections)

@@ -34,7 +34,7 @@ def study():
         objective="error",
         constraints={"peak": bt.WorstCase("peak", upper=1.0)},
         budget=bt.Budget(
-            trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=2, validation_runs=4
+            trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=2, validation_draws=4
         ),
     )
 

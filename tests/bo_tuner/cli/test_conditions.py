@@ -22,7 +22,7 @@ def folder(tmp_path_factory, make_study):
         parameters={"gain": gain, "trim": trim},
         where=WHERE,
         start=["default"],
-        budget=budget | {"validation_runs": 5},
+        budget=budget | {"validation_draws": 5},
     )
     write_study(folder, study)
     code, _, err = run(

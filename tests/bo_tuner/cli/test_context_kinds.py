@@ -28,7 +28,7 @@ def folder(tmp_path_factory, make_study):
         nodes=node("context_kinds_axis"),
         contexts=CONTEXTS,
         start=["default"],
-        budget=budget | {"validation_runs": 5},
+        budget=budget | {"validation_draws": 5},
         # Kept where the gain is at most 0.3, in the worst context.
         constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.69}},
         certificate={"runs": 10, "confidence": 0.6},
@@ -88,7 +88,7 @@ def test_a_study_of_texts_alone(tmp_path, make_study):
         nodes=node("texts_axis"),
         contexts={"room": CONTEXTS["room"]},
         start=["default"],
-        budget=budget | {"validation_runs": 5},
+        budget=budget | {"validation_draws": 5},
         constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.7}},
     )
     peak = "0.3 * (self.room == 'yard') + 0.3 * self.gain"

@@ -32,7 +32,7 @@ def folder(tmp_path_factory, make_study):
         nodes=nodes,
         parameters=PARAMETERS,
         seed_parameter=seed,
-        budget=budget | {"validation_runs": 5},
+        budget=budget | {"validation_draws": 5},
         start=["default"],
         constraints={
             "peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.5}

@@ -17,7 +17,7 @@ from bo_tuner.study.study_file import study_to_mapping
 CALM = {"kind": "chance", "metric": "peak", "upper": "default + 0.05", "probability": 0.9}
 BUDGET = {
     "trials": 10, "initial_trials": 5, "drawn_contexts": 2, "search_evaluations": 0,
-    "validation_runs": 25,
+    "validation_draws": 25,
 }  # fmt: skip
 # Context and noise say much more of a peak than the gain does, but nothing of a difference.
 DRAW = "self.load + 0.1 * (self.seed % 7)"
@@ -61,7 +61,7 @@ def test_the_result_is_at_the_limit_and_all_is_on_record(runs, whole):
     draws = [(e.context["load"], e.seed) for e in record.evaluations]
     own = [e.parameters["gain"] == DEFAULT for e in record.evaluations]
     known = {draw for draw, is_default in zip(draws, own, strict=True) if is_default}
-    assert len(known) > BUDGET["validation_runs"]
+    assert len(known) > BUDGET["validation_draws"]
     assert runs.evaluations(whole) == len(draws) + len(set(draws) - known)
 
 

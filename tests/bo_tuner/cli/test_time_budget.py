@@ -57,7 +57,7 @@ def test_a_run_whose_time_is_over_still_has_a_result(runs, short, stages):
     assert len(record.trials) == 1
     _, checks, validation = stages("short")
     assert checks == 1
-    assert validation == 2 * record.study.budget.validation_runs
+    assert validation == 2 * record.study.budget.validation_draws
     assert "the time is up after 1 trial; the best so far is then settled and validated" in short
     assert "the time is up after 1 run that settles the answer; the best" in short
     ended = TrialsEnded(1, record.study.budget.trials, time_up=True)

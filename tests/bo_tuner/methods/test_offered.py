@@ -45,7 +45,7 @@ def test_help_has_its_title_and_does_not_load_it(line, capsys):
 
 
 def test_it_tunes_and_without_its_package_the_run_names_it(line, tmp_path, monkeypatch, capsys):
-    budget = {"trials": 4, "initial_trials": 1, "validation_runs": 4}
+    budget = {"trials": 4, "initial_trials": 1, "validation_draws": 4}
     text = yaml.safe_dump(axis_study(budget=budget))
     path = run_study(tmp_path, text, "--algorithm", "line")
     record = read_run(path)

@@ -41,7 +41,7 @@ def number(default=0.1, **keys):
 @pytest.fixture(scope="module")
 def study_of(make_study):
     def make(parameters=None, trials=12, start=("default",), **sections):
-        budget = {"trials": trials, "initial_trials": 4, "validation_runs": 3}
+        budget = {"trials": trials, "initial_trials": 4, "validation_draws": 3}
         return make_study(
             parameters=parameters or {"x": number()},
             budget=budget,

@@ -25,7 +25,7 @@ BUDGET = {
     "initial_trials": 8,
     "drawn_contexts": 5,
     "search_evaluations": 0,
-    "validation_runs": 5,
+    "validation_draws": 5,
 }
 
 

@@ -177,7 +177,7 @@ def test_it_is_right_within_a_factor_of_two_in_the_middle(machine, algorithm, ev
     """After 19 to 23 of 40 trials; rankings grow with the evaluations so far."""
     rng = np.random.default_rng(seed)
     pooled = algorithm == "boundary"
-    run = machine(algorithm, trials=40, initial_trials=8, validation_runs=25)
+    run = machine(algorithm, trials=40, initial_trials=8, validation_draws=25)
     run.left.begin(Phase.TUNING)
     known, announced = 0, []
     for k in range(40):

@@ -32,7 +32,7 @@ def test_the_share_above_the_limit_is_that_of_the_record(analysis):
         assert sorted(values) == pytest.approx(list(line.x[1:]))
         within = np.asarray(line.y)[np.asarray(line.x) <= 1.0]
         share = within[-1] if len(within) else 0.0
-        budget = analysis.study.budget.validation_runs
+        budget = analysis.study.budget.validation_draws
         assert share == pytest.approx(100.0 * sum(v <= 1.0 for v in values) / budget)
 
 

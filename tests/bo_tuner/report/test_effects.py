@@ -22,7 +22,7 @@ def section_of(tmp_path):
             parameters=dict.fromkeys(parameters, TUNED),
             constraints=None,
             budget={"trials": trials, "initial_trials": trials, "drawn_contexts": 2,
-                    "search_evaluations": 1, "validation_runs": 2},
+                    "search_evaluations": 1, "validation_draws": 2},
         )  # fmt: skip
         run = make_run(tmp_path / "run", study, FunctionBackend(study, function))
         return effects(Analysis(run, quick=quick))

@@ -25,7 +25,7 @@ from bo_tuner.text import shown
 from bo_tuner.web.runs import Runs
 
 BUDGET = bt.Budget(
-    trials=6, initial_trials=4, drawn_contexts=2, search_evaluations=2, validation_runs=25
+    trials=6, initial_trials=4, drawn_contexts=2, search_evaluations=2, validation_draws=25
 )
 
 

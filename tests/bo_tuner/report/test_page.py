@@ -33,7 +33,7 @@ ONE_OF_EACH = {
     "initial_trials": 1,
     "drawn_contexts": 1,
     "search_evaluations": 1,
-    "validation_runs": 1,
+    "validation_draws": 1,
 }
 """The smallest budget of a study."""
 

@@ -213,7 +213,7 @@ class TestProposals:
     def test_of_every_algorithm(self, make_trial, algorithm):
         """The best is beyond both conditions, where each search would go."""
         budget = {"trials": 12, "initial_trials": 5, "drawn_contexts": 2, "search_evaluations": 2}
-        study = study_with(budget=budget | {"validation_runs": 5}, start=["default"])
+        study = study_with(budget=budget | {"validation_draws": 5}, start=["default"])
         optimizer = METHODS[algorithm].optimizer(study)
         found = []
         for number in range(12):

@@ -32,7 +32,7 @@ signals: {angle: {topic: a, field: data}}
 run: {end: {after: 1.0}}
 metrics: {error: {of: angle, measure: iae}}
 objective: {metric: error}
-budget: {trials: 4, initial_trials: 2, drawn_contexts: 3, validation_runs: 5}
+budget: {trials: 4, initial_trials: 2, drawn_contexts: 3, validation_draws: 5}
 """
 NODE = {
     "kp": Described("double", 0.5, 0.0, 10.0),

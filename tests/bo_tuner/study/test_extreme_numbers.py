@@ -43,7 +43,7 @@ def full():
         },
     }  # fmt: skip
     found["constraints"]["current"]["lower"] = -3.0
-    found["certificate"] = {"runs": 20, "confidence": 0.9}
+    found["certificate"] = {"draws": 20, "confidence": 0.9}
     found["trigger"]["timeout"] = 30.0
     return found
 

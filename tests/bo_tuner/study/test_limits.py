@@ -151,7 +151,7 @@ def test_confirmation_validation_and_record_judge_the_same_values_alike(
 ):
     """With probability 0.9, two violations of twenty are what is allowed."""
     study = make_study(constraints={"peak": CHANCE}).replace(
-        trials=1, drawn_contexts=10, search_evaluations=0, validation_runs=20
+        trials=1, drawn_contexts=10, search_evaluations=0, validation_draws=20
     )
     peaks = [1.5, 1.5] + [0.5] * 18
 

@@ -30,7 +30,7 @@ BUDGET = {"trials": 5, "initial_trials": 3}
         ({"budget": BUDGET | {"trials": 10**18}}, "budget.trials", "at most 10000,"),
         ({"budget": BUDGET | {"drawn_contexts": 10**12}}, "budget.drawn_contexts", "at most"),
         ({"budget": BUDGET | {"search_evaluations": 10**12}}, "search_evaluations", "at most"),
-        ({"budget": BUDGET | {"validation_runs": 10**12}}, "validation_runs", "at most 100000,"),
+        ({"budget": BUDGET | {"validation_draws": 10**12}}, "validation_draws", "at most 100000,"),
         ({"parameters": many(9_000, DOUBLE)}, "parameters", "at most 500 entries, found 9000"),
         ({"parameters": many(51, DOUBLE)}, "parameters", "at most 50 tuned ones, found 51"),
         ({"metrics": {"error": NODE, "peak": NODE} | many(199, NODE)}, "metrics", "at most 200"),

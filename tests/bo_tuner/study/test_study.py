@@ -44,7 +44,7 @@ class TestShippedStudies:
             initial_trials=10,
             drawn_contexts=5,
             search_evaluations=10,
-            validation_runs=25,
+            validation_draws=25,
         )
 
     def test_full_is_the_scenario(self):
@@ -202,7 +202,7 @@ class TestReplace:
         )
         assert other.seed == 9
         assert other.budget == Budget(
-            trials=30, initial_trials=6, drawn_contexts=3, search_evaluations=0, validation_runs=25
+            trials=30, initial_trials=6, drawn_contexts=3, search_evaluations=0, validation_draws=25
         )
         assert study == parse_study(STUDY)
         assert study.replace() == study
@@ -210,7 +210,7 @@ class TestReplace:
     @pytest.mark.parametrize(
         ("section", "message"),
         [
-            ({"runs": 1}, "certificate.runs: expected an integer of at least 2, found 1"),
+            ({"draws": 1}, "certificate.draws: expected an integer of at least 2, found 1"),
             ({"confidence": 1.0}, "certificate.confidence: "),
             ({"confidence": 0}, "certificate.confidence: "),
             ({"run": 300}, "certificate.run: unknown key; did you mean 'runs'?"),
@@ -236,7 +236,7 @@ class TestReplace:
         ("change", "message"),
         [
             ({"trials": 0}, "budget.trials: expected an integer of at least 1, found 0"),
-            ({"validation_runs": 0}, "budget.validation_runs: expected an integer of at least 1"),
+            ({"validation_draws": 0}, "budget.validation_draws: expected an integer of at least 1"),
             ({"seed": -1}, "seed: expected an integer of at least 0, found -1"),
         ],
     )

@@ -309,7 +309,7 @@ class TestRefusedValues:
             (
                 "certificate",
                 {"runs": 200_000},
-                "certificate.runs: expected an integer of at most 100000, found 200000",
+                "certificate.draws: expected an integer of at most 100000, found 200000",
             ),
             (
                 "contexts/load",

@@ -47,7 +47,7 @@ def study(make_study):
         budget={
             "trials": 6,
             "initial_trials": 3,
-            "validation_runs": 4,
+            "validation_draws": 4,
             "drawn_contexts": 2,
             "search_evaluations": 1,
         }
@@ -546,7 +546,7 @@ class TestDeaths:
     def test_a_deadly_parameter_set_is_learnt_and_never_proposed_again(self, make_study, method):
         """It ends no run, and comes back in no later trial."""
         study = make_study(
-            budget={"trials": 8, "initial_trials": 4, "drawn_contexts": 1, "validation_runs": 1}
+            budget={"trials": 8, "initial_trials": 4, "drawn_contexts": 1, "validation_draws": 1}
         )
 
         class Deadly(Mortal):

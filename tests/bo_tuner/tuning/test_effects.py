@@ -157,7 +157,7 @@ def run(tmp_path_factory):
         "initial_trials": 8,
         "drawn_contexts": 2,
         "search_evaluations": 2,
-        "validation_runs": 3,
+        "validation_draws": 3,
     }
     path = run_axis(
         tmp_path_factory.mktemp("idle"),

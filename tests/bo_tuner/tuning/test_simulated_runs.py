@@ -151,7 +151,7 @@ class TestBeginning:
         assert len(begun.starting_sets()) == 1
 
     def test_its_own_start_takes_all_trials(self, simulated, make_study):
-        few = {"trials": 2, "initial_trials": 2, "validation_runs": 5}
+        few = {"trials": 2, "initial_trials": 2, "validation_draws": 5}
         own = make_study(start=["default", {"gain": 0.9}], budget=few)
         study, _ = self.begun(simulated, own, 2)
         assert [s["gain"] for s in study.starting_sets()] == [0.5, 0.9]

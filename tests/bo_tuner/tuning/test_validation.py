@@ -33,7 +33,7 @@ def validate(study, driver, candidates):
 
 
 def judge(make_study, function_backend, function, draws=25, **sections):
-    study = make_study(**sections).replace(validation_runs=draws)
+    study = make_study(**sections).replace(validation_draws=draws)
     (result,) = validate(study, Driver(function_backend(study, function)), [{"gain": 0.5}])
     return result
 
@@ -56,7 +56,7 @@ class TestDraws:
         told = {gain: [c for c in backend.calls if c["gain"] == gain] for gain in (0.25, 0.75)}
         drawn = [[(c["load"], c["seed"]) for c in calls] for calls in told.values()]
         assert drawn[0] == drawn[1]
-        assert len(set(drawn[0])) == study.budget.validation_runs == default.draws == tuned.draws
+        assert len(set(drawn[0])) == study.budget.validation_draws == default.draws == tuned.draws
         assert {evaluation.stage for evaluation in watcher.evaluations} == {Stage.VALIDATION}
         # Each is first by turns: what changes with the runs is no difference between the two.
         by_turns = [0.25, 0.75, 0.75, 0.25, 0.25, 0.75, 0.75, 0.25, 0.25, 0.75]
@@ -74,7 +74,7 @@ class TestDraws:
             assert not {c[key] for c in training.calls} & {c[key] for c in backend.calls}
 
     def test_they_follow_the_distribution(self, make_study, function_backend):
-        study = make_study().replace(validation_runs=400)
+        study = make_study().replace(validation_draws=400)
         backend = function_backend(study, figures())
         validate(study, Driver(backend), [{"gain": 0.25}])
         loads = [call["load"] for call in backend.calls]
@@ -116,7 +116,7 @@ class TestWorstCase:
         """Of ten draws, P(X >= 4) = 0.050 if each violates by 0.15, and P(X >= 3) = 0.18."""
         peak = figures(peak=lambda k: 1.1 if k < above else 0.5)
         limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.851}
-        study = make_study(constraints={"peak": limit}).replace(validation_runs=10)
+        study = make_study(constraints={"peak": limit}).replace(validation_draws=10)
         (found,) = validate(study, Driver(function_backend(study, peak)), [{"gain": 0.5}])
         assert found.constraints["peak"].violations == above
         assert found.feasible is holds
@@ -190,4 +190,4 @@ class TestFailures:
         backend = RecordedEvaluations(resumed, study, watcher.evaluations)
         (found,) = validate(study, Driver(backend), [{"gain": 0.5}])
         assert found.lost == len(watcher.evaluations) == 3
-        assert len(resumed.calls) == study.budget.validation_runs - 3
+        assert len(resumed.calls) == study.budget.validation_draws - 3

@@ -39,7 +39,7 @@ def study_of(trials=7):
         controller={"return_time": "modelled"},
         initial_trials=min(trials, 5),
         search_evaluations=1,
-        validation_runs=1,
+        validation_draws=1,
     )
 
 

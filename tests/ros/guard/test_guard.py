@@ -555,7 +555,7 @@ def test_a_check_that_is_killed_leaves_the_machine_safe(system, tmp_path):
 def patient_run():
     """Changes of the servo's study for a whole run that no busy computer brings to a halt."""
     return guarded_tuner.GUARDED | {
-        "budget": INITIAL | {"trials": 3, "validation_runs": 2},
+        "budget": INITIAL | {"trials": 3, "validation_draws": 2},
         "run": guarded_tuner.GUARDED["run"] | {"end": {"after": 0.5}},
         "guard": {"timeout": 5.0},
     }

@@ -517,7 +517,7 @@ def test_apply_brings_values_into_force_and_back(running, empty_domain, tmp_path
     mapping = study_to_mapping(study("reload", node=RELOAD | {"command": None}))
     mapping["metrics"]["off"] = {"of": "abs(used - 1.5)", "measure": "maximum"}
     mapping |= {"objective": {"metric": "off"}}
-    mapping["budget"] |= {"drawn_contexts": 1, "validation_runs": 2}
+    mapping["budget"] |= {"drawn_contexts": 1, "validation_draws": 2}
     (tmp_path / "servo.yaml").write_text(study_to_yaml(study_from_mapping(mapping)))
     code, _, err = finish(Fork("tune", "--study", "servo.yaml", "--attach", folder=tmp_path))
     assert code == 0, err
@@ -598,7 +598,7 @@ def test_a_run_and_its_result(empty_domain, tmp_path):
     mapping = study_to_mapping(study())
     mapping["metrics"]["off"] = target
     mapping["objective"] = {"metric": "off"}
-    mapping["budget"] |= {"drawn_contexts": 1, "validation_runs": 2}
+    mapping["budget"] |= {"drawn_contexts": 1, "validation_draws": 2}
     (tmp_path / "servo.yaml").write_text(study_to_yaml(study_from_mapping(mapping)))
     code, out, err = finish(Fork("tune", "--study", "servo.yaml", folder=tmp_path))
     assert code == 0, err

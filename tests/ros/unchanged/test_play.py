@@ -345,7 +345,7 @@ def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
         "kept": {"kind": "chance", "metric": "error", "upper": 50.0, "probability": 0.5}
     }
     content["budget"] |= {"trials": 2, "initial_trials": 2, "drawn_contexts": 1}
-    content["budget"] |= {"validation_runs": 1}
+    content["budget"] |= {"validation_draws": 1}
     (tmp_path / "study.yaml").write_text(strict_yaml.dump(content))
     code, _, err = commands.run("tune", "--study", "study.yaml", "--quiet", folder=tmp_path)
     assert code == 0, err

@@ -119,7 +119,7 @@ def test_one_whose_nodes_do_not_start_is_named(opened):
     assert not environments()
 
 
-SHORT = {"trials": 5, "initial_trials": 3, "drawn_contexts": 1, "validation_runs": 3}
+SHORT = {"trials": 5, "initial_trials": 3, "drawn_contexts": 1, "validation_draws": 3}
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
     draws = required_draws(study, study.certificate.confidence)
     certificate = most_evaluations(study, [subject], draws).total
     # The first run of all is made once more if it is to have no noise.
-    tuning += 2 * study.budget.validation_runs + study.is_noiseless
+    tuning += 2 * study.budget.validation_draws + study.is_noiseless
     return tuning, certificate
 
 

@@ -125,7 +125,7 @@ class TimeLeft:
             return None
         count = sum(evaluations for evaluations, _, _ in self._lately)
         total = sum(seconds for _, _, seconds in self._lately)
-        each, validating = self._each(), 2 * self._study.budget.validation_runs
+        each, validating = self._each(), 2 * self._study.budget.validation_draws
         if self._phase == Phase.VALIDATION:
             return max(0, validating - self._done) * self._lately_step(each)
         trials = 0.0

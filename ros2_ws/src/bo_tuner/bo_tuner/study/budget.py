@@ -15,7 +15,7 @@ class CertificateRequirement(Section):
 
     Attributes
     ----------
-    runs : int
+    draws : int
         Fresh test runs in random contexts, at most, and in a context that may be the worst; a
         clear verdict takes fewer. More where a chance constraint takes more to be shown.
     confidence : float
@@ -26,7 +26,7 @@ class CertificateRequirement(Section):
         limit on a mean then needs a metric with a `range`.
     """
 
-    runs: Annotated[int, Whole(2, maxima.TEST_RUNS)] = 1000
+    draws: Annotated[int, Whole(2, maxima.TEST_RUNS)] = 1000
     confidence: Annotated[float, FRACTION] = 0.95
     distribution_free: bool = False
 
@@ -47,7 +47,7 @@ class Budget(Section):
     search_evaluations : int, optional
         Largest number of evaluations per trial in the search for the worst context, for all
         worst-case constraints together. Unless given, the algorithm's: 10, or 3 for boundary.
-    validation_runs : int
+    validation_draws : int
         Fresh test runs, in random contexts, for the validation of the result.
     evaluations : int, optional
         Evaluations of all trials together; the tuning also ends with the trial that reaches it.
@@ -63,7 +63,7 @@ class Budget(Section):
     initial_trials: Annotated[int, Whole(1, maxima.TRIALS)]
     drawn_contexts: Annotated[int, Whole(1, maxima.EVALUATIONS)] | None = None
     search_evaluations: Annotated[int, Whole(0, maxima.EVALUATIONS)] | None = None
-    validation_runs: Annotated[int, Whole(1, maxima.TEST_RUNS)] = 25
+    validation_draws: Annotated[int, Whole(1, maxima.TEST_RUNS)] = 25
     evaluations: Annotated[int, Whole(1, maxima.TRIALS * maxima.EVALUATIONS)] | None = None
     workers: Annotated[int, Whole(1, maxima.WORKERS)] | None = None
     cut_short: bool = False

@@ -48,7 +48,7 @@ def first_budget(parameters: int, *, contexts: bool, limits_runs: bool) -> dict[
         "trials": usual_trials(parameters),
         "initial_trials": max(8, 2 * (parameters + 1)),
         "drawn_contexts": DRAWN if contexts or limits_runs else 1,
-        "validation_runs": 5,
+        "validation_draws": 5,
     }
 
 

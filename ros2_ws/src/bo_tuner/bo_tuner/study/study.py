@@ -621,7 +621,7 @@ class Study:
         initial_trials: int | None = None,
         drawn_contexts: int | None = None,
         search_evaluations: int | None = None,
-        validation_runs: int | None = None,
+        validation_draws: int | None = None,
         evaluations: int | None = None,
         start: Sequence[Mapping[str, Value]] = (),
     ) -> "Study":
@@ -642,7 +642,7 @@ class Study:
             "initial_trials": initial_trials,
             "drawn_contexts": drawn_contexts,
             "search_evaluations": search_evaluations,
-            "validation_runs": validation_runs,
+            "validation_draws": validation_draws,
             "evaluations": evaluations,
         }
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}

@@ -62,7 +62,7 @@ class ValidationPlan(Plan[Run]):
         self._run = [number for number in range(len(candidates)) if number not in spared]
         self._planned = self._evaluations()
         self.evaluations: list[list[Evaluation]] = [[] for _ in candidates]
-        self.steps = study.budget.validation_runs
+        self.steps = study.budget.validation_draws
 
     def ask(self, pending: Sequence[Run]) -> Run | None:
         """Return the next evaluation."""
@@ -83,7 +83,7 @@ class ValidationPlan(Plan[Run]):
     def _evaluations(self) -> Iterator[Evaluation]:
         study, contexts = self._study, self._study.context_space()
         rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
-        for k, row in enumerate(contexts.draw(study.budget.validation_runs, rng)):
+        for k, row in enumerate(contexts.draw(study.budget.validation_draws, rng)):
             seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0 if study.is_noiseless else k)
             context = contexts.to_dict(row)
             for number in by_turns(study, k, self._run):

@@ -125,7 +125,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
 
 def required_draws(study: Study, confidence: float) -> int:
     """Return the number of draws that a certificate of a study takes."""
-    return max(study.certificate.runs, most_draws_needed(study, confidence)[0])
+    return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
 
 
 def draws_of(
