@@ -102,7 +102,8 @@ class TrialTable:
         """Return the cells by the identity of their columns; two may have the same name."""
         study, complete = self._study, trial.state is TrialState.COMPLETE
         cells = [Text(str(trial.number))]
-        cells += [Text(printable(shown(trial.parameters[item.name]))) for item in self._tuned]
+        parameters = study.on_screen(trial.parameters)
+        cells += [Text(printable(shown(parameters[item.name]))) for item in self._tuned]
         for objective in study.objectives:
             mean = trial.mean(objective.metric) if complete else None
             cells.append(Text(shown(nan if mean is None else mean)))

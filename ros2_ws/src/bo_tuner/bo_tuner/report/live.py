@@ -118,11 +118,11 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
     for trial in list(trials)[: -LATEST - 1 : -1]:
         complete = trial.state is TrialState.COMPLETE
         against = [of_limit(c, held_against(c, trial)) if complete else math.nan for c in limits]
-        outcome = outcome_on_screen(study, trial)
+        outcome, parameters = outcome_on_screen(study, trial), study.on_screen(trial.parameters)
         rows.append(
             [
                 str(trial.number),
-                *(shown(trial.parameters[item.name]) for item in tuned),
+                *(shown(parameters[item.name]) for item in tuned),
                 *(_shown(_mean(trial, objective.metric)) for objective in study.objectives),
                 *(_shown(value, 3) for value in against),
                 str(len(trial.evaluations)),
@@ -140,14 +140,14 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
 
 def best_values(study: Study, trial: Trial) -> Table:
     """Return the tuned parameters of the best trial, beside the default."""
-    default = study.search_space().defaults
+    best, default = map(study.on_screen, (trial.parameters, study.search_space().defaults))
     return Table(
         caption=f"Values of trial {trial.number}, the best within limits",
         header=["parameter", "value", "default"],
         rows=[
             [
                 with_unit(item.title, item.unit),
-                shown(trial.parameters[item.name]),
+                shown(best[item.name]),
                 shown(default[item.name]),
             ]
             for item in study.parameters.values()

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, Any
@@ -30,6 +30,7 @@ _CHECKS: dict[str, Callable[..., Any]] = {
     "boolean": checks.boolean,
     "string": checks.text,
 }
+WHEN = "when"
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
@@ -82,6 +83,10 @@ class Parameter(Titled):
     travel : float, optional
         Largest distance, in a safe search, from a parameter set that was tried and has kept its
         limits, as a share of the range on the scale; that of `safe_search` unless given.
+    when : str or mapping, optional
+        Condition under which there is this parameter: ``horizon > 20``, or values of others as
+        ``{planner: mppi}``, of which a list permits several. Without it a node keeps what it has,
+        and a function is not given the parameter.
     parameter : str
         Name of the parameter in the node, whatever ROS takes, such as ``gains.ur5e/wrist-1.p``; the
         name of this entry unless given. ``covariance[7]`` is an item of the array `covariance`,
@@ -103,12 +108,15 @@ class Parameter(Titled):
     unit: str = ""
     minimum_correlation: Annotated[float, FRACTION] | None = None
     travel: Annotated[float, FRACTION] | None = None
+    when: Annotated[str, Written(Mapping[str, object])] = ""
     parameter: Annotated[str, checks.name_in_node] = ""
 
     def __post_init__(self) -> None:
         """Check the fields; references to other parts of a study are checked there."""
         if isinstance(self.step, str):
             self._write_powers_out(self.step)
+        if not isinstance(self.when, str):
+            object.__setattr__(self, "when", _condition(self.when))
         super().__post_init__()
         if not self.node and self.parameter:
             raise StudyError("without a node there is no parameter; add node", ("parameter",))
@@ -149,6 +157,10 @@ class Parameter(Titled):
     def has_order(self) -> bool:
         """Whether its `levels` are in an order, so that neighbours are alike."""
         return bool(self.ordered)
+
+    def leader(self, parameters: Mapping[str, "Parameter"]) -> "Parameter":
+        """Return the parameter whose value it has: the one that it is tied to, or itself."""
+        return self if self.tied_to is None else parameters[self.tied_to]
 
     def fixed_at(self, value: Value) -> "Parameter":
         """Return it with this value in every trial."""
@@ -353,6 +365,26 @@ def study_name(name: str) -> str:
     joined = ".".join(group for group in groups if group) or "_"
     joined = joined if re.match(r"[A-Za-z_]", joined) else f"_{joined}"
     return f"{joined}[{item}]" if array else joined
+
+
+def _condition(values: object) -> str:
+    """Return the condition that parameters have some values, given by name, each one or a list."""
+    expected = "a condition such as horizon > 20, or values by name such as {planner: mppi}"
+    if not isinstance(values, Mapping) or not values:
+        raise StudyError(f"expected {expected}, found {checks.show(values)}", (WHEN,))
+    conjuncts = []
+    for name, given in values.items():
+        checks.text(name, WHEN)
+        several = given if isinstance(given, list | tuple) else [given]
+        if not several or not all(isinstance(each, bool | int | float | str) for each in several):
+            raise StudyError(
+                f"expected a value or a list, found {checks.show(given)}", (WHEN, name)
+            )
+        # A truth value is 1 or 0 in a condition.
+        shown = (repr(int(each) if isinstance(each, bool) else each) for each in several)
+        equal = " or ".join(f"{name} == {each}" for each in shown)
+        conjuncts.append(f"({equal})" if len(several) > 1 and len(values) > 1 else equal)
+    return " and ".join(conjuncts)
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:

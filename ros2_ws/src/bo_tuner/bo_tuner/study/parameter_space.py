@@ -1,4 +1,4 @@
-"""The parameters of a study together: ties, fixed values, order constraints and conditions."""
+"""The parameters of a study together: ties, fixed values, order, conditions, and what is active."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -9,6 +9,7 @@ from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.activity import Activity
 from bo_tuner.study.conditions import KEY, Condition
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
@@ -51,8 +52,8 @@ class ParameterSpace:
     Raises
     ------
     StudyError
-        If a reference is unknown, no parameter is tuned, or the order cannot be satisfied or is
-        violated by the defaults.
+        If a reference is unknown, no parameter is tuned, a condition depends on its own parameter,
+        or the order cannot be satisfied or is violated by the defaults.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class ParameterSpace:
         if not self.tuned:
             raise StudyError("no parameter is tuned; give one bounds", ("parameters",))
         self._check_ties()
+        self.activity = Activity(self._by_name)
         self.names = tuple(item.name for item in self.tuned)
         self._column = {name: column for column, name in enumerate(self.names)}
         # Of a parameter that is no number, a column holds the position among its levels.
@@ -91,11 +93,13 @@ class ParameterSpace:
             with under(KEY, index):
                 conditions.append(Condition(text, self._by_name))
         self.conditions = tuple(conditions)
+        self._default = np.array([self._number_of(item, item.default) for item in self.tuned])
 
     def row(self, parameters: Mapping[str, Value]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
 
-        Tied and fixed parameters may be left out.
+        Tied and fixed parameters may be left out, and conditional ones: those that are not active
+        have their defaults, whatever is given.
 
         Raises
         ------
@@ -107,23 +111,40 @@ class ParameterSpace:
                 raise ParameterError(
                     f"{name}: unknown parameter; {checks.suggestion(str(name), self._by_name)}"
                 )
-        row = np.empty(len(self.tuned))
+        row = self._default.copy()
         for column, item in enumerate(self.tuned):
+            if item.name not in parameters and item.when:
+                continue
             if item.name not in parameters:
                 raise ParameterError(f"{item.name}: missing")
             try:
                 value = item.checked(parameters[item.name])
             except StudyError as error:
                 raise ParameterError(f"{item.name}: {error}") from None
-            if item.levels:
-                row[column] = item.levels.index(value)
-                continue
-            row[column] = value
+            row[column] = self._number_of(item, value)
             if not self.lower[column] <= row[column] <= self.upper[column]:
                 raise ParameterError(
                     f"{item.name}: {parameters[item.name]} lies outside the bounds {item.bounds}"
                 )
-        return row
+        canonical: Array = self.canonical(row[None])[0]
+        return canonical
+
+    def active(self, values: Array) -> dict[str, NDArray[np.bool_]]:
+        """Return for each conditional parameter in which rows (n, d) it is active, shape (n,)."""
+        if not self.activity.names:
+            return {}
+        holds = self.activity.holds(self._columns(values))
+        return {name: np.broadcast_to(of == 1.0, len(values)) for name, of in holds.items()}
+
+    def canonical(self, values: Array) -> Array:
+        """Return rows of tuned values (n, d) with the defaults of what is not active."""
+        rows = values
+        for name, active in self.active(values).items():
+            column = self._column.get(name)
+            if column is not None:
+                rows = rows.copy() if rows is values else rows
+                rows[~active, column] = self._default[column]
+        return rows
 
     def check_order(self, row: Array) -> None:
         """Refuse a row of tuned values, shape (d,), that violates the order.
@@ -144,12 +165,16 @@ class ParameterSpace:
     def held(self, values: Array) -> Array:
         """Return whether each condition holds in rows of tuned values (n, d): 1, 0, or NaN.
 
-        NaN is for a condition that is not defined there. The shape is (number of conditions, n).
+        NaN is for a condition that is not defined there. One of a parameter that is not active
+        holds. The shape is (number of conditions, n).
         """
-        columns = {item.name: self._column_of(item, values) for item in self.parameters}
+        columns, active = self._columns(values), self.active(values)
         held = np.empty((len(self.conditions), len(values)))
         for index, condition in enumerate(self.conditions):
             held[index] = condition.values(columns)
+            for name in condition.names:
+                if name in active:
+                    held[index, ~active[name]] = 1.0
         return held
 
     def holds(self, values: Array) -> NDArray[np.bool_]:
@@ -188,6 +213,19 @@ class ParameterSpace:
                     parameters[item.name] = int(value) if item.is_integer else value
         return parameters
 
+    def inactive(self, row: Array) -> frozenset[str]:
+        """Return the names of the parameters that are not active in a row, shape (d,)."""
+        return frozenset(name for name, of in self.active(row[None]).items() if not of[0])
+
+    @staticmethod
+    def _number_of(item: Parameter, value: Value | None) -> float:
+        """Return what the column of a tuned parameter holds for a value."""
+        return float(item.levels.index(value) if item.levels else value)  # type: ignore[arg-type]
+
+    def _columns(self, values: Array) -> dict[str, Array]:
+        """Return the values of all parameters in rows (n, d), as a `Condition` takes them."""
+        return {item.name: self._column_of(item, values) for item in self.parameters}
+
     def _column_of(self, item: Parameter, values: Array) -> Array:
         """Return the values (n,) of a parameter in rows (n, d), or the one (1,) that all have."""
         column = self._column.get(self._leader(item.name).name)
@@ -202,8 +240,7 @@ class ParameterSpace:
         return np.array([0.0 if isinstance(fixed, str) else float(fixed)])
 
     def _leader(self, name: str) -> Parameter:
-        item = self._by_name[name]
-        return item if item.tied_to is None else self._by_name[item.tied_to]
+        return self._by_name[name].leader(self._by_name)
 
     def _check_ties(self) -> None:
         for item in self.parameters:
@@ -217,6 +254,11 @@ class ParameterSpace:
                 raise StudyError(f"'{leader.name}' is itself tied to '{leader.tied_to}'", path)
             if leader.type != item.type:
                 raise StudyError(f"'{leader.name}' is of type {leader.type}, not {item.type}", path)
+            if leader.when and leader.when != item.when:
+                raise StudyError(
+                    f"'{leader.name}' is there only when {leader.when}; expected the same `when`",
+                    path,
+                )
             if leader.choices is not None and item.default is not None:
                 leader.checked(item.default, "parameters", item.name, "default")
             if item.default is not None and item.default != leader.default:
@@ -236,6 +278,12 @@ class ParameterSpace:
             raise StudyError(f"'{names[0]}' is compared with itself", path)
         if leaders[0].type != leaders[1].type:
             raise StudyError(f"'{names[0]}' and '{names[1]}' are of different types", path)
+        if self._by_name[names[0]].when != self._by_name[names[1]].when:
+            raise StudyError(
+                f"{rule} has a parameter that is not always there; expected it in `where`, which "
+                "counts while all of its parameters are",
+                path,
+            )
         for name, item in zip(names, leaders, strict=True):
             if not item.is_number:
                 what = "has choices" if item.choices else f"is a {item.type}"

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.activity import check_reach
 from bo_tuner.study.conditions import KEY, check_shares
 from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
@@ -49,7 +50,8 @@ class SearchSpace:
 
     In the shapes, d is the number of tuned parameters and n any number of parameter sets, with
     values in own units. An argument needs the tuned parameters only; a returned parameter set has
-    all, tied and fixed ones included, in the study's order.
+    all, tied and fixed ones included, in the study's order. A conditional parameter that is not
+    active has its default in it.
 
     Methods raise `ParameterError` if a tuned parameter is missing, of a wrong type or out of
     bounds, a name is unknown, or positions have a wrong shape or are not finite.
@@ -61,7 +63,8 @@ class SearchSpace:
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parameter set.
     where : sequence of str
-        Conditions that hold in every parameter set, such as ``ki <= kp / 2``.
+        Conditions that hold in every parameter set, such as ``ki <= kp / 2``. One of a parameter
+        that is not active does not count.
 
     Attributes
     ----------
@@ -116,7 +119,7 @@ class SearchSpace:
             None if discrete else -math.floor(math.log10(RESOLUTION * width))
             for discrete, width in zip(self.discrete, self._scaled_width.tolist(), strict=True)
         ]
-        if self._space.conditions:
+        if self._space.conditions or self._space.activity.names:
             self._check_conditions()
 
     @property
@@ -140,6 +143,21 @@ class SearchSpace:
     def defaults(self) -> dict[str, Value]:
         """The hand-tuned parameter set, including tied and fixed parameters."""
         return dict(self._space.defaults)
+
+    def inactive(self, parameters: Mapping[str, Value]) -> frozenset[str]:
+        """Return the names of the parameters that a parameter set does not have."""
+        if not self._space.activity.names:
+            return frozenset()
+        return self._space.inactive(self._space.row(parameters))
+
+    def active(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the parameters that a parameter set has, without those that are not active."""
+        inactive = self.inactive(parameters)
+        return {name: value for name, value in parameters.items() if name not in inactive}
+
+    def branch(self, parameters: Mapping[str, Value]) -> str:
+        """Return which branch a parameter set is in, in words; empty if nothing is conditional."""
+        return self._space.activity.branch(self.active(parameters))
 
     def to_parameters(self, cube: ArrayLike) -> dict[str, Value]:
         """Return the repaired parameter set at a point (d,) of the unit cube.
@@ -224,7 +242,8 @@ class SearchSpace:
         for side, bound in ((LOWER, self.lower), (UPPER, last)):
             at = np.abs(scaled - self._scaled(bound)) <= near
             sides |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
-        return {name: sides[name] for name in self.numbers if name in sides}
+        active = self.active(parameters)
+        return {name: sides[name] for name in self.numbers if name in sides and name in active}
 
     def latin_hypercube(
         self,
@@ -345,8 +364,9 @@ class SearchSpace:
             inside = (self._low[column] <= moved[:, column]) & (
                 moved[:, column] <= self._high[column]
             )
+            moved = self._space.canonical(moved[inside])
             permitted = self._order.satisfied(moved) & self._space.holds(moved)
-            steps.append(moved[(away != 0.0) & inside & permitted])
+            steps.append(moved[(moved != row).any(axis=1) & permitted])
         return np.concatenate(steps)
 
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
@@ -389,6 +409,7 @@ class SearchSpace:
         ]
         at_bound = (values == self._low) | (values == self._high)
         rounded = np.where(at_bound, values, np.clip([row], self._low, self._high))
+        rounded = self._space.canonical(rounded)
         permitted = self._order.satisfied(rounded) & self._space.holds(rounded)
         return rounded if permitted.all() else values
 
@@ -426,9 +447,10 @@ class SearchSpace:
 
     def _check_conditions(self) -> None:
         """Refuse conditions that hardly any set satisfies, and defaults that break one."""
-        check_shares(
-            self._space.conditions, self._space.held(self._drawn(SAMPLE, np.random.default_rng(0)))
-        )
+        drawn = self._drawn(SAMPLE, np.random.default_rng(0))
+        check_shares(self._space.conditions, self._space.held(drawn))
+        active = self._space.active(drawn[self._space.holds(drawn)])
+        check_reach([(item, active[item.name]) for item in self._tuned if item.when])
         try:
             self.permitted(self.defaults)
         except ConditionError as error:
@@ -442,7 +464,7 @@ class SearchSpace:
         rounded = np.where(self.discrete, np.floor(ordered + 0.5), ordered)
         for column in self._stepped:
             rounded[:, column] = [self._tuned[column].on_grid(v) for v in rounded[:, column]]
-        return np.clip(rounded, self._low, self._high)
+        return self._space.canonical(np.clip(rounded, self._low, self._high))
 
     def _to_unit(self, values: Array) -> Array:
         unit: Array = (self._scaled(values) - self._scaled_lower) / self._scaled_width

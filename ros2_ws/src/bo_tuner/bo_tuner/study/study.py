@@ -16,6 +16,7 @@ from bo_tuner.codec.reading import check_fields
 from bo_tuner.codec.rules import Expected, Matching, OneOf, Whole, Written
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.activity import Activity
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.configuring import check_parked, configured_by_steps
@@ -430,6 +431,9 @@ class Study:
         names = {
             key: {*spec.parameters, *assigned.get(key, {})} for key, spec in self.nodes.items()
         }
+        for each in self.parameters_of_nodes:
+            # Also those that the default does not have.
+            names[each.node].add(each.array or each.parameter)
         for _, item in () if self.run is None else self.run.settings:
             names[item.node].add(item.parameter)
         return names
@@ -459,7 +463,10 @@ class Study:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
+        inactive = space.inactive(complete)
         for name, value in given.items():
+            if name in inactive:
+                raise StudyError(f"is there only when {self.parameters[name].when}", (name,))
             if complete[name] != value:
                 raise StudyError(
                     f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
@@ -491,6 +498,10 @@ class Study:
                 ("start",),
             )
         return list(sets.values())
+
+    def on_screen(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return a parameter set as screens show it: blank where a parameter is not active."""
+        return {**parameters, **dict.fromkeys(self.search_space().inactive(parameters), "")}
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
@@ -582,10 +593,10 @@ class Study:
         """Return a parameter set in the form that nodes take: whole arrays in place of their items.
 
         The values are by the node's name in the study, then by the node's own parameter name;
-        parameters without a node are not among them.
+        parameters without a node, and those that are not active, are not among them.
         """
         values: dict[str, dict[str, checks.ParameterValue]] = {}
-        for name, value in parameters.items():
+        for name, value in self.search_space().active(parameters).items():
             item = self.parameters[name]
             if not item.node:
                 continue
@@ -675,7 +686,8 @@ class Study:
     def with_fixed(self, values: Mapping[str, Value]) -> "Study":
         """Return the study with some tuned parameters kept at a value, checked again.
 
-        What `start` and `park` say of these is left out.
+        What `start` and `park` say of these is left out, and what is never active with them is
+        fixed as well.
 
         Raises
         ------
@@ -690,13 +702,18 @@ class Study:
         complete = self.complete_set(values)
         for name in values:
             parameters[name] = parameters[name].fixed_at(complete[name])
+        for name in Activity(parameters).never_active():
+            if parameters[name].is_tuned:
+                parameters[name] = parameters[name].fixed_at(complete[name])
+        tuned = {name for name, item in parameters.items() if item.is_tuned}
+        fixed = self.parameters.keys() - tuned
         start = tuple(
             given
             if isinstance(given, str)
-            else {name: value for name, value in given.items() if name not in values}
+            else {name: value for name, value in given.items() if name not in fixed}
             for given in self.start
         )
-        kept = {k: value for k, value in self.park.parameters.items() if k not in values}
+        kept = {k: value for k, value in self.park.parameters.items() if k not in fixed}
         park = dataclasses.replace(self.park, parameters=kept)
         return dataclasses.replace(self, parameters=parameters, start=start, park=park)
 

@@ -31,7 +31,8 @@ def all_trials(analysis: Analysis) -> Section:
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
-        row = [str(trial.number), *(number(trial.parameters[n]) for n in names)]
+        parameters = study.on_screen(trial.parameters)
+        row = [str(trial.number), *(number(parameters[n]) for n in names)]
         row += [number(analysis.estimate(trial, metric.name).value) for metric in metrics]
         worst_cases = [trial.worst_cases.get(constraint.name) for constraint in worst]
         row += [number(None if item is None else item.value) for item in worst_cases]

@@ -109,7 +109,7 @@ def _values(analysis: Analysis, trial: Trial) -> Table:
         rows=[
             [
                 with_unit(study.parameters[name].title_and_name, study.parameters[name].unit),
-                *(number(values[name]) for values in columns.values()),
+                *(number(values[name]) for values in map(study.on_screen, columns.values())),
             ]
             for name in names
         ],
