@@ -36,10 +36,14 @@ class Condition:
         it may be, in quotes.
     parameters : mapping from str to Parameter
         The study's, by name.
+    path : str or int
+        Place in the study.
 
     Attributes
     ----------
     text : str
+        As given.
+    path : tuple of str or int
         As given.
     names : tuple of str
         Parameters in it.
@@ -50,7 +54,8 @@ class Condition:
         If it is no condition between parameters.
     """
 
-    def __init__(self, text: object, parameters: Mapping[str, Parameter]) -> None:
+    def __init__(self, text: object, parameters: Mapping[str, Parameter], *path: str | int) -> None:
+        self.path = path
         self.text = checks.text(text).strip()
         self._expression = _expression(self.text, parameters)
         self.names = tuple(name for name in parameters if name in self._expression.names)
@@ -95,7 +100,7 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             raise StudyError(
                 f"'{condition.text}' is not defined for any parameter set within the bounds; "
                 "is there a division by zero?",
-                (KEY, index),
+                condition.path,
             )
     indices = range(len(conditions))
     sizes = (1, 2, len(conditions))
@@ -109,7 +114,7 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             f"{named} {verb} for {shown_share(share)} of the parameter sets within the bounds, of "
             f"which {holds.shape[1]} were drawn; expected at least {100.0 * FEWEST:g} % (for equal "
             "values use tied_to)",
-            (KEY, chosen[-1]),
+            conditions[chosen[-1]].path,
         )
 
 

@@ -64,7 +64,8 @@ class Parameter(Titled):
         Whether `choices` have the order in which they are listed, so that neighbours are alike.
         Numbers have it unless told otherwise, and increase then; texts have none.
     tied_to : str, optional
-        Tuned or fixed parameter that this one takes its value from.
+        Tuned or fixed parameter that this one takes its value from, or an expression of several,
+        such as ``0.1 * kp``; then `bounds` are what every parameter set keeps.
     fixed : bool, int, float or str, optional
         Value in every trial.
     default : bool, int, float or str, optional
@@ -158,9 +159,15 @@ class Parameter(Titled):
         """Whether its `levels` are in an order, so that neighbours are alike."""
         return bool(self.ordered)
 
+    @property
+    def is_derived(self) -> bool:
+        """Whether its value is an expression of others."""
+        return self.tied_to is not None and not checks.PARAMETER_OR_ITEM.fullmatch(self.tied_to)
+
     def leader(self, parameters: Mapping[str, "Parameter"]) -> "Parameter":
         """Return the parameter whose value it has: the one that it is tied to, or itself."""
-        return self if self.tied_to is None else parameters[self.tied_to]
+        follows = self.tied_to is not None and not self.is_derived
+        return parameters[str(self.tied_to)] if follows else self
 
     def fixed_at(self, value: Value) -> "Parameter":
         """Return it with this value in every trial."""
@@ -205,9 +212,20 @@ class Parameter(Titled):
         object.__setattr__(self, "default", fixed)
 
     def _check_tied(self) -> None:
+        if self.is_derived:
+            self._check_derived()
+            return
         self._refuse("a tied parameter", *_TUNED_ONLY)
         if self.default is not None:
             object.__setattr__(self, "default", self.checked(self.default, "default"))
+
+    def _check_derived(self) -> None:
+        if self.type not in ("double", "integer"):
+            raise StudyError(f"a {self.type} is no expression of others", ("tied_to",))
+        others = [key for key in _TUNED_ONLY if key != "bounds"]
+        self._refuse("a parameter that is computed from others", *others, "default")
+        if self.bounds is not None:
+            self._settle_bounds(self.bounds)
 
     def _check_tuned(self) -> None:
         if self.is_number:
@@ -278,11 +296,7 @@ class Parameter(Titled):
                 "missing; expected [lower, upper] (or choices, tied_to or fixed instead)",
                 ("bounds",),
             )
-        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(self.bounds))
-        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
-            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
-        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
-        object.__setattr__(self, "bounds", (lower, upper))
+        lower, upper = self._settle_bounds(self.bounds)
         if self.step is not None:
             step = self._computed(self.step, "step")
             if not 0 < step <= upper - lower:
@@ -306,6 +320,14 @@ class Parameter(Titled):
             raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
         object.__setattr__(self, "default", default)
         self.check_grid(default, "default")
+
+    def _settle_bounds(self, bounds: tuple[Number, Number]) -> tuple[Number, Number]:
+        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(bounds))
+        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
+            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
+        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
+        object.__setattr__(self, "bounds", (lower, upper))
+        return lower, upper
 
     def check_grid(self, value: object, *path: str | int) -> None:
         """Refuse a number that is no multiple of the step above the lower bound.

@@ -11,6 +11,7 @@ from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.activity import Activity
 from bo_tuner.study.conditions import KEY, Condition
+from bo_tuner.study.derived import Derived
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.trials import Value
@@ -84,6 +85,9 @@ class ParameterSpace:
             default = self._leader(item.name).default
             if default is not None:
                 self.defaults[item.name] = default
+        self._derived = {
+            item.name: Derived(item, self._by_name) for item in self.parameters if item.is_derived
+        }
         self.permitted = (self.lower, self.upper)
         self.partial_order = PartialOrder(len(self.tuned), ())
         for index, names in enumerate(self.order):
@@ -91,9 +95,11 @@ class ParameterSpace:
         conditions = []
         for index, text in enumerate(where):
             with under(KEY, index):
-                conditions.append(Condition(text, self._by_name))
-        self.conditions = tuple(conditions)
+                conditions.append(Condition(text, self._by_name, KEY, index))
+        self.conditions = (*conditions, *(item.condition for item in self._derived.values()))
         self._default = np.array([self._number_of(item, item.default) for item in self.tuned])
+        complete = self.complete(self._default)
+        self.defaults = {name: complete[name] for name in self._by_name}
 
     def row(self, parameters: Mapping[str, Value]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
@@ -211,6 +217,12 @@ class ParameterSpace:
                     parameters[item.name] = levels[int(value)]
                 else:
                     parameters[item.name] = int(value) if item.is_integer else value
+        columns = self._columns(row[None]) if self._derived else {}
+        for name in self._derived:
+            value = float(columns[name].item())
+            # One that is not defined is told by its condition.
+            whole = self._by_name[name].is_integer and np.isfinite(value)
+            parameters[name] = int(value) if whole else value
         return parameters
 
     def inactive(self, row: Array) -> frozenset[str]:
@@ -224,7 +236,9 @@ class ParameterSpace:
 
     def _columns(self, values: Array) -> dict[str, Array]:
         """Return the values of all parameters in rows (n, d), as a `Condition` takes them."""
-        return {item.name: self._column_of(item, values) for item in self.parameters}
+        given = (item for item in self.parameters if item.name not in self._derived)
+        columns = {item.name: self._column_of(item, values) for item in given}
+        return columns | {name: each.values(columns) for name, each in self._derived.items()}
 
     def _column_of(self, item: Parameter, values: Array) -> Array:
         """Return the values (n,) of a parameter in rows (n, d), or the one (1,) that all have."""
@@ -244,7 +258,7 @@ class ParameterSpace:
 
     def _check_ties(self) -> None:
         for item in self.parameters:
-            if item.tied_to is None:
+            if item.tied_to is None or item.is_derived:
                 continue
             path = ("parameters", item.name, "tied_to")
             others = [name for name in self._by_name if name != item.name]
@@ -285,6 +299,8 @@ class ParameterSpace:
                 path,
             )
         for name, item in zip(names, leaders, strict=True):
+            if item.is_derived:
+                raise StudyError(f"'{name}' is computed; expected it in `where`", path)
             if not item.is_number:
                 what = "has choices" if item.choices else f"is a {item.type}"
                 raise StudyError(f"'{name}' {what}, and is compared with no other", path)

@@ -17,7 +17,7 @@ from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.activity import check_reach
-from bo_tuner.study.conditions import KEY, check_shares
+from bo_tuner.study.conditions import check_shares
 from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
@@ -454,8 +454,8 @@ class SearchSpace:
         try:
             self.permitted(self.defaults)
         except ConditionError as error:
-            index = [each.text for each in self._space.conditions].index(error.condition)
-            raise StudyError(f"the default {error}", (KEY, index)) from None
+            broken = (each for each in self._space.conditions if each.text == error.condition)
+            raise StudyError(f"the default {error}", next(broken).path) from None
 
     def _ordered(self, values: Array) -> Array:
         """Return values (n, d) in order, rounded and within the bounds."""

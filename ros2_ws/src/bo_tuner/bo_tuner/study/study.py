@@ -1,6 +1,7 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -467,7 +468,7 @@ class Study:
         for name, value in given.items():
             if name in inactive:
                 raise StudyError(f"is there only when {self.parameters[name].when}", (name,))
-            if complete[name] != value:
+            if not _agree(complete[name], value):
                 raise StudyError(
                     f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
                     (name,),
@@ -739,6 +740,13 @@ class Study:
                 f"permitted ({problem}); leave out ramp, or this rule",
                 ("run", "ramp"),
             )
+
+
+def _agree(own: Value, given: object) -> bool:
+    """Whether a value is the study's own; one that is computed need not be so to the last bit."""
+    if isinstance(own, float) and isinstance(given, int | float):
+        return math.isclose(own, given, rel_tol=1e-9)
+    return own == given
 
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:
