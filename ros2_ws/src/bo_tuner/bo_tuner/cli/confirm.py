@@ -170,7 +170,7 @@ def asked_about(
                 next_[name],
                 default[name],
             )
-            for name in space.names
+            for name in study.tuned_names
         ),
     )
     complete = [trial for trial in trials if not trial.unusable]
@@ -186,7 +186,7 @@ def asked_about(
     points = space.cube_of(trial.parameters for trial in complete)
     for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
         trial = complete[k]
-        active = space.active({name: trial.parameters[name] for name in space.names})
+        active = space.active({name: trial.parameters[name] for name in study.tuned_names})
         tried = titled_values(study.parameters, active)
         remarks.append(f"nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}")
     return replace(asked, remarks=tuple(remarks))

@@ -297,7 +297,7 @@ class Analysis:
 
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
-        return {name: parameters[name] for name in self.study.search_space().names}
+        return {name: parameters[name] for name in self.study.tuned_names}
 
     def numbers_of(self, trial: Trial) -> list[str]:
         """Return the names of the tuned numbers that a trial's parameter set has."""

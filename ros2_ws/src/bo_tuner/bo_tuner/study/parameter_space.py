@@ -12,8 +12,10 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.activity import Activity
 from bo_tuner.study.conditions import KEY, Condition
 from bo_tuner.study.derived import Derived
+from bo_tuner.study.equality import Equality, equality_of
 from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.text import values as values_in_words
 from bo_tuner.trials import Value
 
 
@@ -47,6 +49,8 @@ class ParameterSpace:
         These bounds, tightened by the order.
     partial_order : PartialOrder
         Order constraints between columns.
+    equalities : list of Equality
+        Those of `where` that are kept exactly; the parameters that follow from them are no columns.
     defaults : dict from str to bool, int, float or str
         Hand-tuned value of every parameter.
 
@@ -68,10 +72,12 @@ class ParameterSpace:
         self._by_name = {item.name: item for item in self.parameters}
         if len(self._by_name) != len(self.parameters):
             raise StudyError("two parameters have the same name", ("parameters",))
-        self.tuned = tuple(item for item in self.parameters if item.is_tuned)
-        if not self.tuned:
+        if not any(item.is_tuned for item in self.parameters):
             raise StudyError("no parameter is tuned; give one bounds", ("parameters",))
         self._check_ties()
+        self.equalities = self._equalities(where)
+        dependent = [each.dependent for each in self.equalities]
+        self.tuned = tuple(i for i in self.parameters if i.is_tuned and i.name not in dependent)
         self.activity = Activity(self._by_name)
         self.names = tuple(item.name for item in self.tuned)
         self._column = {name: column for column, name in enumerate(self.names)}
@@ -88,17 +94,28 @@ class ParameterSpace:
         self._derived = {
             item.name: Derived(item, self._by_name) for item in self.parameters if item.is_derived
         }
+        self._computed = [
+            item.name
+            for item in self.parameters
+            if item.is_derived or self._leader(item.name).name in dependent
+        ]
         self.permitted = (self.lower, self.upper)
         self.partial_order = PartialOrder(len(self.tuned), ())
         for index, names in enumerate(self.order):
             self._add_order(index, names)
         conditions = []
+        exact = [each.path for each in self.equalities]
         for index, text in enumerate(where):
+            if (KEY, index) in exact:
+                continue
             with under(KEY, index):
                 conditions.append(Condition(text, self._by_name, KEY, index))
         self.conditions = (*conditions, *(item.condition for item in self._derived.values()))
         self._default = np.array([self._number_of(item, item.default) for item in self.tuned])
         complete = self.complete(self._default)
+        for each in self.equalities:
+            default, follows = (float(d[each.dependent]) for d in (self.defaults, complete))
+            each.check_default(default, follows)
         self.defaults = {name: complete[name] for name in self._by_name}
 
     def row(self, parameters: Mapping[str, Value]) -> Array:
@@ -198,12 +215,31 @@ class ParameterSpace:
         ConditionError
             With the condition and the values.
         """
+        for equality in self.equalities:
+            if not equality.holds(row[None, self.columns_of(equality)])[0]:
+                others = values_in_words({n: float(row[self._column[n]]) for n in equality.names})
+                raise ConditionError(
+                    equality.text, f"{others} leave nothing within bounds to {equality.dependent}"
+                )
         for condition, value in zip(self.conditions, self.held(row[None])[:, 0], strict=True):
             if value != 1.0:
                 shown = condition.values_in_words(self.complete(row))
                 if np.isnan(value):
                     shown = f"it is not defined for {shown}"
                 raise ConditionError(condition.text, shown)
+
+    def on_equalities(self, values: Array) -> Array:
+        """Return rows of tuned values (n, d), moved to where all equalities hold."""
+        rows = values
+        for each in self.equalities:
+            columns = self.columns_of(each)
+            rows = rows.copy() if rows is values else rows
+            rows[:, columns] = each.nearest(rows[:, columns])
+        return rows
+
+    def columns_of(self, equality: Equality) -> list[int]:
+        """Return the columns of the free parameters of an equality."""
+        return [self._column[name] for name in equality.names]
 
     def complete(self, row: Array) -> dict[str, Value]:
         """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
@@ -217,8 +253,8 @@ class ParameterSpace:
                     parameters[item.name] = levels[int(value)]
                 else:
                     parameters[item.name] = int(value) if item.is_integer else value
-        columns = self._columns(row[None]) if self._derived else {}
-        for name in self._derived:
+        columns = self._columns(row[None]) if self._computed else {}
+        for name in self._computed:
             value = float(columns[name].item())
             # One that is not defined is told by its condition.
             whole = self._by_name[name].is_integer and np.isfinite(value)
@@ -236,8 +272,13 @@ class ParameterSpace:
 
     def _columns(self, values: Array) -> dict[str, Array]:
         """Return the values of all parameters in rows (n, d), as a `Condition` takes them."""
-        given = (item for item in self.parameters if item.name not in self._derived)
+        given = (item for item in self.parameters if item.name not in self._computed)
         columns = {item.name: self._column_of(item, values) for item in given}
+        for equality in self.equalities:
+            columns[equality.dependent] = equality.values(columns)
+        for name in self._computed:
+            if name not in self._derived:
+                columns[name] = columns[self._leader(name).name]
         return columns | {name: each.values(columns) for name, each in self._derived.items()}
 
     def _column_of(self, item: Parameter, values: Array) -> Array:
@@ -255,6 +296,22 @@ class ParameterSpace:
 
     def _leader(self, name: str) -> Parameter:
         return self._by_name[name].leader(self._by_name)
+
+    def _equalities(self, where: Sequence[str]) -> list[Equality]:
+        found: list[Equality] = []
+        in_order = {self._leader(n).name for pair in self.order for n in pair if n in self._by_name}
+        for index, text in enumerate(where):
+            with under(KEY, index):
+                equality = equality_of(checks.text(text), index, self._by_name)
+                if equality is None:
+                    continue
+                members = {*equality.names, equality.dependent}
+                others = {name for each in found for name in (*each.names, each.dependent)}
+                for name in sorted(members & (in_order | others)):
+                    where_else = "`order`" if name in in_order else "another equality"
+                    raise StudyError(f"'{name}' is in {where_else} as well; expected it in one")
+                found.append(equality)
+        return found
 
     def _check_ties(self) -> None:
         for item in self.parameters:

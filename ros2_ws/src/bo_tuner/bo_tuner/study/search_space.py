@@ -64,7 +64,8 @@ class SearchSpace:
         Names (a, b) of parameters with a <= b in every parameter set.
     where : sequence of str
         Conditions that hold in every parameter set, such as ``ki <= kp / 2``. One of a parameter
-        that is not active does not count.
+        that is not active does not count. Of the tuned doubles in a linear equality, such as
+        ``a + b + c == 1``, the last one follows from the others, and is no column.
 
     Attributes
     ----------
@@ -257,7 +258,8 @@ class SearchSpace:
         its scale; all integers, and all values of a grid with a step, are equally likely on any
         scale, including the outermost, as long as no order is to be kept. Values in the wrong order
         are swapped, so of two in order the lower one tends to be low and the upper one high; what
-        breaks a condition is drawn anew; repeated parameter sets are moved to the nearest free
+        breaks a condition is drawn anew; parameters of an equality are drawn uniformly in its
+        plane; repeated parameter sets are moved to the nearest free
         integers.
 
         Parameters
@@ -295,6 +297,8 @@ class SearchSpace:
             steps = round((self._tuned[column].on_grid(self.upper[column]) - lowest) / step)
             chosen = np.floor(uniform[:, column] * (steps + 1))
             values[:, column] = lowest + np.minimum(chosen, steps) * step
+        for equality in self._space.equalities:
+            values[:, self._space.columns_of(equality)] = equality.draw(count, rng)
         return self._ordered(self._order.swap(values))
 
     def _drawn_anew(self, values: Array, rng: np.random.Generator) -> Array:
@@ -409,7 +413,7 @@ class SearchSpace:
         ]
         at_bound = (values == self._low) | (values == self._high)
         rounded = np.where(at_bound, values, np.clip([row], self._low, self._high))
-        rounded = self._space.canonical(rounded)
+        rounded = self._space.canonical(self._space.on_equalities(rounded))
         permitted = self._order.satisfied(rounded) & self._space.holds(rounded)
         return rounded if permitted.all() else values
 
@@ -464,7 +468,8 @@ class SearchSpace:
         rounded = np.where(self.discrete, np.floor(ordered + 0.5), ordered)
         for column in self._stepped:
             rounded[:, column] = [self._tuned[column].on_grid(v) for v in rounded[:, column]]
-        return self._space.canonical(np.clip(rounded, self._low, self._high))
+        clipped = np.clip(rounded, self._low, self._high)
+        return self._space.canonical(self._space.on_equalities(clipped))
 
     def _to_unit(self, values: Array) -> Array:
         unit: Array = (self._scaled(values) - self._scaled_lower) / self._scaled_width

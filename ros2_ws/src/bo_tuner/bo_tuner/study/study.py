@@ -296,10 +296,9 @@ class Study:
             with findings.under():
                 checks.at_most(getattr(self, section), most, section)
         with findings.under():
-            tuned = [name for name, item in self.parameters.items() if item.is_tuned]
-            if len(tuned) > maxima.TUNED:
+            if (count := len(self.tuned_names)) > maxima.TUNED:
                 raise StudyError(
-                    f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}",
+                    f"expected at most {maxima.TUNED} tuned ones, found {count}",
                     ("parameters",),
                 )
         if len(findings) > size:
@@ -421,6 +420,11 @@ class Study:
         return space.permitted(space.defaults | dict(self.park.parameters))
 
     @property
+    def tuned_names(self) -> list[str]:
+        """Names of the tuned parameters, with those that follow from an equality of others."""
+        return [name for name, item in self.parameters.items() if item.is_tuned]
+
+    @property
     def parameters_of_nodes(self) -> list[Parameter]:
         """The parameters that nodes have; others stand only in the steps of a run."""
         return [item for item in self.parameters.values() if item.node]
@@ -464,17 +468,25 @@ class Study:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
-        inactive = space.inactive(complete)
+        self._check_given(given, complete)
+        for name, value in given.items():
+            self.parameters[name].check_grid(value, name)
+        return complete
+
+    def _check_given(
+        self, given: Mapping[str, Value], complete: Mapping[str, Value], *path: str
+    ) -> None:
+        """Refuse values that a complete set, made of them, does not have."""
+        inactive = self.search_space().inactive(complete)
         for name, value in given.items():
             if name in inactive:
-                raise StudyError(f"is there only when {self.parameters[name].when}", (name,))
+                when = self.parameters[name].when
+                raise StudyError(f"is there only when {when}", (*path, name))
             if not _agree(complete[name], value):
                 raise StudyError(
                     f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
-                    (name,),
+                    (*path, name),
                 )
-            self.parameters[name].check_grid(value, name)
-        return complete
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
@@ -726,9 +738,10 @@ class Study:
             if not self.parameters[name].is_tuned:
                 raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
         try:
-            _ = self.safe_parameters
+            safe = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
+        self._check_given(self.park.parameters, safe, *path)
 
     def _check_ramp(self) -> None:
         """Refuse a ramp on whose way orders and conditions need not hold."""

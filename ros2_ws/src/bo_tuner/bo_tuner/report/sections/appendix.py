@@ -18,7 +18,7 @@ NEIGHBOURS = 3
 def all_trials(analysis: Analysis) -> Section:
     """List all trials, with marks on the result and on the trials next to it."""
     study = analysis.study
-    names = study.search_space().names
+    names = study.tuned_names
     metrics = [study.metrics[objective.metric] for objective in study.objectives]
     worst = study.worst_case_constraints
     header = [
