@@ -33,6 +33,7 @@ class _Number(Entry):
     scale: str = "linear"
     step: float | None = None
     unit: str = ""
+    prior: Mapping[str, float | str] | None = None
     when: When = ""
 
     @property
@@ -60,6 +61,8 @@ class Double(_Number):
         Only multiples of it above the lower bound are tried.
     unit
         Its unit, for displays only.
+    prior
+        Where the best value is believed to be, such as ``{"around": 2.0, "within": "1.5x"}``.
     when
         Condition under which there is this parameter, such as ``"horizon > 20"`` or
         ``{"planner": "mppi"}``; else a function is not given it.

@@ -13,16 +13,16 @@ from bo_tuner.codec.findings import under
 from bo_tuner.codec.reading import read
 from bo_tuner.codec.rules import FRACTION, KEY, LATER, AtMost, Expected, OneOf, Written
 from bo_tuner.errors import StudyError
-from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
+from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG, factor_in
+from bo_tuner.study.prior import Prior
 from bo_tuner.study.titles import Label, Titled
 from bo_tuner.trials import Value
 
 Number = int | float
 
 CHOICES = "a list of two or more different values (or tied_to or fixed instead)"
-FACTOR = re.compile(r"([0-9]+(?:\.[0-9]*)?)\s?x")
 TYPES = ("double", "integer", "boolean", "string")
-_TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel")
+_TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel", "prior")
 Bounds = Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")]
 _CHECKS: dict[str, Callable[..., Any]] = {
     "integer": checks.integer,
@@ -62,7 +62,8 @@ class Parameter(Titled):
         The values of a tuned text, or of a number that takes only these.
     ordered : bool, optional
         Whether `choices` have the order in which they are listed, so that neighbours are alike.
-        Numbers have it unless told otherwise, and increase then; texts have none.
+        Numbers that increase or decrease have it unless told otherwise; others, and texts, have
+        none.
     tied_to : str, optional
         Tuned or fixed parameter that this one takes its value from, or an expression of several,
         such as ``0.1 * kp``; then `bounds` are what every parameter set keeps.
@@ -84,6 +85,9 @@ class Parameter(Titled):
     travel : float, optional
         Largest distance, in a safe search, from a parameter set that was tried and has kept its
         limits, as a share of the range on the scale; that of `safe_search` unless given.
+    prior : Prior, optional
+        Where the best value is believed to be, such as ``{around: 2.0, within: 1.5x}``. The search
+        of `boundary` begins there, and believes it less with each trial.
     when : str or mapping, optional
         Condition under which there is this parameter: ``horizon > 20``, or values of others as
         ``{planner: mppi}``, of which a list permits several. Without it a node keeps what it has,
@@ -109,6 +113,7 @@ class Parameter(Titled):
     unit: str = ""
     minimum_correlation: Annotated[float, FRACTION] | None = None
     travel: Annotated[float, FRACTION] | None = None
+    prior: Prior | None = None
     when: Annotated[str, Written(Mapping[str, object])] = ""
     parameter: Annotated[str, checks.name_in_node] = ""
 
@@ -240,7 +245,7 @@ class Parameter(Titled):
     def _check_levels(self) -> None:
         of_choices = self.type in ("double", "integer")
         kind = "a parameter with choices" if of_choices else f"a {self.type}"
-        self._refuse(kind, "bounds", "step", "minimum_correlation", "travel")
+        self._refuse(kind, "bounds", "step", "minimum_correlation", "travel", "prior")
         if self.choices is None:
             if self.type != "boolean":
                 raise StudyError(f"missing; expected {CHOICES}", ("choices",))
@@ -259,25 +264,25 @@ class Parameter(Titled):
         object.__setattr__(self, "choices", choices)
         if self.type not in ("double", "integer"):
             return
-        increase = all(a < b for a, b in pairwise(choices))
+        pairs = list(pairwise(choices))
+        sorted_ = all(a < b for a, b in pairs) or all(a > b for a, b in pairs)
         if self.ordered is None:
-            object.__setattr__(self, "ordered", increase)
-        elif self.ordered and not increase:
-            raise StudyError("expected numbers that increase, or ordered: false", ("choices",))
+            object.__setattr__(self, "ordered", sorted_)
+        elif self.ordered and not sorted_:
+            raise StudyError(
+                "expected numbers that increase or decrease, or ordered: false", ("choices",)
+            )
 
     def _write_powers_out(self, step: str) -> None:
         """Put the powers of a factor, times the lower bound, into the place of bounds and step."""
-        match = FACTOR.fullmatch(step)
-        if match is None or not float(match[1]) > 1.0:
-            expected = "a number, or a factor above 1 such as 2x"
-            raise StudyError(f"expected {expected}, found {checks.show(step)}", ("step",))
+        factor = factor_in(step, "step")
         if self.choices is not None or self.type not in ("double", "integer"):
             raise StudyError("belongs to a number with bounds; leave it out", ("step",))
         with under("bounds"):
             lower, upper = read(Bounds | None, self.bounds) or (0, 0)
         if not 0 < lower < upper:
             raise StudyError(f"a factor needs bounds above 0; {step} times 0 is 0", ("bounds",))
-        factor, powers = float(match[1]), [float(lower)]
+        powers = [float(lower)]
         while (following := powers[-1] * factor) <= upper * (1.0 + 1e-9):
             if len(powers) == maxima.CHOICES:
                 raise StudyError(f"gives more than {maxima.CHOICES} values", ("step",))
@@ -320,6 +325,9 @@ class Parameter(Titled):
             raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
         object.__setattr__(self, "default", default)
         self.check_grid(default, "default")
+        if self.prior is not None:
+            with under("prior"):
+                self.prior.check(lower, upper)
 
     def _settle_bounds(self, bounds: tuple[Number, Number]) -> tuple[Number, Number]:
         lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(bounds))

@@ -156,8 +156,21 @@ class ParameterSpace:
         """Return for each conditional parameter in which rows (n, d) it is active, shape (n,)."""
         if not self.activity.names:
             return {}
-        holds = self.activity.holds(self._columns(values))
+        holds = self.activity.holds(self.columns(values))
         return {name: np.broadcast_to(of == 1.0, len(values)) for name, of in holds.items()}
+
+    def log_prior(self, values: Array) -> Array:
+        """Return the logarithm of the prior density of rows (n, d), (n,), 0 where it is largest.
+
+        A parameter that is not active counts as if it were uniform.
+        """
+        columns, active, density = self.columns(values), self.active(values), np.zeros(len(values))
+        for item in self.parameters:
+            if item.prior is not None and item.bounds is not None:
+                own = item.prior.log_density(columns[item.name])
+                absent = item.prior.log_uniform(*map(float, item.bounds))
+                density += np.where(active.get(item.name, True), own, absent)
+        return density
 
     def canonical(self, values: Array) -> Array:
         """Return rows of tuned values (n, d) with the defaults of what is not active."""
@@ -191,7 +204,7 @@ class ParameterSpace:
         NaN is for a condition that is not defined there. One of a parameter that is not active
         holds. The shape is (number of conditions, n).
         """
-        columns, active = self._columns(values), self.active(values)
+        columns, active = self.columns(values), self.active(values)
         held = np.empty((len(self.conditions), len(values)))
         for index, condition in enumerate(self.conditions):
             held[index] = condition.values(columns)
@@ -253,7 +266,7 @@ class ParameterSpace:
                     parameters[item.name] = levels[int(value)]
                 else:
                     parameters[item.name] = int(value) if item.is_integer else value
-        columns = self._columns(row[None]) if self._computed else {}
+        columns = self.columns(row[None]) if self._computed else {}
         for name in self._computed:
             value = float(columns[name].item())
             # One that is not defined is told by its condition.
@@ -270,7 +283,7 @@ class ParameterSpace:
         """Return what the column of a tuned parameter holds for a value."""
         return float(item.levels.index(value) if item.levels else value)  # type: ignore[arg-type]
 
-    def _columns(self, values: Array) -> dict[str, Array]:
+    def columns(self, values: Array) -> dict[str, Array]:
         """Return the values of all parameters in rows (n, d), as a `Condition` takes them."""
         given = (item for item in self.parameters if item.name not in self._computed)
         columns = {item.name: self._column_of(item, values) for item in given}

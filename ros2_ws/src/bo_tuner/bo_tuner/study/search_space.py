@@ -213,6 +213,19 @@ class SearchSpace:
             )
         return self._to_unit(self._values(rows))
 
+    @property
+    def has_prior(self) -> bool:
+        """Whether something is believed of where the best parameter set is."""
+        return any(item.prior is not None for item in self.parameters)
+
+    def log_prior(self, points: Array) -> Array:
+        """Return the logarithm of the prior density (n,) at repaired points (n, d) of the cube.
+
+        It is 0 where the density is largest.
+        """
+        scaled = self._scaled_lower + points * self._scaled_width
+        return self._space.log_prior(self._unscaled(scaled))
+
     def key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
         """Return a hashable key that equal parameter sets share.
 
