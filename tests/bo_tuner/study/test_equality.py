@@ -6,8 +6,10 @@ from scipy.stats import beta, kstest
 
 import bo_tuner as bt
 from bo_tuner.errors import ConditionError, StudyError
+from bo_tuner.methods.safe.safe_set import Reach
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.trials import Trial, TrialState
 
 
 def parameter(name, **given):
@@ -111,6 +113,21 @@ def test_a_set_of_a_user(make_study):
         study.search_space().permitted({"a": 0.9, "b": 0.2})
     with pytest.raises(StudyError, match=r"park.parameters.c: expected 0.5"):
         make_study(parameters=dict(study.parameters), where=[SUM], park={"parameters": {"c": 0.1}})
+
+
+def test_a_safe_search_moves_none_of_them_farther_than_it_may(make_study):
+    """The one that follows is the sum of what the others move."""
+    node = {"node": "axis", "type": "double", "bounds": [0, 1], "default": 0.25}
+    study = make_study(parameters={"a": node, "b": node, "c": node | {"default": 0.5}}, where=[SUM])
+    space = study.search_space()
+    kept = Trial(0, space.defaults, "", TrialState.COMPLETE)
+    reach = Reach.of(study, [kept], travel=0.1, trust=1.0)
+    points = reach.candidates(np.array([1.0, 0.0]), np.random.default_rng(0))
+    moved = [space.to_parameters(point) for point in points]
+    farthest = {
+        name: max(abs(each[name] - space.defaults[name]) for each in moved) for name in "abc"
+    }
+    assert all(0.09 < far <= 0.1 + 1e-6 for far in farthest.values())
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,10 @@ class Equality:
         last = self._last(values)
         return np.where((last >= -TOLERANCE) & (last <= 1.0 + TOLERANCE), 1.0, 0.0)
 
+    def shares(self, values: Array) -> Array:
+        """Return where the last member lies between its bounds, 0 to 1, of shape (n,)."""
+        return np.clip(self._last(values), 0.0, 1.0)
+
     def values(self, columns: Mapping[str, Array]) -> Array:
         """Return the values (n,) of the last member, within its bounds, for those of all others."""
         last = self._last(np.column_stack([columns[name] for name in self.names]))

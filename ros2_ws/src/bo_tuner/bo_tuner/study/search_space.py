@@ -226,6 +226,20 @@ class SearchSpace:
         scaled = self._scaled_lower + points * self._scaled_width
         return self._space.log_prior(self._unscaled(scaled))
 
+    def dependent(self, points: Array) -> dict[str, Array]:
+        """Return the coordinates (n,), by name, of parameters that follow from an equality.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, d)
+            Repaired points of the unit cube.
+        """
+        values = self._unscaled(self._scaled_lower + points * self._scaled_width)
+        return {
+            each.dependent: each.shares(values[:, self._space.columns_of(each)])
+            for each in self._space.equalities
+        }
+
     def key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
         """Return a hashable key that equal parameter sets share.
 
