@@ -72,7 +72,11 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
     if moves:
         print_table(plain_console(), _table(study, planned, moves))
     _show_failures(planned, runs)
-    if untried := [name for name in study.search_space().names if name not in judged]:
+    space = study.search_space()
+    if absent := [name for name in space.names if name in space.inactive(space.defaults)]:
+        say(f"note: not tried: {listed(absent)}, which the default does not have")
+    judged_or_absent = {*judged, *absent}
+    if untried := [name for name in space.names if name not in judged_or_absent]:
         how = "" if whole_range else ", in small steps; check --sensitivity tries their whole range"
         say(f"note: not tried: {listed(untried)} cannot be moved alone{how}")
     unseen = [item.effects for item in judged.values() if item.effects.unseen]

@@ -156,6 +156,11 @@ class SearchSpace:
         inactive = self.inactive(parameters)
         return {name: value for name, value in parameters.items() if name not in inactive}
 
+    def has(self, name: str, points: Array) -> NDArray[np.bool_]:
+        """Return at which repaired points (n, d) of the cube a parameter is active, shape (n,)."""
+        values = self._free_values(points)
+        return self._space.active(values).get(name, np.ones(len(points), dtype=np.bool_))
+
     def branch(self, parameters: Mapping[str, Value]) -> str:
         """Return which branch a parameter set is in, in words; empty if nothing is conditional."""
         return self._space.activity.branch(self.active(parameters))

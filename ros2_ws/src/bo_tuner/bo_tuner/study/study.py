@@ -608,8 +608,18 @@ class Study:
         The values are by the node's name in the study, then by the node's own parameter name;
         parameters without a node, and those that are not active, are not among them.
         """
+        return self._by_node(self.search_space().active(parameters))
+
+    @property
+    def all_node_parameters(self) -> dict[str, dict[str, checks.ParameterValue]]:
+        """All parameters of nodes, in the form that these take, with their defaults."""
+        return self._by_node(self.search_space().defaults)
+
+    def _by_node(
+        self, parameters: Mapping[str, Value]
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
         values: dict[str, dict[str, checks.ParameterValue]] = {}
-        for name, value in self.search_space().active(parameters).items():
+        for name, value in parameters.items():
             item = self.parameters[name]
             if not item.node:
                 continue
