@@ -212,7 +212,7 @@ def _resume(folder):
     tuning = Tuning(study, Driver(backend), ALGORITHM, trials=content.trials)
     list(tuning)
     ALGORITHM.ranking.rank(study, tuning.trials)
-    export_csv(folder / JOURNAL, folder)
+    export_csv(folder / JOURNAL, folder, study.search_space().active)
 
 
 READERS = {

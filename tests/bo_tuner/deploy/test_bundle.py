@@ -264,3 +264,32 @@ def test_an_array_without_an_item_may_be_what_leads_back():
 @given(st.dictionaries(NAMES, SECTIONS, min_size=1, max_size=3))
 def test_parameter_files_read_back_as_they_were_with_their_types(values):
     assert repr(from_yaml(to_yaml(values))) == repr(values)
+
+
+def test_a_rollback_need_not_have_what_has_a_condition(tmp_path, make_study, function_backend):
+    node = {"node": "axis"}
+    study = make_study(
+        parameters={
+            "fast": node | {"type": "boolean", "default": False},
+            "k": node
+            | {"type": "double", "bounds": [0, 1], "default": 0.5, "when": {"fast": True}},
+        },
+        constraints={},
+        budget=INITIAL,
+    )
+    backend = function_backend(
+        study, lambda load, seed, fast, k=0.0: {"error": k + load, "peak": 0.5}
+    )
+    record = make_run(tmp_path / "run", study, backend, result=2)
+    name = study.nodes["axis"].node
+    folder = write_bundle(record)
+    # Nothing was noted of the nodes: back to the default, and all that it may have.
+    assert read_rollback(record) == {name: {"fast": False, "k": 0.5}}
+    for values in ({"fast": False}, {"fast": True, "k": 0.25}):
+        write_bundle(record, {name: values})
+        assert read_rollback(record) == {name: values}
+    with pytest.raises(OutputError, match="expected values of fast, k"):
+        write_bundle(record, {name: {"k": 0.25}})
+    of_result = yaml.safe_load((folder / "parameters.yaml").read_text())
+    (own,) = of_result.values()
+    assert ("k" in own["ros__parameters"]) == own["ros__parameters"]["fast"]

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from bo_tuner.evidence.certificate.outlook import Outlook
 from bo_tuner.evidence.check import (
+    Absent,
     CertificateTime,
     DefaultBeyond,
     FarOff,
@@ -59,7 +60,7 @@ def test_every_line(make_study):
         MeanWithoutRange(PEAK), Spread("peak", 0.75),
         CutShortBy(("peak",), (("error", "it is known at the end only"),)),
         OutOfRange("peak", 2.5, 0.0, 2.0), Noisy("peak", (0.5, 0.75), (1, 2)),
-        SetFailed("gain 1", 1, 2, "pid: stalled"), NotTried(("gain",), True),
+        SetFailed("gain 1", 1, 2, "pid: stalled"), Absent(("width",)), NotTried(("gain",), True),
         NotTried(("gain", "offset"), False), TooFewRuns(("gain", "offset")),
         NotSeen(make_study(), unseen, (0.0, 1.0), 0.5), FewTrials(3, 1, 20), FewContexts(),
     ]  # fmt: skip

@@ -253,7 +253,7 @@ class TestDurability:
         assert process.returncode == -signal.SIGKILL
         (found,) = read_journal(path).trials
         assert [each.seed for each in found.evaluations] == list(range(50))
-        export_csv(path, tmp_path)
+        export_csv(path, tmp_path, dict)
         # The evaluation of the trial that was not finished is kept, too.
         assert [row["trial"] for row in rows(tmp_path / "evaluations.csv")] == ["0"] * 50 + ["1"]
 
@@ -377,7 +377,7 @@ class TestTables:
         )
         with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
-        export_csv(tmp_path / "j", tmp_path)
+        export_csv(tmp_path / "j", tmp_path, dict)
         (of_evaluation,) = rows(tmp_path / "evaluations.csv")
         expected = {
             "state": "complete",
@@ -407,7 +407,7 @@ class TestTables:
             record(journal, trial(evaluations=found))
             for side in (0, 1):
                 journal.record_evaluation(evaluation(side, stage=Stage.VALIDATION))
-        export_csv(tmp_path / "j", tmp_path)
+        export_csv(tmp_path / "j", tmp_path, dict)
         (of_trial,) = rows(tmp_path / "trials.csv")
         assert of_trial["mean.error"] == "1.5"
         assert [row["trial"] for row in rows(tmp_path / "evaluations.csv")] == [
@@ -419,13 +419,13 @@ class TestTables:
         value = 0.1 + 0.2
         with Journal(tmp_path / "j", {}) as journal:
             record(journal, trial(evaluations=[evaluation()]))
-        export_csv(tmp_path / "j", tmp_path)
+        export_csv(tmp_path / "j", tmp_path, dict)
         assert float(rows(tmp_path / "evaluations.csv")[0]["metrics.error"]) == value
 
     def test_an_empty_journal_gives_tables_without_rows(self, tmp_path):
         with Journal(tmp_path / "j", {}):
             pass
-        export_csv(tmp_path / "j", tmp_path)
+        export_csv(tmp_path / "j", tmp_path, dict)
         assert (tmp_path / "trials.csv").read_text() == "number\n"
         assert (tmp_path / "evaluations.csv").read_text() == "trial\n"
 
@@ -434,4 +434,4 @@ class TestTables:
         with Journal(tmp_path / "j", {}):
             pass
         with pytest.raises(OutputError, match=r"trials\.csv"):
-            export_csv(tmp_path / "j", tmp_path)
+            export_csv(tmp_path / "j", tmp_path, dict)

@@ -27,6 +27,12 @@ def test_an_ordered_choice_lies_at_its_place_between_the_first_and_the_last():
     assert SearchSpace([UNORDERED]).levels == (4,)
 
 
+def test_numbers_that_decrease_have_an_order_as_well():
+    space = SearchSpace([parameter(choices=[200, 100, 50], default=100)])
+    assert [space.to_cube({"k": value})[0] for value in (200, 100, 50)] == [0.0, 0.5, 1.0]
+    assert parameter(choices=[100, 200, 50], default=100).ordered is False
+
+
 def test_neighbours_are_the_next_ones_in_an_order_and_all_others_without_one():
     space = SearchSpace([BATCH, UNORDERED])
     steps = space.integer_neighbours({"k": 50, "u": 100})
@@ -109,7 +115,10 @@ def test_one_outside_the_range_of_the_node():
         ({"choices": [50, 100.5]}, "choices[1]: expected an integer, found 100.5"),
         ({"choices": [100]}, "choices: expected a list of two or more different values"),
         ({"choices": [100, 100]}, "choices: expected a list of two or more different values"),
-        ({"choices": [200, 100], "ordered": True}, "choices: expected numbers that increase, or"),
+        (
+            {"choices": [200, 50, 100], "ordered": True},
+            "choices: expected numbers that increase or decrease, or ordered: false",
+        ),
         ({"bounds": [50, 200]}, "bounds: a parameter with choices has no bounds; leave it out"),
         ({"scale": "log"}, "scale: a parameter with choices has no scale; leave it out"),
         ({"step": "2x"}, "step: belongs to a number with bounds; leave it out"),

@@ -213,7 +213,7 @@ class TestReplace:
             ({"draws": 1}, "certificate.draws: expected an integer of at least 2, found 1"),
             ({"confidence": 1.0}, "certificate.confidence: "),
             ({"confidence": 0}, "certificate.confidence: "),
-            ({"run": 300}, "certificate.run: unknown key; did you mean 'runs'?"),
+            ({"run": 300}, "certificate.run: unknown key; expected one of draws"),
             (300, "certificate: expected a mapping"),
         ],
     )

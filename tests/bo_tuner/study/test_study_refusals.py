@@ -308,7 +308,7 @@ class TestRefusedValues:
             ),
             (
                 "certificate",
-                {"runs": 200_000},
+                {"draws": 200_000},
                 "certificate.draws: expected an integer of at most 100000, found 200000",
             ),
             (

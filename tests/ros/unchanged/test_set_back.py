@@ -21,7 +21,7 @@ from bo_tuner.cli import apply
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.state import state_folder
-from bo_tuner.trials import EvaluationState
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -404,3 +404,19 @@ def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, syst
     with pytest.raises(RuntimeError, match="unexpected"):
         made.close()
     assert gain(system) == 0.375
+
+
+def test_without_its_condition_a_node_keeps_what_it_had(backend, system):
+    number = {"node": "servo", "type": "double"}
+    parameters = {
+        "gain": number | {"bounds": [0.0, 1.0], "default": 0.25},
+        "limited": number | {"bounds": [0.0, 2.0], "default": 1.5, "when": "gain > 0.4"},
+    }
+    made = backend(parameters=parameters)
+    for gain_, expected in ((0.3, 1.0), (0.75, 0.5), (0.3, 1.0), (0.75, 0.5)):
+        values = {"gain": gain_, "limited": 0.5 if gain_ > 0.4 else 1.5}
+        outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, values, {}, 1))
+        assert outcome.state is EvaluationState.COMPLETE, outcome
+        assert system.get_parameter("limited").value == expected
+    made.close()
+    assert (gain(system), system.get_parameter("limited").value) == (0.5, 1.0)

@@ -14,7 +14,7 @@ Notation: d tuned parameters, m query points in the unit cube.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +27,10 @@ from bo_tuner.numerics.special import log_expected_improvement
 
 OUTLYING = 0.5
 """Probability of an outlier up to which no point is excluded."""
+
+
+LEAST_BELIEF = 1e-12
+"""Least density of a prior, as a share of the largest."""
 
 
 Factor = Callable[[Array], Array]
@@ -46,11 +50,15 @@ class Acquisition:
     expected
         Whether the improvement is the logarithm of the one that is expected, in the unit of the
         cost. Then a small one is no longer worth a trial, and the advice to stop is by it.
+    prior
+        Logarithm, none above 0, of what is believed beforehand; it counts for the order of points,
+        not for what is worth a trial.
     """
 
     improvement: Factor | None
     probabilities: tuple[Factor, ...] = ()
     expected: bool = True
+    prior: Factor | None = None
 
     def __call__(self, x: Array) -> Array:
         """Return the sum of all logarithms (m,) at x (m, d)."""
@@ -65,7 +73,8 @@ class Acquisition:
         total = np.zeros(len(x))
         if self.improvement is not None:
             total += self.improvement(x)
-        for probability in self.probabilities:
+        first = () if self.prior is None else (self.prior,)
+        for probability in (*first, *self.probabilities):
             rows = np.flatnonzero(total > least)
             if not len(rows):
                 break
@@ -97,6 +106,44 @@ class AcquisitionRule(Protocol):
         reinterpolate
             Whether the improvement is under the reinterpolation model.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class WithPrior:
+    """An acquisition function times what is believed beforehand, to a power: πBO.
+
+        α(x) π(x)^(β / n)
+
+    Hvarfner et al. (2022, ICLR, Eq. 6); a small number is added to π, as SMAC does.
+
+    Attributes
+    ----------
+    rule
+        Makes α.
+    log_prior
+        Logarithm of π, none above 0.
+    exponent
+        β / n.
+    """
+
+    rule: AcquisitionRule
+    log_prior: Factor
+    exponent: float
+
+    def __call__(
+        self,
+        surrogates: Surrogates,
+        incumbent: float | None,
+        *,
+        avoid: float,
+        reinterpolate: bool,
+    ) -> Acquisition:
+        """Make the acquisition function."""
+        made = self.rule(surrogates, incumbent, avoid=avoid, reinterpolate=reinterpolate)
+        return replace(made, prior=self._weighted)
+
+    def _weighted(self, x: Array) -> Array:
+        return self.exponent * np.maximum(self.log_prior(x), np.log(LEAST_BELIEF))
 
 
 @dataclass(frozen=True, eq=False)

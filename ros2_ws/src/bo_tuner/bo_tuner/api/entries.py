@@ -9,6 +9,8 @@ import numpy as np
 
 from bo_tuner.study.distributions import Distribution
 
+When = str | Mapping[str, object]
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -31,6 +33,8 @@ class _Number(Entry):
     scale: str = "linear"
     step: float | None = None
     unit: str = ""
+    prior: Mapping[str, float | str] | None = None
+    when: When = ""
 
     @property
     def mapping(self) -> dict[str, object]:
@@ -57,6 +61,11 @@ class Double(_Number):
         Only multiples of it above the lower bound are tried.
     unit
         Its unit, for displays only.
+    prior
+        Where the best value is believed to be, such as ``{"around": 2.0, "within": "1.5x"}``.
+    when
+        Condition under which there is this parameter, such as ``"horizon > 20"`` or
+        ``{"planner": "mppi"}``; else a function is not given it.
     """
 
     given: ClassVar[Mapping[str, str]] = {"type": "double"}
@@ -71,9 +80,11 @@ class Integer(_Number):
 
 @dataclass(frozen=True)
 class Boolean(Entry):
-    """A tuned truth value with its hand-tuned value."""
+    """A tuned truth value with its hand-tuned value; `when` as of `Double`."""
 
     default: bool
+    _: dataclasses.KW_ONLY
+    when: When = ""
 
     given: ClassVar[Mapping[str, str]] = {"type": "boolean"}
 
@@ -91,12 +102,15 @@ class Choice(Entry):
     ordered
         Whether they have the order in which they are listed; that of numbers unless given, and
         none of texts.
+    when
+        As of `Double`.
     """
 
     choices: Sequence[str | int | float]
     _: dataclasses.KW_ONLY
     default: str | int | float
     ordered: bool | None = None
+    when: When = ""
 
     @property
     def mapping(self) -> dict[str, object]:

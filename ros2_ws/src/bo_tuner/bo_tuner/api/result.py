@@ -52,9 +52,9 @@ class Result:
 
     @property
     def best(self) -> dict[str, Value] | None:
-        """Value of every parameter of the result, by name; None while there is none."""
+        """Value of every parameter that the result has, by name; None while there is none."""
         trial = self._record.result
-        return None if trial is None else dict(trial.parameters)
+        return None if trial is None else self._record.study.search_space().active(trial.parameters)
 
     @property
     def verdict(self) -> Verdict:
@@ -95,7 +95,8 @@ class Result:
         MissingPackageError
             If pandas is not installed.
         """
-        return _frame(map(trial_row, self._record.trials), "number")
+        active = self._record.study.search_space().active
+        return _frame((trial_row(each, active) for each in self._record.trials), "number")
 
     def evaluations(self) -> "DataFrame":
         """Return all evaluations as a data frame; columns as of ``evaluations.csv``.
@@ -105,7 +106,8 @@ class Result:
         MissingPackageError
             If pandas is not installed.
         """
-        return _frame(map(evaluation_row, self._record.evaluations), "trial")
+        active = self._record.study.search_space().active
+        return _frame((evaluation_row(e, active) for e in self._record.evaluations), "trial")
 
     def certify(
         self,

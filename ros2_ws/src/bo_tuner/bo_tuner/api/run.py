@@ -182,7 +182,7 @@ class OpenRun:
             notes = notes_of_file(verdict, self.study)
             self._folder.write_parameters(self.study, parameters, notes)
             self._folder.write_json(SUMMARY, summary | as_summary(verdict))
-        export_csv(self._folder.journal, self.path)
+        export_csv(self._folder.journal, self.path, self.study.search_space().active)
         self.close()
 
     def check(self) -> None:

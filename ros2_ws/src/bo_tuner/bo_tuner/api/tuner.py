@@ -79,13 +79,13 @@ class Run:
         return hash((self.stage, self.trial, self.index, self.seed))
 
     @classmethod
-    def of(cls, evaluation: Evaluation) -> Self:
+    def of(cls, evaluation: Evaluation, study: Study) -> Self:
         """Make it of a planned evaluation."""
         return cls(
             evaluation.trial,
             evaluation.index,
             str(evaluation.stage),
-            dict(evaluation.parameters),
+            study.search_space().active(evaluation.parameters),
             dict(evaluation.context),
             evaluation.seed,
             evaluation,
@@ -449,7 +449,7 @@ class Tuner:
             place = run.evaluation.place
             why = "the run is over" if self._over else "told already, or asked for by another tuner"
             raise UnknownRunError(f"nobody waits for {place}: {why}")
-        if run != (asked := Run.of(pending.due)):
+        if run != (asked := Run.of(pending.due, self._run.study)):
             names = [f.name for f in fields(Run) if getattr(run, f.name) != getattr(asked, f.name)]
             raise UnknownRunError(
                 f"{run.evaluation.place}: {' and '.join(names)} are not those that were asked for; "
@@ -469,7 +469,7 @@ class Tuner:
             waiting.parts = self._parts.pop(_text(waiting.due), [])
             self._pending[_key(waiting.due)] = waiting
         waiting.asked_for = True
-        return Run.of(waiting.due)
+        return Run.of(waiting.due, self._run.study)
 
     def _next_planned(self) -> Evaluation | None:
         """Return the next evaluation to run, and take all ahead of it that are on record."""

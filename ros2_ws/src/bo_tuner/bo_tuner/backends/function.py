@@ -82,6 +82,7 @@ class FunctionBackend(SequentialBackend):
 
     def __init__(self, study: Study, function: Function) -> None:
         super().__init__(study)
+        self._study = study
         self._function = function
         self._returned = Returned(study)
 
@@ -94,7 +95,8 @@ class FunctionBackend(SequentialBackend):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Call the function; any exception but those that end a program is a failed evaluation."""
         try:
-            returned = self._function(dict(planned.parameters), dict(planned.context), planned.seed)
+            parameters = self._study.search_space().active(planned.parameters)
+            returned = self._function(parameters, dict(planned.context), planned.seed)
         except Failed as error:
             return failed(str(error))
         except Exception as error:

@@ -51,7 +51,13 @@ from bo_tuner.evidence.next_drive import drives_problem
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.parameter_file import NodeValues, node_values, sent_values, to_yaml
+from bo_tuner.storage.parameter_file import (
+    NodeValues,
+    all_values,
+    node_values,
+    sent_values,
+    to_yaml,
+)
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.safe_values import named_safe
@@ -167,7 +173,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if trial is None:
             new, title = read_rollback(record), f"back to {DEPLOY}/{ROLLBACK}"
             # Equal to those in the parameter file of a run before anything was set.
-            if new == node_values(record.study, record.study.search_space().defaults):
+            if new == all_values(record.study):
                 title += ", the study's default"
             elif new == before_run(record):
                 title += ", what ran before tune"
@@ -321,7 +327,7 @@ def _rollback(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> Node
     """Return what nodes had; of those that nothing is set on, what they had before the run."""
     before = before_run(record)
     if before is None:
-        before = node_values(record.study, record.study.search_space().defaults)
+        before = all_values(record.study)
     return {**before, **_own(record, nodes, now)}
 
 

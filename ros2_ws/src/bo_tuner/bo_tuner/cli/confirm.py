@@ -157,7 +157,8 @@ def asked_about(
 ) -> Asked:
     """Return what there is to know of a parameter set before it is tried."""
     space = study.search_space()
-    now = trials[-1].parameters if trials else study.safe_parameters
+    now = study.on_screen(trials[-1].parameters if trials else study.safe_parameters)
+    next_, default = map(study.on_screen, (parameters, space.defaults))
     asked = Asked(
         len(trials),
         origin,
@@ -166,10 +167,10 @@ def asked_about(
             Change(
                 with_unit(study.parameters[name].title, study.parameters[name].unit),
                 now[name],
-                parameters[name],
-                space.defaults[name],
+                next_[name],
+                default[name],
             )
-            for name in space.names
+            for name in study.tuned_names
         ),
     )
     complete = [trial for trial in trials if not trial.unusable]
@@ -185,9 +186,8 @@ def asked_about(
     points = space.cube_of(trial.parameters for trial in complete)
     for k in np.argsort(np.linalg.norm(points - x, axis=1), kind="stable")[:NEAREST]:
         trial = complete[k]
-        tried = titled_values(
-            study.parameters, {name: trial.parameters[name] for name in space.names}
-        )
+        active = space.active({name: trial.parameters[name] for name in study.tuned_names})
+        tried = titled_values(study.parameters, active)
         remarks.append(f"nearest tried, trial {trial.number}: {tried}; {_observed(study, trial)}")
     return replace(asked, remarks=tuple(remarks))
 

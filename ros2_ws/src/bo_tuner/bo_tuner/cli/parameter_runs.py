@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from bo_tuner.cli.found import fault, note, warn
-from bo_tuner.evidence.check import NotSeen, NotTried, SetFailed, TooFewRuns
+from bo_tuner.evidence.check import Absent, NotSeen, NotTried, SetFailed, TooFewRuns
 from bo_tuner.evidence.words.check import SMALL_STEPS
 from bo_tuner.evidence.words.effects import amount, proposals
 from bo_tuner.monitoring.display import plain_console, say
@@ -74,8 +74,12 @@ def show_effects(study: Study, planned: Variations, runs: VariedRuns, *, whole_r
     if moves:
         print_table(plain_console(), _table(study, planned, moves))
     _show_failures(planned, runs)
-    if untried := [name for name in study.search_space().names if name not in judged]:
-        note(NotTried(tuple(untried), whole_range))
+    space = study.search_space()
+    absent = space.inactive(space.defaults)
+    if absent_names := tuple(name for name in space.names if name in absent):
+        note(Absent(absent_names))
+    if untried := tuple(n for n in space.names if n not in judged and n not in absent):
+        note(NotTried(untried, whole_range))
     open_ = [n for n, item in judged.items() if not (item.effects.seen or item.effects.conclusive)]
     if open_:
         warn(TooFewRuns(tuple(open_)))

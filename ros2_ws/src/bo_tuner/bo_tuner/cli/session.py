@@ -236,7 +236,7 @@ class Session:
             backend = self._recorded(earlier)
             if isinstance(self._backend, RosBackend):
                 self._backend.recall(earlier.evaluations)
-            begun = folder.journal.exists()
+            active, begun = self._study.search_space().active, folder.journal.exists()
             try:
                 try:
                     with (
@@ -253,9 +253,9 @@ class Session:
                     # What ended the run matters more than a table that cannot be written.
                     with contextlib.suppress(JournalError, OutputError):
                         folder.check()
-                        export_csv(folder.journal, folder.path)
+                        export_csv(folder.journal, folder.path, active)
                     raise
-                export_csv(folder.journal, folder.path)
+                export_csv(folder.journal, folder.path, active)
                 known = known_incumbents(self._incumbents)
                 write_deliverables(folder.path, self._display.inform, self._display.warn, known)
                 return ended(left, code)

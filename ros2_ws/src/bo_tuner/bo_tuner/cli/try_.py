@@ -228,7 +228,7 @@ def _show(result: SingleRun) -> None:
     """Print the metrics of the run beside their limits."""
     evaluation = result.evaluation
     context = values(evaluation.context)
-    say(f"parameters: {values(evaluation.parameters)}")
+    say(f"parameters: {values(result.study.search_space().active(evaluation.parameters))}")
     if context:
         say(f"context: {context}")
     table = Table()

@@ -18,7 +18,14 @@ from bo_tuner.evidence.run_verdict import run_verdict
 from bo_tuner.evidence.words.verdict import as_mapping, notes_of_file
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
-from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, sent_values, to_yaml
+from bo_tuner.storage.parameter_file import (
+    NodeValues,
+    all_values,
+    from_yaml,
+    node_values,
+    sent_values,
+    to_yaml,
+)
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import LOGS, PREVIOUS_PARAMETERS, read_text
 from bo_tuner.storage.run_folder import REPORT
@@ -86,7 +93,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     tuned = node_values(record.study, trial.parameters)
     default = node_values(record.study, record.study.search_space().defaults)
     if rollback is not None:
-        _check_restorable(rollback, default)
+        _check_restorable(rollback, record.study)
     folder = record.path / DEPLOY
     notes = [
         *notes_of_file(run_verdict(record), record.study),
@@ -107,7 +114,9 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
             # Its links lead into the run folder, which is one level up from here.
             files[REPORT] = files[REPORT].replace(b'href="./', b'href="../')
         if rollback is not None or not (folder / ROLLBACK).exists():
-            files[ROLLBACK] = _sealed(rollback or before_run(record) or default).encode()
+            files[ROLLBACK] = _sealed(
+                rollback or before_run(record) or all_values(record.study)
+            ).encode()
         else:
             # What cannot be restored is left alone, and nothing vouches for it.
             with contextlib.suppress(RunRecordError):
@@ -145,14 +154,14 @@ def before_run(record: RunRecord) -> NodeValues | None:
     """
     if not record.options.attached:
         return None
-    default = node_values(record.study, record.study.search_space().defaults)
     try:
         noted = json.loads(read_text(record.path / LOGS / PREVIOUS_PARAMETERS))
         nodes = {record.study.nodes[key].node: values for key, values in noted.items()}
         previous = {
-            node: {name: nodes[node][name] for name in values} for node, values in default.items()
+            node: {name: nodes[node][name] for name in values if name in nodes[node]}
+            for node, values in all_values(record.study).items()
         }
-        _check_like(previous, default)
+        _check_like(previous, record.study)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     return previous
@@ -161,14 +170,13 @@ def before_run(record: RunRecord) -> NodeValues | None:
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
     """Read the values to which to roll back."""
     path = record.path / DEPLOY / ROLLBACK
-    expected = node_values(record.study, record.study.search_space().defaults)
     try:
         first, _, text = read_text(path).partition("\n")
         if first != _DIGEST + hashlib.sha256(text.encode()).hexdigest():
             raise ValueError("does not match the digest in its first line: it was changed")
         # A study may have values in steps and starts of nodes alone.
-        values = from_yaml(text) if expected else {}
-        _check_like(values, expected)
+        values = from_yaml(text) if record.study.parameters_of_nodes else {}
+        _check_like(values, record.study)
     except OSError as error:
         raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -182,21 +190,35 @@ def _sealed(values: NodeValues) -> str:
     return f"{_DIGEST}{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
 
 
-def _check_restorable(values: NodeValues, expected: NodeValues) -> None:
+def _check_restorable(values: NodeValues, study: Study) -> None:
     """Refuse values that could not be restored, such as NaN, which a parameter file cannot hold."""
     try:
-        _check_like(from_yaml(to_yaml(values)), expected)
+        _check_like(from_yaml(to_yaml(values)), study)
     except ValueError as error:
         raise OutputError(f"{ROLLBACK}: cannot hold the nodes' values: {error}") from error
 
 
-def _check_like(values: NodeValues, expected: NodeValues) -> None:
-    """Check that values are of the same nodes, parameters and types as those expected."""
+def _check_like(values: NodeValues, study: Study) -> None:
+    """Check that values are of the nodes, parameters and types of a study.
+
+    Those of a parameter with a condition may be missing.
+    """
+    expected = all_values(study)
+    conditional = {
+        (study.nodes[item.node].node, item.array or item.parameter)
+        for item in study.parameters_of_nodes
+        if item.when
+    }
     for node, names in expected.items():
-        if values.keys() != expected.keys() or values[node].keys() != names.keys():
+        if values.keys() != expected.keys() or not (
+            {name for name in names if (node, name) not in conditional}
+            <= values[node].keys()
+            <= names.keys()
+        ):
             raise ValueError(f"expected values of {', '.join(names)} of {node}, and no others")
-        for name, like in names.items():
-            if not _same_type(values[node][name], like):
+        for name, value in values[node].items():
+            like = names[name]
+            if not _same_type(value, like):
                 raise ValueError(
                     f"{node}: {name}: expected a value of the type of {like}, found "
                     f"{checks.show(values[node][name])}"

@@ -138,6 +138,13 @@ class SetFailed:
 
 
 @dataclass(frozen=True)
+class Absent:
+    """Parameters that the default does not have, as their condition does not hold there."""
+
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class NotTried:
     """Parameters that cannot be moved alone, over the whole range or in small steps."""
 

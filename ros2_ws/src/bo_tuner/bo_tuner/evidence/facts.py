@@ -300,6 +300,33 @@ class PassedOver(Fact):
 
 
 @dataclass(frozen=True)
+class Branch:
+    """A branch of the search space, with its best trial within limits and the objective of that.
+
+    Attributes
+    ----------
+    name, trials
+        What it is called, and how many trials are in it.
+    best, objective
+        Number of the best trial, None if none is within limits, and its mean objective.
+    """
+
+    name: str
+    trials: int
+    best: int | None
+    objective: float
+
+
+@dataclass(frozen=True)
+class Branches(Fact):
+    """The best of each branch that was tried."""
+
+    title: str
+    unit: str
+    branches: tuple[Branch, ...]
+
+
+@dataclass(frozen=True)
 class MetricBias:
     """How a metric differs between machine and simulation, in its unit."""
 

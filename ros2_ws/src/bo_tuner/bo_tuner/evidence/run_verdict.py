@@ -10,6 +10,7 @@ from typing import Any
 from bo_tuner.codec.reading import JSON, read
 from bo_tuner.errors import RunRecordError
 from bo_tuner.evidence.at_bounds import at_bounds
+from bo_tuner.evidence.branches import branches
 from bo_tuner.evidence.busy import COMPUTING, high_load, times_by
 from bo_tuner.evidence.certificate.claim import claimed, failed_before, objections, seen
 from bo_tuner.evidence.certificate.evaluations_file import Row, read_evaluations
@@ -143,6 +144,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         alike[DEFAULT] = [*_drawn(record, default.parameters), *alike[DEFAULT]]
         return _with(
             replace(verdict, effects=Effects(record.study, tuple(effects))),
+            *branches(record.study, record.trials),
             *_passed_over(record.study, summary.get("passed_over", ())),  # type: ignore[arg-type]
             *_biases(record.study, summary.get("biases", ())),  # type: ignore[arg-type]
             *seen(record.study, ranges),

@@ -22,6 +22,7 @@ class TrialOutcome(StrEnum):
     LOST = "lost"
     DISTURBED = "disturbed"
     UNPREPARED = "unprepared"
+    WITHDRAWN = "withdrawn"
 
 
 OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
@@ -57,7 +58,8 @@ class TrialRow:
     number
         Its number.
     parameters
-        Values of the tuned parameters, in the order of the study.
+        Values of the tuned parameters, in the order of the study; empty texts of those that are
+        not active.
     objectives
         Mean of each objective's metric; NaN of a trial that is not complete, or has none.
     limits
@@ -95,11 +97,12 @@ def outcome_of(study: Study, trial: Trial) -> TrialOutcome:
 def trial_row(study: Study, trial: Trial) -> TrialRow:
     """Return what a trial shows by its own runs."""
     complete, last = trial.state is TrialState.COMPLETE, trial.evaluations[-1]
+    shown = study.on_screen(trial.parameters)
     over, close = (violated(study, trial), uncertain(study, trial)) if complete else ((), ())
     means = [trial.mean(each.metric) if complete else None for each in study.objectives]
     return TrialRow(
         number=trial.number,
-        parameters=tuple(trial.parameters[i.name] for i in study.parameters.values() if i.is_tuned),
+        parameters=tuple(shown[i.name] for i in study.parameters.values() if i.is_tuned),
         objectives=tuple(nan if mean is None else mean for mean in means),
         limits=tuple(
             TrialLimit(

@@ -51,12 +51,15 @@ class Method(Protocol):
         Whether runs of its trials may be cut short; otherwise it needs whole ones.
     takes_simulations : bool
         Whether it has a use for trials of a simulation of the machine.
+    takes_priors : bool
+        Whether it has a use for what is believed of the best values of parameters.
     ranking : Ranking
         Of the trials, by its surrogates.
     """
 
     cuts_short: ClassVar[bool] = False
     takes_simulations: ClassVar[bool] = False
+    takes_priors: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -68,6 +71,9 @@ class Method(Protocol):
         """Return in a few words why it cannot run a study; empty if it can."""
         if study.budget.cut_short and not self.cuts_short:
             return "needs whole runs, and the study has `budget.cut_short`"
+        believed = [name for name, item in study.parameters.items() if item.prior is not None]
+        if believed and not self.takes_priors:
+            return f"has no use for a prior, and the study has one of '{believed[0]}'"
         return ""
 
     @abstractmethod

@@ -129,7 +129,10 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
         "state": str(trial.state),
         "origin": trial.origin,
         "verdict": outcome_in_words(study, trial),
-        **{f"parameters.{name}": value for name, value in trial.parameters.items()},
+        **{
+            f"parameters.{name}": value
+            for name, value in study.search_space().active(trial.parameters).items()
+        },
     }
     if trial.state is TrialState.COMPLETE:
         for name in study.metrics:

@@ -265,8 +265,9 @@ def describe(trial: Trial, study: Study) -> str:
 
     What belongs together is joined by `JOIN` instead of a space.
     """
-    tuned = [item for item in study.parameters.values() if item.is_tuned]
-    where = "  ".join(_pair(item.title, trial.parameters[item.name]) for item in tuned)
+    active = study.search_space().active(trial.parameters)
+    tuned = [item for name, item in study.parameters.items() if item.is_tuned and name in active]
+    where = "  ".join(_pair(item.title, active[item.name]) for item in tuned)
     if trial.state is not TrialState.COMPLETE:
         return f"{where}  {ending(trial_row(study, trial))}"
     mean, title = trial.mean(study.objective.metric), study.metrics[study.objective.metric].title

@@ -268,11 +268,18 @@ class Analysis:
 
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
-        return {name: parameters[name] for name in self.study.search_space().names}
+        return {name: parameters[name] for name in self.study.tuned_names}
+
+    def numbers_of(self, trial: Trial) -> list[str]:
+        """Return the names of the tuned numbers that a trial's parameter set has."""
+        space = self.study.search_space()
+        inactive = space.inactive(self.tuned_values(trial.parameters))
+        return [name for name in space.numbers if name not in inactive]
 
     def tuned_in_words(self, parameters: Mapping[str, Value]) -> str:
         """Return the tuned ones among `parameters` in a line."""
-        return titled_values(self.study.parameters, self.tuned_values(parameters))
+        active = self.study.search_space().active(self.tuned_values(parameters))
+        return titled_values(self.study.parameters, active)
 
     def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
         """Return the complete evaluations of a parameter set, of any stage."""

@@ -133,14 +133,14 @@ def latest_trials(study: Study, trials: Sequence[Trial]) -> Table:
 
 def best_values(study: Study, trial: Trial) -> Table:
     """Return the tuned parameters of the best trial, beside the default."""
-    default = study.search_space().defaults
+    best, default = map(study.on_screen, (trial.parameters, study.search_space().defaults))
     return Table(
         caption=f"Values of trial {trial.number}, the best within limits",
         header=["parameter", "value", "default"],
         rows=[
             [
                 with_unit(item.title, item.unit),
-                shown(trial.parameters[item.name]),
+                shown(best[item.name]),
                 shown(default[item.name]),
             ]
             for item in study.parameters.values()

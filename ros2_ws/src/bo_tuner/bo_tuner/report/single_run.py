@@ -74,7 +74,8 @@ def response_figure(run: SingleRun, drawn: Sequence[Panel], caption: str) -> Fig
 def single_run_sections(run: SingleRun, figure: Figure | None, missing: str) -> list[Section]:
     """Return the sections of the page."""
     study, evaluation = run.study, run.evaluation
-    defaults, rows = study.search_space().defaults, list(run.rows())
+    defaults, rows = study.on_screen(study.search_space().defaults), list(run.rows())
+    given = study.on_screen(evaluation.parameters)
     parameters = Table(
         caption="Parameters",
         header=["parameter", "default", THIS, "unit"],
@@ -82,7 +83,7 @@ def single_run_sections(run: SingleRun, figure: Figure | None, missing: str) -> 
             [
                 item.title_and_name,
                 number(defaults[name]),
-                number(evaluation.parameters[name]),
+                number(given[name]),
                 item.unit,
             ]
             for name, item in study.parameters.items()

@@ -34,6 +34,7 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 def _summary(analysis: Analysis, trial: Trial) -> Section:
     study, of_run = analysis.study, analysis.verdict
     own, title = _in_words(analysis, trial), f"Trial {trial.number}"
+    defaults, parameters = map(study.on_screen, (analysis.defaults, trial.parameters))
     count = counted(len(trial.evaluations), "test run")
     sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
@@ -76,11 +77,11 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
                     [
                         item.title_and_name,
                         number(value),
-                        number(trial.parameters[name]),
+                        number(parameters[name]),
                         item.unit,
                     ]
                     for (name, value), item in zip(
-                        analysis.defaults.items(), study.parameters.values(), strict=True
+                        defaults.items(), study.parameters.values(), strict=True
                     )
                 ],
                 numeric=[1, 2],

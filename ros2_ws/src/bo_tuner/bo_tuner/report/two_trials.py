@@ -46,8 +46,9 @@ def two_trials(analysis: Analysis, one: Trial, other: Trial) -> list[Section]:
 
 
 def _parameters(analysis: Analysis, trial: Trial) -> dict[Row, Cell]:
+    parameters = analysis.study.on_screen(trial.parameters)
     return {
-        (item.title_and_name, item.unit): (number(trial.parameters[name]), trial.parameters[name])
+        (item.title_and_name, item.unit): (number(parameters[name]), parameters[name])
         for name, item in analysis.study.parameters.items()
     }
 

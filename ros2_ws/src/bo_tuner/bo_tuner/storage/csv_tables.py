@@ -3,27 +3,31 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from bo_tuner.codec.writing import changes, to_json
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.text import csv_cell
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.trials import Evaluation, Trial, Value
+
+Active = Callable[[Mapping[str, Value]], Mapping[str, Value]]
+"""Leaves out of a parameter set what is not active."""
 
 
-def export_csv(path: Path, directory: Path) -> None:
+def export_csv(path: Path, directory: Path, active: Active) -> None:
     """Write ``trials.csv`` and ``evaluations.csv`` from the journal at `path`.
 
     Each parameter, context variable and metric has a column of its own, such as
-    ``metrics.overshoot``. A trial has the mean of each metric over its draws, or over its nominal
-    evaluations. Evaluations of the validation have ``default`` or ``tuned`` in place of a trial.
-    Times and hyperparameters are left out: runs that are the same have the same tables.
+    ``metrics.overshoot``, blank where a row has none. A trial has the mean of each metric over its
+    draws, or over its nominal evaluations. Evaluations of the validation have ``default`` or
+    ``tuned`` in place of a trial. Times and hyperparameters are left out: runs that are the same
+    have the same tables.
     """
     content = read_journal(path)
-    trials = [trial_row(trial) for trial in content.trials]
-    evaluations = [evaluation_row(evaluation) for evaluation in content.evaluations]
+    trials = [trial_row(trial, active) for trial in content.trials]
+    evaluations = [evaluation_row(evaluation, active) for evaluation in content.evaluations]
     _write(directory / "trials.csv", trials, "number")
     _write(directory / "evaluations.csv", evaluations, "trial")
 
@@ -35,12 +39,12 @@ def csv_text(rows: Iterable[Iterable[object]], end: str = "\n") -> str:
     return text.getvalue()
 
 
-def trial_row(trial: Trial) -> dict[str, object]:
+def trial_row(trial: Trial, active: Active) -> dict[str, object]:
     """Return a trial as a row of its table, by the names of the columns."""
     metrics = {name: None for e in trial.evaluations for name in e.outcome.metrics}
     return {
         "number": trial.number,
-        **_columns("parameters", trial.parameters),
+        **_parameters(trial.parameters, active),
         "origin": trial.origin,
         "state": str(trial.state),
         "reason": trial.reason,
@@ -55,14 +59,14 @@ def trial_row(trial: Trial) -> dict[str, object]:
     }
 
 
-def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
+def evaluation_row(evaluation: Evaluation, active: Active) -> dict[str, object]:
     """Return an evaluation as a row of its table, by the names of the columns."""
     outcome = evaluation.outcome
     return {
         "trial": evaluation.whose,
         "position": evaluation.index,
         "stage": str(evaluation.stage),
-        **_columns("parameters", evaluation.parameters),
+        **_parameters(evaluation.parameters, active),
         **_columns("context", evaluation.context),
         "seed": evaluation.seed,
         "state": str(outcome.state),
@@ -71,6 +75,10 @@ def evaluation_row(evaluation: Evaluation) -> dict[str, object]:
         **_columns("details", outcome.details),
         **_noted("notes", changes(outcome.notes)),
     }
+
+
+def _parameters(parameters: Mapping[str, Value], active: Active) -> dict[str, object]:
+    return _columns("parameters", {**dict.fromkeys(parameters), **active(parameters)})
 
 
 def _columns(section: str, values: Mapping[str, object]) -> dict[str, object]:

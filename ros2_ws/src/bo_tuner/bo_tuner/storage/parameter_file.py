@@ -27,8 +27,22 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
     What the study sets once on a tuned node is part of it: the parameter set was judged with it.
     `use_sim_time` is left out: on the machine the node would wait for the clock of a simulation.
     """
+    typed = {name: study.parameters[name].checked(value) for name, value in parameters.items()}
+    return _with_constants(study, typed, study.node_parameters(typed))
+
+
+def all_values(study: Study) -> dict[str, dict[str, object]]:
+    """Return the same for the default, with the parameters that it does not have."""
+    return _with_constants(study, study.parameters, study.all_node_parameters)
+
+
+def _with_constants(
+    study: Study,
+    names: Iterable[str],
+    by_node: Mapping[str, Mapping[str, checks.ParameterValue]],
+) -> dict[str, dict[str, object]]:
     values: dict[str, dict[str, object]] = {}
-    for key in dict.fromkeys(study.parameters[name].node for name in parameters):
+    for key in dict.fromkeys(study.parameters[name].node for name in names):
         if not key:
             continue
         spec = study.nodes[key]
@@ -36,8 +50,7 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
         of_node.update(
             {name: _plain(item) for name, item in spec.parameters.items() if name != USE_SIM_TIME}
         )
-    typed = {name: study.parameters[name].checked(value) for name, value in parameters.items()}
-    for key, of_set in study.node_parameters(typed).items():
+    for key, of_set in by_node.items():
         values[study.nodes[key].node].update({name: _plain(v) for name, v in of_set.items()})
     return values
 
@@ -47,7 +60,7 @@ def sent_values(study: Study, parameters: Mapping[str, Value]) -> list[str]:
     return [
         f"{name} = {value}: stands in {' and '.join(senders(study.run, study.nodes, name))}; put "
         "it there"
-        for name, value in parameters.items()
+        for name, value in study.search_space().active(parameters).items()
         if not study.parameters[name].node
     ]
 

@@ -21,6 +21,8 @@ def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[st
         text = read_text(path, source)
         if is_parameter_file(text):
             values, lines = _of_nodes(read_sections(text), study, namespace)
+            # A node has also what is not active.
+            values = study.search_space().active(values)
         else:
             document = strict_yaml.parse(text)
             lines, content = document.lines, document.value

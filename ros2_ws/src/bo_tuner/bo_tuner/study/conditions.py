@@ -36,10 +36,14 @@ class Condition:
         it may be, in quotes.
     parameters : mapping from str to Parameter
         The study's, by name.
+    path : str or int
+        Place in the study.
 
     Attributes
     ----------
     text : str
+        As given.
+    path : tuple of str or int
         As given.
     names : tuple of str
         Parameters in it.
@@ -50,7 +54,8 @@ class Condition:
         If it is no condition between parameters.
     """
 
-    def __init__(self, text: object, parameters: Mapping[str, Parameter]) -> None:
+    def __init__(self, text: object, parameters: Mapping[str, Parameter], *path: str | int) -> None:
+        self.path = path
         self.text = checks.text(text).strip()
         self._expression = _expression(self.text, parameters)
         self.names = tuple(name for name in parameters if name in self._expression.names)
@@ -95,7 +100,7 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             raise StudyError(
                 f"'{condition.text}' is not defined for any parameter set within the bounds; "
                 "is there a division by zero?",
-                (KEY, index),
+                condition.path,
             )
     indices = range(len(conditions))
     sizes = (1, 2, len(conditions))
@@ -105,13 +110,17 @@ def check_shares(conditions: Sequence[Condition], held: Array) -> None:
             continue
         named = " and ".join(f"'{conditions[index].text}'" for index in chosen)
         verb = "holds" if len(chosen) == 1 else "hold together"
-        amount = f"only {100.0 * share:.2g} %" if share else "none"
         raise StudyError(
-            f"{named} {verb} for {amount} of the parameter sets within the bounds, of which "
-            f"{holds.shape[1]} were drawn; expected at least {100.0 * FEWEST:g} % (for equal "
+            f"{named} {verb} for {shown_share(share)} of the parameter sets within the bounds, of "
+            f"which {holds.shape[1]} were drawn; expected at least {100.0 * FEWEST:g} % (for equal "
             "values use tied_to)",
-            (KEY, chosen[-1]),
+            conditions[chosen[-1]].path,
         )
+
+
+def shown_share(share: float) -> str:
+    """Return a share that is too small, in words."""
+    return f"only {100.0 * share:.2g} %" if share else "none"
 
 
 class _Positions(ast.NodeTransformer):
@@ -132,8 +141,9 @@ class _Positions(ast.NodeTransformer):
             for name, text in (sides, sides[::-1]):
                 levels = self._levels.get(ast.unparse(name))
                 if levels and isinstance(text, ast.Constant) and isinstance(text.value, str):
-                    position = ast.Constant(levels.index(checks.choice(text.value, levels)))
-                    return ast.Compare(name, node.ops, [position])
+                    return ast.Compare(
+                        name, node.ops, [ast.Constant(_position(text.value, levels))]
+                    )
         return self.generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
@@ -181,8 +191,16 @@ def _levels(item: Parameter, parameters: Mapping[str, Parameter]) -> tuple[str, 
     """Return the values that a text parameter may have; empty if it is no text."""
     if item.type != "string":
         return ()
-    leader = item if item.tied_to is None else parameters[item.tied_to]
+    leader = item.leader(parameters)
     return tuple(map(str, leader.choices or (leader.fixed,)))
+
+
+def _position(text: str, levels: tuple[str, ...]) -> int:
+    """Return the position of a text among those that a parameter may be; -1 if it is fixed."""
+    if len(levels) == 1:
+        # It may have been one of several, and fixed since.
+        return 0 if text == levels[0] else -1
+    return levels.index(checks.choice(text, levels))
 
 
 def _shown(value: Value) -> str:

@@ -158,8 +158,7 @@ def node_problems(
     for name, item in study.parameters.items():
         if item.node != key or (declared and (item.array or item.parameter) not in known):
             continue
-        leader = study.parameters[item.tied_to] if item.tied_to is not None else None
-        if text := problem(item, known, leader):
+        if text := problem(item, known, item.leader(study.parameters)):
             problems.append(StudyError(text, ("parameters", name)))
     for path, node, name in _further_parameters(study):
         if node == key and name not in known and not declared:

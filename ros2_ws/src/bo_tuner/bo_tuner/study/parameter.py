@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, Any
@@ -13,16 +13,16 @@ from bo_tuner.codec.findings import under
 from bo_tuner.codec.reading import read
 from bo_tuner.codec.rules import FRACTION, KEY, LATER, AtMost, Expected, OneOf, Written
 from bo_tuner.errors import StudyError
-from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG
+from bo_tuner.study.parameter_scale import LINEAR, LOG, SCALES, SYMLOG, factor_in
+from bo_tuner.study.prior import Prior
 from bo_tuner.study.titles import Label, Titled
 from bo_tuner.trials import Value
 
 Number = int | float
 
 CHOICES = "a list of two or more different values (or tied_to or fixed instead)"
-FACTOR = re.compile(r"([0-9]+(?:\.[0-9]*)?)\s?x")
 TYPES = ("double", "integer", "boolean", "string")
-_TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel")
+_TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel", "prior")
 Bounds = Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")]
 _CHECKS: dict[str, Callable[..., Any]] = {
     "integer": checks.integer,
@@ -30,6 +30,7 @@ _CHECKS: dict[str, Callable[..., Any]] = {
     "boolean": checks.boolean,
     "string": checks.text,
 }
+WHEN = "when"
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
@@ -61,9 +62,11 @@ class Parameter(Titled):
         The values of a tuned text, or of a number that takes only these.
     ordered : bool, optional
         Whether `choices` have the order in which they are listed, so that neighbours are alike.
-        Numbers have it unless told otherwise, and increase then; texts have none.
+        Numbers that increase or decrease have it unless told otherwise; others, and texts, have
+        none.
     tied_to : str, optional
-        Tuned or fixed parameter that this one takes its value from.
+        Tuned or fixed parameter that this one takes its value from, or an expression of several,
+        such as ``0.1 * kp``; then `bounds` are what every parameter set keeps.
     fixed : bool, int, float or str, optional
         Value in every trial.
     default : bool, int, float or str, optional
@@ -82,6 +85,13 @@ class Parameter(Titled):
     travel : float, optional
         Largest distance, in a safe search, from a parameter set that was tried and has kept its
         limits, as a share of the range on the scale; that of `safe_search` unless given.
+    prior : Prior, optional
+        Where the best value is believed to be, such as ``{around: 2.0, within: 1.5x}``. The search
+        of `boundary` begins there, and believes it less with each trial.
+    when : str or mapping, optional
+        Condition under which there is this parameter: ``horizon > 20``, or values of others as
+        ``{planner: mppi}``, of which a list permits several. Without it a node keeps what it has,
+        and a function is not given the parameter.
     parameter : str
         Name of the parameter in the node, whatever ROS takes, such as ``gains.ur5e/wrist-1.p``; the
         name of this entry unless given. ``covariance[7]`` is an item of the array `covariance`,
@@ -103,12 +113,16 @@ class Parameter(Titled):
     unit: str = ""
     minimum_correlation: Annotated[float, FRACTION] | None = None
     travel: Annotated[float, FRACTION] | None = None
+    prior: Prior | None = None
+    when: Annotated[str, Written(Mapping[str, object])] = ""
     parameter: Annotated[str, checks.name_in_node] = ""
 
     def __post_init__(self) -> None:
         """Check the fields; references to other parts of a study are checked there."""
         if isinstance(self.step, str):
             self._write_powers_out(self.step)
+        if not isinstance(self.when, str):
+            object.__setattr__(self, "when", _condition(self.when))
         super().__post_init__()
         if not self.node and self.parameter:
             raise StudyError("without a node there is no parameter; add node", ("parameter",))
@@ -149,6 +163,16 @@ class Parameter(Titled):
     def has_order(self) -> bool:
         """Whether its `levels` are in an order, so that neighbours are alike."""
         return bool(self.ordered)
+
+    @property
+    def is_derived(self) -> bool:
+        """Whether its value is an expression of others."""
+        return self.tied_to is not None and not checks.PARAMETER_OR_ITEM.fullmatch(self.tied_to)
+
+    def leader(self, parameters: Mapping[str, "Parameter"]) -> "Parameter":
+        """Return the parameter whose value it has: the one that it is tied to, or itself."""
+        follows = self.tied_to is not None and not self.is_derived
+        return parameters[str(self.tied_to)] if follows else self
 
     def fixed_at(self, value: Value) -> "Parameter":
         """Return it with this value in every trial."""
@@ -193,9 +217,20 @@ class Parameter(Titled):
         object.__setattr__(self, "default", fixed)
 
     def _check_tied(self) -> None:
+        if self.is_derived:
+            self._check_derived()
+            return
         self._refuse("a tied parameter", *_TUNED_ONLY)
         if self.default is not None:
             object.__setattr__(self, "default", self.checked(self.default, "default"))
+
+    def _check_derived(self) -> None:
+        if self.type not in ("double", "integer"):
+            raise StudyError(f"a {self.type} is no expression of others", ("tied_to",))
+        others = [key for key in _TUNED_ONLY if key != "bounds"]
+        self._refuse("a parameter that is computed from others", *others, "default")
+        if self.bounds is not None:
+            self._settle_bounds(self.bounds)
 
     def _check_tuned(self) -> None:
         if self.is_number:
@@ -210,7 +245,7 @@ class Parameter(Titled):
     def _check_levels(self) -> None:
         of_choices = self.type in ("double", "integer")
         kind = "a parameter with choices" if of_choices else f"a {self.type}"
-        self._refuse(kind, "bounds", "step", "minimum_correlation", "travel")
+        self._refuse(kind, "bounds", "step", "minimum_correlation", "travel", "prior")
         if self.choices is None:
             if self.type != "boolean":
                 raise StudyError(f"missing; expected {CHOICES}", ("choices",))
@@ -229,25 +264,25 @@ class Parameter(Titled):
         object.__setattr__(self, "choices", choices)
         if self.type not in ("double", "integer"):
             return
-        increase = all(a < b for a, b in pairwise(choices))
+        pairs = list(pairwise(choices))
+        sorted_ = all(a < b for a, b in pairs) or all(a > b for a, b in pairs)
         if self.ordered is None:
-            object.__setattr__(self, "ordered", increase)
-        elif self.ordered and not increase:
-            raise StudyError("expected numbers that increase, or ordered: false", ("choices",))
+            object.__setattr__(self, "ordered", sorted_)
+        elif self.ordered and not sorted_:
+            raise StudyError(
+                "expected numbers that increase or decrease, or ordered: false", ("choices",)
+            )
 
     def _write_powers_out(self, step: str) -> None:
         """Put the powers of a factor, times the lower bound, into the place of bounds and step."""
-        match = FACTOR.fullmatch(step)
-        if match is None or not float(match[1]) > 1.0:
-            expected = "a number, or a factor above 1 such as 2x"
-            raise StudyError(f"expected {expected}, found {checks.show(step)}", ("step",))
+        factor = factor_in(step, "step")
         if self.choices is not None or self.type not in ("double", "integer"):
             raise StudyError("belongs to a number with bounds; leave it out", ("step",))
         with under("bounds"):
             lower, upper = read(Bounds | None, self.bounds) or (0, 0)
         if not 0 < lower < upper:
             raise StudyError(f"a factor needs bounds above 0; {step} times 0 is 0", ("bounds",))
-        factor, powers = float(match[1]), [float(lower)]
+        powers = [float(lower)]
         while (following := powers[-1] * factor) <= upper * (1.0 + 1e-9):
             if len(powers) == maxima.CHOICES:
                 raise StudyError(f"gives more than {maxima.CHOICES} values", ("step",))
@@ -266,11 +301,7 @@ class Parameter(Titled):
                 "missing; expected [lower, upper] (or choices, tied_to or fixed instead)",
                 ("bounds",),
             )
-        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(self.bounds))
-        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
-            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
-        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
-        object.__setattr__(self, "bounds", (lower, upper))
+        lower, upper = self._settle_bounds(self.bounds)
         if self.step is not None:
             step = self._computed(self.step, "step")
             if not 0 < step <= upper - lower:
@@ -294,6 +325,17 @@ class Parameter(Titled):
             raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
         object.__setattr__(self, "default", default)
         self.check_grid(default, "default")
+        if self.prior is not None:
+            with under("prior"):
+                self.prior.check(lower, upper)
+
+    def _settle_bounds(self, bounds: tuple[Number, Number]) -> tuple[Number, Number]:
+        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(bounds))
+        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
+            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
+        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
+        object.__setattr__(self, "bounds", (lower, upper))
+        return lower, upper
 
     def check_grid(self, value: object, *path: str | int) -> None:
         """Refuse a number that is no multiple of the step above the lower bound.
@@ -353,6 +395,26 @@ def study_name(name: str) -> str:
     joined = ".".join(group for group in groups if group) or "_"
     joined = joined if re.match(r"[A-Za-z_]", joined) else f"_{joined}"
     return f"{joined}[{item}]" if array else joined
+
+
+def _condition(values: object) -> str:
+    """Return the condition that parameters have some values, given by name, each one or a list."""
+    expected = "a condition such as horizon > 20, or values by name such as {planner: mppi}"
+    if not isinstance(values, Mapping) or not values:
+        raise StudyError(f"expected {expected}, found {checks.show(values)}", (WHEN,))
+    conjuncts = []
+    for name, given in values.items():
+        checks.text(name, WHEN)
+        several = given if isinstance(given, list | tuple) else [given]
+        if not several or not all(isinstance(each, bool | int | float | str) for each in several):
+            raise StudyError(
+                f"expected a value or a list, found {checks.show(given)}", (WHEN, name)
+            )
+        # A truth value is 1 or 0 in a condition.
+        shown = (repr(int(each) if isinstance(each, bool) else each) for each in several)
+        equal = " or ".join(f"{name} == {each}" for each in shown)
+        conjuncts.append(f"({equal})" if len(several) > 1 and len(values) > 1 else equal)
+    return " and ".join(conjuncts)
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:

@@ -10,15 +10,20 @@ symlog
 """
 
 import math
+import re
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.codec import checks
+from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 
 SCALES = (LINEAR, LOG, SYMLOG)
+
+FACTOR = re.compile(r"([0-9]+(?:\.[0-9]*)?)\s?x")
 
 DECADES = 1000.0
 """Upper bound over v₀: the symlog scale is logarithmic over three decades, and linear down to 0."""
@@ -50,3 +55,18 @@ def places_at(scale: str, value: float, upper: float, places: int) -> int:
         return places
     size = max(value, upper / DECADES) if scale == SYMLOG else value
     return places - math.floor(math.log10(size))
+
+
+def factor_in(text: str, *path: str | int) -> float:
+    """Return the factor that a text such as ``1.5x`` is.
+
+    Raises
+    ------
+    StudyError
+        If it is none above 1.
+    """
+    match = FACTOR.fullmatch(text)
+    if match is None or not float(match[1]) > 1.0:
+        expected = "a number, or a factor above 1 such as 2x"
+        raise StudyError(f"expected {expected}, found {checks.show(text)}", path)
+    return float(match[1])

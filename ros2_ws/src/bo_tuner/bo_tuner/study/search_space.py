@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
-from bo_tuner.study.conditions import KEY, check_shares
+from bo_tuner.study.activity import check_reach
+from bo_tuner.study.conditions import check_shares
 from bo_tuner.study.conforming import Conforming
 from bo_tuner.study.limit_kinds.limited import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
@@ -49,7 +50,8 @@ class SearchSpace:
 
     In the shapes, d is the number of tuned parameters and n any number of parameter sets, with
     values in own units. An argument needs the tuned parameters only; a returned parameter set has
-    all, tied and fixed ones included, in the study's order.
+    all, tied and fixed ones included, in the study's order. A conditional parameter that is not
+    active has its default in it.
 
     Methods raise `ParameterError` if a tuned parameter is missing, of a wrong type or out of
     bounds, a name is unknown, or positions have a wrong shape or are not finite.
@@ -61,7 +63,9 @@ class SearchSpace:
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parameter set.
     where : sequence of str
-        Conditions that hold in every parameter set, such as ``ki <= kp / 2``.
+        Conditions that hold in every parameter set, such as ``ki <= kp / 2``. One of a parameter
+        that is not active does not count. Of the tuned doubles in a linear equality, such as
+        ``a + b + c == 1``, the last one follows from the others, and is no column.
 
     Attributes
     ----------
@@ -116,7 +120,7 @@ class SearchSpace:
             None if discrete else -math.floor(math.log10(RESOLUTION * width))
             for discrete, width in zip(self.discrete, self._scaled_width.tolist(), strict=True)
         ]
-        if self._space.conditions:
+        if self._space.conditions or self._space.activity.names:
             self._check_conditions()
 
     @property
@@ -140,6 +144,26 @@ class SearchSpace:
     def defaults(self) -> dict[str, Value]:
         """The hand-tuned parameter set, including tied and fixed parameters."""
         return dict(self._space.defaults)
+
+    def inactive(self, parameters: Mapping[str, Value]) -> frozenset[str]:
+        """Return the names of the parameters that a parameter set does not have."""
+        if not self._space.activity.names:
+            return frozenset()
+        return self._space.inactive(self._space.row(parameters))
+
+    def active(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the parameters that a parameter set has, without those that are not active."""
+        inactive = self.inactive(parameters)
+        return {name: value for name, value in parameters.items() if name not in inactive}
+
+    def has(self, name: str, points: Array) -> NDArray[np.bool_]:
+        """Return at which repaired points (n, d) of the cube a parameter is active, shape (n,)."""
+        values = self._free_values(points)
+        return self._space.active(values).get(name, np.ones(len(points), dtype=np.bool_))
+
+    def branch(self, parameters: Mapping[str, Value]) -> str:
+        """Return which branch a parameter set is in, in words; empty if nothing is conditional."""
+        return self._space.activity.branch(self.active(parameters))
 
     def to_parameters(self, cube: ArrayLike) -> dict[str, Value]:
         """Return the repaired parameter set at a point (d,) of the unit cube.
@@ -194,6 +218,33 @@ class SearchSpace:
             )
         return self._to_unit(self._values(rows))
 
+    @property
+    def has_prior(self) -> bool:
+        """Whether something is believed of where the best parameter set is."""
+        return any(item.prior is not None for item in self.parameters)
+
+    def log_prior(self, points: Array) -> Array:
+        """Return the logarithm of the prior density (n,) at repaired points (n, d) of the cube.
+
+        It is 0 where the density is largest.
+        """
+        scaled = self._scaled_lower + points * self._scaled_width
+        return self._space.log_prior(self._unscaled(scaled))
+
+    def dependent(self, points: Array) -> dict[str, Array]:
+        """Return the coordinates (n,), by name, of parameters that follow from an equality.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, d)
+            Repaired points of the unit cube.
+        """
+        values = self._unscaled(self._scaled_lower + points * self._scaled_width)
+        return {
+            each.dependent: each.shares(values[:, self._space.columns_of(each)])
+            for each in self._space.equalities
+        }
+
     def key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
         """Return a hashable key that equal parameter sets share.
 
@@ -224,7 +275,8 @@ class SearchSpace:
         for side, bound in ((LOWER, self.lower), (UPPER, last)):
             at = np.abs(scaled - self._scaled(bound)) <= near
             sides |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
-        return {name: sides[name] for name in self.numbers if name in sides}
+        active = self.active(parameters)
+        return {name: sides[name] for name in self.numbers if name in sides and name in active}
 
     def latin_hypercube(
         self,
@@ -238,7 +290,8 @@ class SearchSpace:
         its scale; all integers, and all values of a grid with a step, are equally likely on any
         scale, including the outermost, as long as no order is to be kept. Values in the wrong order
         are swapped, so of two in order the lower one tends to be low and the upper one high; what
-        breaks a condition is drawn anew; repeated parameter sets are moved to the nearest free
+        breaks a condition is drawn anew; parameters of an equality are drawn uniformly in its
+        plane; repeated parameter sets are moved to the nearest free
         integers.
 
         Parameters
@@ -276,6 +329,8 @@ class SearchSpace:
             steps = round((self._tuned[column].on_grid(self.upper[column]) - lowest) / step)
             chosen = np.floor(uniform[:, column] * (steps + 1))
             values[:, column] = lowest + np.minimum(chosen, steps) * step
+        for equality in self._space.equalities:
+            values[:, self._space.columns_of(equality)] = equality.draw(count, rng)
         return self._ordered(self._order.swap(values))
 
     def _drawn_anew(self, values: Array, rng: np.random.Generator) -> Array:
@@ -345,8 +400,9 @@ class SearchSpace:
             inside = (self._low[column] <= moved[:, column]) & (
                 moved[:, column] <= self._high[column]
             )
+            moved = self._space.canonical(moved[inside])
             permitted = self._order.satisfied(moved) & self._space.holds(moved)
-            steps.append(moved[(away != 0.0) & inside & permitted])
+            steps.append(moved[(moved != row).any(axis=1) & permitted])
         return np.concatenate(steps)
 
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
@@ -389,6 +445,7 @@ class SearchSpace:
         ]
         at_bound = (values == self._low) | (values == self._high)
         rounded = np.where(at_bound, values, np.clip([row], self._low, self._high))
+        rounded = self._space.canonical(self._space.on_equalities(rounded))
         permitted = self._order.satisfied(rounded) & self._space.holds(rounded)
         return rounded if permitted.all() else values
 
@@ -426,14 +483,15 @@ class SearchSpace:
 
     def _check_conditions(self) -> None:
         """Refuse conditions that hardly any set satisfies, and defaults that break one."""
-        check_shares(
-            self._space.conditions, self._space.held(self._drawn(SAMPLE, np.random.default_rng(0)))
-        )
+        drawn = self._drawn(SAMPLE, np.random.default_rng(0))
+        check_shares(self._space.conditions, self._space.held(drawn))
+        active = self._space.active(drawn[self._space.holds(drawn)])
+        check_reach([(item, active[item.name]) for item in self._tuned if item.when])
         try:
             self.permitted(self.defaults)
         except ConditionError as error:
-            index = [each.text for each in self._space.conditions].index(error.condition)
-            raise StudyError(f"the default {error}", (KEY, index)) from None
+            broken = (each for each in self._space.conditions if each.text == error.condition)
+            raise StudyError(f"the default {error}", next(broken).path) from None
 
     def _ordered(self, values: Array) -> Array:
         """Return values (n, d) in order, rounded and within the bounds."""
@@ -442,7 +500,8 @@ class SearchSpace:
         rounded = np.where(self.discrete, np.floor(ordered + 0.5), ordered)
         for column in self._stepped:
             rounded[:, column] = [self._tuned[column].on_grid(v) for v in rounded[:, column]]
-        return np.clip(rounded, self._low, self._high)
+        clipped = np.clip(rounded, self._low, self._high)
+        return self._space.canonical(self._space.on_equalities(clipped))
 
     def _to_unit(self, values: Array) -> Array:
         unit: Array = (self._scaled(values) - self._scaled_lower) / self._scaled_width

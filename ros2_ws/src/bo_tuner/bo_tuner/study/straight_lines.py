@@ -69,10 +69,10 @@ def broken_on_lines(space: SearchSpace) -> str:
 
 def has_line(parameters: Mapping[str, Parameter], item: Parameter) -> bool:
     """Return whether there are values between those of a double, itself or by a tie."""
-    return (item if item.tied_to is None else parameters[item.tied_to]).is_number
+    return item.leader(parameters).is_number
 
 
 def line_of(parameters: Mapping[str, Parameter], item: Parameter) -> tuple[str, float]:
     """Return the scale and the upper bound that a parameter has, itself or by a tie."""
-    leader = item if item.tied_to is None else parameters[item.tied_to]
+    leader = item.leader(parameters)
     return leader.scale, 0.0 if leader.bounds is None else float(leader.bounds[1])

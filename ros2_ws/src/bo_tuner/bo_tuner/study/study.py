@@ -1,6 +1,7 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,7 @@ from bo_tuner.codec.reading import check_fields
 from bo_tuner.codec.rules import Expected, Matching, OneOf, Whole, Written
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.activity import Activity
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.configuring import check_parked, configured_by_steps
@@ -295,10 +297,9 @@ class Study:
             with findings.under():
                 checks.at_most(getattr(self, section), most, section)
         with findings.under():
-            tuned = [name for name, item in self.parameters.items() if item.is_tuned]
-            if len(tuned) > maxima.TUNED:
+            if (count := len(self.tuned_names)) > maxima.TUNED:
                 raise StudyError(
-                    f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}",
+                    f"expected at most {maxima.TUNED} tuned ones, found {count}",
                     ("parameters",),
                 )
         if len(findings) > size:
@@ -430,6 +431,11 @@ class Study:
         return space.permitted(space.defaults | dict(self.park.parameters))
 
     @property
+    def tuned_names(self) -> list[str]:
+        """Names of the tuned parameters, with those that follow from an equality of others."""
+        return [name for name, item in self.parameters.items() if item.is_tuned]
+
+    @property
     def parameters_of_nodes(self) -> list[Parameter]:
         """The parameters that nodes have; others stand only in the steps of a run."""
         return [item for item in self.parameters.values() if item.node]
@@ -441,6 +447,9 @@ class Study:
         names = {
             key: {*spec.parameters, *assigned.get(key, {})} for key, spec in self.nodes.items()
         }
+        for each in self.parameters_of_nodes:
+            # Also those that the default does not have.
+            names[each.node].add(each.array or each.parameter)
         for _, item in self.settings:
             names[item.node].add(item.parameter)
         return names
@@ -470,14 +479,25 @@ class Study:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
+        self._check_given(given, complete)
         for name, value in given.items():
-            if complete[name] != value:
-                raise StudyError(
-                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
-                    (name,),
-                )
             self.parameters[name].check_grid(value, name)
         return complete
+
+    def _check_given(
+        self, given: Mapping[str, Value], complete: Mapping[str, Value], *path: str
+    ) -> None:
+        """Refuse values that a complete set, made of them, does not have."""
+        inactive = self.search_space().inactive(complete)
+        for name, value in given.items():
+            if name in inactive:
+                when = self.parameters[name].when
+                raise StudyError(f"is there only when {when}", (*path, name))
+            if not _agree(complete[name], value):
+                raise StudyError(
+                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
+                    (*path, name),
+                )
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
@@ -502,6 +522,10 @@ class Study:
                 ("start",),
             )
         return list(sets.values())
+
+    def on_screen(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return a parameter set as screens show it: blank where a parameter is not active."""
+        return {**parameters, **dict.fromkeys(self.search_space().inactive(parameters), "")}
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
@@ -593,8 +617,18 @@ class Study:
         """Return a parameter set in the form that nodes take: whole arrays in place of their items.
 
         The values are by the node's name in the study, then by the node's own parameter name;
-        parameters without a node are not among them.
+        parameters without a node, and those that are not active, are not among them.
         """
+        return self._by_node(self.search_space().active(parameters))
+
+    @property
+    def all_node_parameters(self) -> dict[str, dict[str, checks.ParameterValue]]:
+        """All parameters of nodes, in the form that these take, with their defaults."""
+        return self._by_node(self.search_space().defaults)
+
+    def _by_node(
+        self, parameters: Mapping[str, Value]
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
         values: dict[str, dict[str, checks.ParameterValue]] = {}
         for name, value in parameters.items():
             item = self.parameters[name]
@@ -686,7 +720,8 @@ class Study:
     def with_fixed(self, values: Mapping[str, Value]) -> "Study":
         """Return the study with some tuned parameters kept at a value, checked again.
 
-        What `start` and `park` say of these is left out.
+        What `start` and `park` say of these is left out, and what is never active with them is
+        fixed as well.
 
         Raises
         ------
@@ -701,13 +736,18 @@ class Study:
         complete = self.complete_set(values)
         for name in values:
             parameters[name] = parameters[name].fixed_at(complete[name])
+        for name in Activity(parameters).never_active():
+            if parameters[name].is_tuned:
+                parameters[name] = parameters[name].fixed_at(complete[name])
+        tuned = {name for name, item in parameters.items() if item.is_tuned}
+        fixed = self.parameters.keys() - tuned
         start = tuple(
             given
             if isinstance(given, str)
-            else {name: value for name, value in given.items() if name not in values}
+            else {name: value for name, value in given.items() if name not in fixed}
             for given in self.start
         )
-        kept = {k: value for k, value in self.park.parameters.items() if k not in values}
+        kept = {k: value for k, value in self.park.parameters.items() if k not in fixed}
         park = dataclasses.replace(self.park, parameters=kept)
         return dataclasses.replace(self, parameters=parameters, start=start, park=park)
 
@@ -719,9 +759,10 @@ class Study:
             if not self.parameters[name].is_tuned:
                 raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
         try:
-            _ = self.safe_parameters
+            safe = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
+        self._check_given(self.park.parameters, safe, *path)
 
     def _check_ramp(self) -> None:
         """Refuse a ramp on whose way orders and conditions need not hold."""
@@ -733,6 +774,13 @@ class Study:
                 f"permitted ({problem}); leave out ramp, or this rule",
                 ("run", "ramp"),
             )
+
+
+def _agree(own: Value, given: object) -> bool:
+    """Whether a value is the study's own; one that is computed need not be so to the last bit."""
+    if isinstance(own, float) and isinstance(given, int | float):
+        return math.isclose(own, given, rel_tol=1e-9)
+    return own == given
 
 
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:

@@ -73,8 +73,11 @@ def prospects_in(study: Study, models: Surrogates) -> Prospects:
         return Prospects(chance)
     beyond = []
     for name in space.numbers:
+        own = points[space.has(name, points)]
         for side, coordinate in ((LOWER, -BEYOND), (UPPER, 1.0 + BEYOND)):
-            moved = points.copy()
+            if not len(own):
+                continue
+            moved = own.copy()
             moved[:, space.names.index(name)] = coordinate
             beyond.append(Beyond(name, side, float(_feasibility(models, moved).max())))
     expected = [item for item in beyond if item.chance >= BELIEVED_FEASIBLE]

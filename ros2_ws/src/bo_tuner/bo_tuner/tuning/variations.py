@@ -159,7 +159,8 @@ def _single(space: SearchSpace, *, whole_range: bool) -> dict[str, tuple[Value, 
         if len(moved) == 1 and (whole_range or moved[0] in space.numbers):
             values_of[moved[0]].append(neighbour[moved[0]])
     if whole_range:
-        values_of |= {name: _ends(space, name) for name in space.numbers}
+        inactive = space.inactive(space.defaults)
+        values_of |= {name: _ends(space, name) for name in space.numbers if name not in inactive}
     return {name: tuple(values) for name, values in values_of.items() if values}
 
 

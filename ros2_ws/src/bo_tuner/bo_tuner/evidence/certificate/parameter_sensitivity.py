@@ -99,7 +99,8 @@ def parameter_sensitivity(
     optimum, *others = (
         Neighbour(
             parameters=item,
-            changed={n: tuned[k][n] for n in space.names if tuned[k][n] != tuned[0][n]},
+            # What has its default as it is not active is not set.
+            changed={n: v for n, v in space.active(tuned[k]).items() if v != tuned[0][n]},
             objective=float(objective[k]),
             feasibility=float(feasibility[k]),
             loss=float(loss[k]),

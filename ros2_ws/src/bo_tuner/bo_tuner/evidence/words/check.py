@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from functools import singledispatch
 
 from bo_tuner.evidence.check import (
+    Absent,
     CertificateTime,
     DefaultBeyond,
     FarOff,
@@ -221,6 +222,11 @@ def limits(constraints: Sequence[Constraint]) -> str:
 def _(fact: SetFailed) -> str:
     runs = f"{fact.failed} of {counted(fact.runs, 'run')}"
     return f"{fact.whose}: {runs} failed: {brief(fact.why)}"
+
+
+@in_words.register
+def _(fact: Absent) -> str:
+    return f"not tried: {listed(fact.parameters)}, which the default does not have"
 
 
 @in_words.register

@@ -14,6 +14,8 @@ from bo_tuner.evidence.facts import (
     Basis,
     BetterSet,
     Biases,
+    Branch,
+    Branches,
     CertificateBegun,
     Claim,
     ClaimedLimit,
@@ -282,6 +284,20 @@ def _better(fact: PassedOver, better: BetterSet) -> str:
     kept = f"{text.percent(better.feasibility)} likely within limits"
     why = "no runs were left to confirm it" if better.shown else "too little"
     return f"trial {better.trial} ({value}, {kept}, {why})"
+
+
+@in_words.register
+def _(fact: Branches) -> str:
+    each = "; ".join(_branch(fact, branch) for branch in fact.branches)
+    return f"The best of each branch by the trials, in the mean: {each}."
+
+
+def _branch(fact: Branches, branch: Branch) -> str:
+    trials = counted(branch.trials, "trial")
+    if branch.best is None:
+        return f"{branch.name}, {trials}: none within limits"
+    value = f"{fact.title} {shown(branch.objective)} {fact.unit}".rstrip()
+    return f"{branch.name}, {trials}: {value} in trial {branch.best}"
 
 
 @in_words.register

@@ -55,7 +55,7 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
     table.add_column("")
     for name in ("default", "tuned", "difference", "limit"):
         table.add_column(name, justify="right")
-    defaults = study.search_space().defaults
+    defaults, tuned = map(study.on_screen, (study.search_space().defaults, tuned))
     for name, item in study.parameters.items():
         now, new = defaults[name], tuned[name]
         table.add_row(

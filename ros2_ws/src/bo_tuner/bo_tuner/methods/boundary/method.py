@@ -91,6 +91,7 @@ class Boundary(Method):
 
     cuts_short: ClassVar[bool] = True
     takes_simulations: ClassVar[bool] = True
+    takes_priors: ClassVar[bool] = True
 
     models: PooledModels = field(default_factory=PooledModels)
     acquisition: AcquisitionRule = constrained_improvement

@@ -220,7 +220,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         ) -> Iterator[tuple[Array, str]]:
             # A generator of its own, so that the search draws the same with and without this check.
             (own,) = rng.spawn(1)
-            if ends_in_a_basin(surrogates, self.space, self._acquisition, self.avoid, own):
+            if ends_in_a_basin(surrogates, self.space, self._rule, self.avoid, own):
                 tried = [*self.trials, *self.pending]
                 point = elsewhere(surrogates, self.space, tried, self.avoid, own)
                 if point is not None:

@@ -52,6 +52,7 @@ class Safe(Boundary):
     cuts_short: ClassVar[bool] = False
     # What is safe on the machine is to be known from the machine alone.
     takes_simulations: ClassVar[bool] = False
+    takes_priors: ClassVar[bool] = False
 
     @property
     def ranking(self) -> PooledRanking:

@@ -28,8 +28,8 @@ Berkenkamp, Schoellig and Krause (2016). Safe controller optimization for quadro
 processes. ICRA.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -137,18 +137,24 @@ class Reach:
         Trials of these parameter sets, at least one.
     travel : ndarray, shape (d,)
         Largest distance of each number in the unit cube.
+    dependent
+        The same, by name, of those that follow from an equality of others.
     """
 
     space: SearchSpace
     kept: Sequence[Trial]
     travel: Array
+    dependent: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, study: Study, kept: Sequence[Trial], travel: float, trust: float) -> "Reach":
         """Return the reach in a study, less with less trust; `travel` is that of most numbers."""
         space = study.search_space()
-        own = [study.parameters[name].travel for name in space.names]
-        return cls(space, kept, trust * np.array([travel if t is None else t for t in own]))
+        own = {name: study.parameters[name].travel for name in study.tuned_names}
+        reach = {name: trust * (travel if t is None else t) for name, t in own.items()}
+        names = space.names
+        beside = {name: reach[name] for name in reach.keys() - set(names)}
+        return cls(space, kept, np.array([reach[name] for name in names]), beside)
 
     def candidates(self, towards: Array, rng: np.random.Generator) -> Array:
         """Draw points (m, d) within reach, some of them in a straight line to a point (d,)."""
@@ -168,5 +174,9 @@ class Reach:
         # The repair may move a point farther, for the sake of order or of a condition.
         near = (np.abs(drawn - owners) <= self.travel + 1e-9) | (drawn == owners)
         near[:, ~numbers] = drawn[:, ~numbers] == owners[:, ~numbers]
+        before = self.space.dependent(owners)
+        for name, after in self.space.dependent(drawn).items():
+            # What follows from others may go farther than each of them.
+            near &= (np.abs(after - before[name]) <= self.dependent[name] + 1e-9)[:, None]
         steps = [p for t in self.kept for p in self.space.integer_neighbours(t.parameters)]
         return np.vstack([drawn[near.all(axis=1)], self.space.cube_of(steps)])

@@ -213,12 +213,13 @@ def _settings(analysis: Analysis) -> Iterator[Setting]:
     if result is None:
         return
     notes = {each.parameter: f"at its {each.side} bound" for each in analysis.verdict.at_bounds}
+    defaults, tuned = map(analysis.study.on_screen, (analysis.defaults, result.parameters))
     for name, item in analysis.study.parameters.items():
         if item.is_tuned:
             yield Setting(
                 with_unit(item.title_and_name, item.unit),
-                number(analysis.defaults[name]),
-                number(result.parameters[name]),
+                number(defaults[name]),
+                number(tuned[name]),
                 notes.get(name, ""),
                 _track(analysis, item),
             )
@@ -229,11 +230,12 @@ def _fixed(analysis: Analysis) -> str:
     result = analysis.answer
     if result is None:
         return ""
+    inactive = analysis.study.search_space().inactive(result.parameters)
     return "; ".join(
         f"{item.title_and_name} {number(result.parameters[name])} "
         f"({f'as {item.tied_to}' if item.tied_to else 'not tuned'})"
         for name, item in analysis.study.parameters.items()
-        if not item.is_tuned
+        if not item.is_tuned and name not in inactive
     )
 
 
@@ -241,6 +243,8 @@ def _track(analysis: Analysis, item: Parameter) -> Track | None:
     """Return where a number is on its range; None for what is none."""
     space, result = analysis.study.search_space(), analysis.answer
     if result is None or item.name not in space.numbers:
+        return None
+    if item.name in space.inactive(result.parameters):
         return None
     column = space.names.index(item.name)
     tuned = space.to_cube(analysis.tuned_values(result.parameters))

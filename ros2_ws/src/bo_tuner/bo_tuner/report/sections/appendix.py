@@ -18,7 +18,7 @@ NEIGHBOURS = 3
 def all_trials(analysis: Analysis) -> Section:
     """List all trials, with marks on the result and on the trials next to it."""
     study = analysis.study
-    names = study.search_space().names
+    names = study.tuned_names
     metrics = [study.metrics[objective.metric] for objective in study.objectives]
     worst = study.worst_case_constraints
     header = [
@@ -31,7 +31,8 @@ def all_trials(analysis: Analysis) -> Section:
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
-        row = [str(trial.number), *(number(trial.parameters[n]) for n in names)]
+        parameters = study.on_screen(trial.parameters)
+        row = [str(trial.number), *(number(parameters[n]) for n in names)]
         row += [number(analysis.estimate(trial, metric.name).value) for metric in metrics]
         worst_cases = [trial.worst_cases.get(constraint.name) for constraint in worst]
         row += [number(None if item is None else item.value) for item in worst_cases]

@@ -109,7 +109,7 @@ def _in_a_line(study: Study, point: Point, *, is_result: bool) -> str:
 def _values(analysis: Analysis, trial: Trial) -> Table:
     """Return the tuned parameters of a trial, beside those of the answer and of the default."""
     study, answer = analysis.study, analysis.answer
-    names = study.search_space().names
+    names = study.tuned_names
     columns = {f"trial {trial.number}": trial.parameters, "default": analysis.defaults}
     if answer is not None and answer.number != trial.number:
         columns = {**columns, analysis.answer_name: answer.parameters}
@@ -119,7 +119,7 @@ def _values(analysis: Analysis, trial: Trial) -> Table:
         rows=[
             [
                 with_unit(study.parameters[name].title_and_name, study.parameters[name].unit),
-                *(number(values[name]) for values in columns.values()),
+                *(number(values[name]) for values in map(study.on_screen, columns.values())),
             ]
             for name in names
         ],

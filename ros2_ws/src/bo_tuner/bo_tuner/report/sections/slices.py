@@ -40,7 +40,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     """Show how objective and constraints depend on each parameter, with the others fixed."""
     study = analysis.study
     at = analysis.tuned_values(answer.parameters)
-    grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().numbers]
+    grids = [parameter_grid(study, name, at, FINE) for name in analysis.numbers_of(answer)]
     limited = [
         (study.constraints[name], model) for name, model in analysis.models.constraints.items()
     ]

@@ -67,7 +67,7 @@ def command(analysis: Analysis) -> str:
     if record.backend == IN_PROCESS:
         words += ["--backend", IN_PROCESS]
     for name in space.names:
-        if name not in space.numbers:
+        if name not in space.numbers and name in space.active(answer.parameters):
             words += ["--set", f"{name}={shown(answer.parameters[name])}"]
     return shlex.join(words)
 
@@ -98,7 +98,7 @@ def _grids(analysis: Analysis) -> list[ParameterGrid]:
     if answer is None or analysis.models.objective is None:
         return []
     at = analysis.tuned_values(answer.parameters)
-    names = analysis.study.search_space().numbers
+    names = analysis.numbers_of(answer)
     return [_with(analysis, parameter_grid(analysis.study, name, at, POINTS)) for name in names]
 
 
