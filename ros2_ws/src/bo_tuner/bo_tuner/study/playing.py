@@ -64,6 +64,14 @@ class Answer(Section):
     alone = Alone(str, lambda topic: {"topic": topic}, "a topic such as /odometry")
 
 
+def in_short(answers: Mapping[str, Answer]) -> dict[str, object]:
+    """Return answers as a study file has them."""
+    return {
+        topic: item.topic if item.every == 1 else {"topic": item.topic, "every": item.every}
+        for topic, item in answers.items()
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class Play(Section):
     """Plays a bag to the nodes, by whose time the run goes.

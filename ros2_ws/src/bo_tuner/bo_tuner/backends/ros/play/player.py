@@ -3,7 +3,7 @@
 import dataclasses
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.messages import has_header, interface_class
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.play.answering import answers
 from bo_tuner.backends.ros.play.bag import Bag, Message
 from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError
 from bo_tuner.backends.ros.play.play_clock import DEPTH, PlayClock
@@ -99,6 +100,26 @@ class Player:
         if self.duration <= 0.0:
             total = (bag.end - bag.start) * 1e-9
             raise StudyError(f"the bag is {total:.3g} s long", ("begin",))
+
+    def hear(self, topics: Iterable[str]) -> None:
+        """Note what nodes answer on some topics, in runs to come."""
+        for topic in topics:
+            self._lockstep.hear(topic)
+
+    @property
+    def heard(self) -> Sequence[str]:
+        """The topics of the bag in play that a node hears."""
+        return self._known[self._play.bag].heard
+
+    @property
+    def answers(self) -> dict[str, Answer]:
+        """On which of the topics that are noted messages were answered in the latest run."""
+        return answers(self._lockstep.settled, self._lockstep.answered)
+
+    @property
+    def latest(self) -> Mapping[str, bytes]:
+        """The latest message on each of the topics that are noted."""
+        return self._lockstep.latest
 
     @property
     def is_over(self) -> bool:
