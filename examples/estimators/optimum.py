@@ -1,6 +1,6 @@
 """The parameters that are best on the worst of some bags, found without ROS and the tuner.
 
-python optimum.py axis cuts/*
+python optimum.py axis cuts/trial_*
 python optimum.py attitude flights/*
 """
 
