@@ -112,7 +112,8 @@ def test_the_filter_of_the_axis_gives_what_the_controller_has_estimated(
     filter_, heard = axis.Filter(*parameters.values()), list(optimum.messages(bags[0]))
     found = [result[0] for message in heard if (result := filter_.take(*message))]
     assert found == estimated
-    backend = backend_of(EXAMPLE, ('["cuts/trial_*"]', f"[{bags[0]}, {bags[1]}]"), study="axis.yaml")
+    named = f"[{bags[0]}, {bags[1]}]"
+    backend = backend_of(EXAMPLE, ('["cuts/trial_*"]', named), study="axis.yaml")
     played = metrics(backend, parameters, {"cuts": str(bags[0])})
     # The measure is a mean over the time, not over the messages.
     expected = optimum.surprise(heard, axis.Filter(*parameters.values()))

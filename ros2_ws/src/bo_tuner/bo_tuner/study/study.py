@@ -339,6 +339,11 @@ class Study:
         """Whether its runs play bags."""
         return self.run is not None and self.run.play is not None
 
+    def bag_in(self, context: Context) -> str:
+        """Return the bag that a run in a context plays; empty if it plays none."""
+        play = None if self.run is None else self.run.play
+        return "" if play is None else play.filled(context).bag
+
     @property
     def growing_metrics(self) -> list[str]:
         """Names of the metrics that only grow during a run."""

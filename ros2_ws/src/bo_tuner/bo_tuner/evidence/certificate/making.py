@@ -108,7 +108,7 @@ def make_certificate(
             *_rounded(findings, held),
             *map(in_words, drifts(study, drawn)),
             *map(in_words, two_kinds(study, drawn)),
-            *map(in_words, uneven(tuned.evaluations)),
+            *map(in_words, uneven(study, tuned.evaluations)),
         ),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
