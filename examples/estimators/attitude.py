@@ -93,7 +93,8 @@ def flight(seed: int, seconds: float = 30.0) -> Flight:
     times = np.arange(round(seconds * RATE)) / RATE
     made = Flight(times)
     waves = rng.uniform([0.03, 0.0], [0.3, 2 * math.pi], (3, 2, 2))
-    angles = 0.25 * np.array(
+    # It begins level.
+    angles = np.minimum(0.1 * times, 0.3) * np.array(
         [sum(np.sin(2 * math.pi * f * times + phase) for f, phase in axis) for axis in waves]
     )
     made.truth = [rotation_of(*column) for column in angles.T.tolist()]

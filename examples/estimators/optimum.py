@@ -1,4 +1,4 @@
-"""The parameters that are best on the worst of some bags, found without ROS and the tuner.
+"""The parameters that are best on the mean of some bags, found without ROS and the tuner.
 
 python optimum.py axis cuts/trial_*
 python optimum.py attitude flights/*
@@ -7,6 +7,7 @@ python optimum.py attitude flights/*
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from statistics import mean
 
 import attitude
 import axis
@@ -70,19 +71,19 @@ def main(what: str, bags: Sequence[str]) -> None:
     if what == "axis":
         heard = [list(messages(Path(bag))) for bag in bags]
 
-        def worst(exponents: Sequence[float]) -> float:
+        def mean_surprise(exponents: Sequence[float]) -> float:
             noise = exponents[0], 10.0 ** exponents[1]
-            return max(surprise(each, axis.Filter(*noise)) for each in heard)
+            return mean(surprise(each, axis.Filter(*noise)) for each in heard)
 
-        (exponent, variance), least = best(worst, [-3.0, -3.0])
+        (exponent, variance), least = best(mean_surprise, [-3.0, -3.0])
         print(f"lambda_kf {exponent:.3g}, measurement_variance {10.0**variance:.3g}: {least:.4g}")
         return
     flights = [attitude.flight(int(bag.rpartition("_")[2])) for bag in bags]
 
-    def worst_error(exponents: Sequence[float]) -> float:
-        return max(tilt_error(each, attitude.Filter(*np.exp(exponents))) for each in flights)
+    def mean_error(exponents: Sequence[float]) -> float:
+        return mean(tilt_error(each, attitude.Filter(*np.exp(exponents))) for each in flights)
 
-    exponents, least = best(worst_error, np.log([1.0, 0.1, 0.3]))
+    exponents, least = best(mean_error, np.log([1.0, 0.1, 0.3]))
     gain, bias_gain, trust = np.exp(exponents)
     print(f"gain {gain:.3g}, bias_gain {bias_gain:.3g}, trust {trust:.3g}: {least:.4g} rad")
 
