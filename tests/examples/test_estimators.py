@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, kstest
 
 from bo_tuner.package_files import config_directory
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -118,3 +119,21 @@ def test_the_filter_of_the_axis_gives_what_the_controller_has_estimated(
     # The measure is a mean over the time, not over the messages.
     expected = optimum.surprise(heard, axis.Filter(*parameters.values()))
     assert played["surprise"] == pytest.approx(expected, rel=0.01)
+
+
+def test_innovations_of_a_consistent_filter_have_the_law_of_chi_square(module_of):
+    """Of an axis that has the variances of the filter; the limits of the examples are its."""
+    assert float(f"{chi2.ppf(0.95, 1):.2f}") == 3.84
+    assert float(f"{chi2.ppf(0.95, 2):.2f}") == 5.99
+    axis = module_of(EXAMPLE, "axis")
+    filter_, rng = axis.Filter(-3.0, 1e-3), np.random.default_rng(4)
+    model, state = filter_.settings.model(), filter_.kalman.x[:, 0]
+    squares = []
+    for k in range(2000):
+        command, noise = np.sin(0.05 * k), rng.normal(0.0, np.sqrt(1e-3), len(state))
+        measured = float((model.C @ state)[0]) + rng.normal(0.0, np.sqrt(1e-3))
+        _, innovation, variance = filter_.take(axis.MEASURED, 2 * k, measured)
+        filter_.take(axis.COMMAND, 2 * k, command)
+        squares.append(innovation**2 / variance)
+        state = model.A @ state + model.B[:, 0] * command + noise
+    assert kstest(squares, chi2(1).cdf).pvalue > 0.01
