@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import commands
@@ -180,9 +181,30 @@ def test_late_and_dropped_messages(opened, drives):
     assert none["worst"] == pytest.approx(distances.max(), rel=1e-9)
 
 
+def test_noise_that_is_added(opened, drives):
+    """White, and the same each time, so that the filter without ROS can have it, too."""
+    contexts = {"level": {"distribution": "uniform", "bounds": [0.0, 1.0]}}
+    play = {"bag": "drive_1", "noise": {"/imu": {"angular_velocity.z": "{level}"}}}
+    backend = opened(drives, play, contexts)
+    made, rng = robot.drive(1, SECONDS), np.random.default_rng(zlib.crc32(b"/imu"))
+    made.gyro = [(time, rate + 0.3 * rng.normal()) for time, rate in made.gyro]
+    estimates = robot.estimates(made, robot.Filter(**TUNED))
+    distances = np.hypot(*(estimates[:, 1:3] - made.truth[:, :2]).T)
+    noisy = complete(backend, {"level": 0.3})
+    assert noisy["worst"] == pytest.approx(distances.max(), rel=1e-9)
+    assert complete(backend, {"level": 0.0})["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
+    play = {"bag": "drive_1", "noise": {"/imu": {"angular_velocity.w": 0.1}}}
+    assert "play.noise./imu.angular_velocity.w: " in refused(opened, drives, play)
+
+
 def test_a_part_of_a_bag(opened, drives):
     backend = opened(drives, {"bag": "drive_1", "begin": 2.0, "end": 5.0})
-    assert complete(backend)["length"] == pytest.approx(3.0, abs=0.05)
+    part = complete(backend)
+    assert part["length"] == pytest.approx(3.0, abs=0.05)
+    # As a piece of a bag has it, which is a context of its own.
+    contexts = {"drive": {"distribution": "discrete", "values": ["drive_1", "drive_1@2-5"]}}
+    backend = opened(drives, "{drive}", contexts)
+    assert complete(backend, {"drive": "drive_1@2-5"}) == part
 
 
 def test_answers_that_are_waited_for(opened, drives):
@@ -340,7 +362,11 @@ def test_two_bags_of_one_drive(opened, drives, tmp_path):
 @pytest.mark.slow
 def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     """What is tuned on two drives is run on others, and drives that were used are refused."""
-    content = mapping(drives, "{drive}", {"drive": {"bags": ["drive_1", "drive_2"]}})
+    contexts = {
+        "drive": {"bags": ["drive_1", "drive_2"]},
+        "late": {"distribution": "uniform", "bounds": [0.0, 0.1]},
+    }
+    content = mapping(drives, {"bag": "{drive}", "delay": {"/fix": "{late}"}}, contexts)
     content["constraints"] = {
         "kept": {"kind": "chance", "metric": "error", "upper": 50.0, "probability": 0.5}
     }

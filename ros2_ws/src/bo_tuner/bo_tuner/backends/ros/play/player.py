@@ -18,6 +18,7 @@ from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.play.answering import answers
 from bo_tuner.backends.ros.play.bag import Bag, Message
 from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError
+from bo_tuner.backends.ros.play.noise import Noise
 from bo_tuner.backends.ros.play.play_clock import DEPTH, PlayClock
 from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
@@ -193,12 +194,27 @@ class Player:
             {in_bag[topic]: float(amount) for topic, amount in amounts.items()}
             for amounts in (play.delay, play.drop)
         )
+        noise = self._noise(play, known.bag, known.topics)
         try:
             for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
-                yield message._replace(topic=known.topics[message.topic])
+                topic, data = known.topics[message.topic], message.data
+                if topic in noise:
+                    data = noise[topic](data)
+                yield Message(message.time, topic, data)
         except StudyError as error:
             # It has been read before: it is gone or changed since.
             raise BackendError(str(error)) from error
+
+    @staticmethod
+    def _noise(play: Play, bag: Bag, topics: Mapping[str, str]) -> dict[str, Noise]:
+        """Return what adds noise, by the topic as it is played."""
+        made = {}
+        for name, topic in topics.items():
+            if topic in play.noise:
+                amounts = {path: float(item) for path, item in play.noise[topic].items()}
+                with under("noise", topic):
+                    made[topic] = Noise(topic, bag.types[name], amounts)
+        return made
 
     def _refuse_late(self) -> None:
         """Raise `StudyError` if a node hears a topic by now that was therefore not played."""
@@ -237,9 +253,10 @@ class Player:
         topics = self._find_topics(play, bag)
         stamped = {name for name, topic in topics.items() if self._offer(topic, bag.types[name])}
         bag.check(topics, stamped)
-        for key in ("answers", "delay", "drop"):
+        for key in ("answers", "delay", "drop", "noise"):
             for name in getattr(play, key):
                 checks.reference(name, "topic that is played", topics.values(), key, name)
+        self._noise(play, bag, topics)
         for name, spec in play.answers.items():
             with under("answers", name):
                 self._lockstep.hear(spec.topic)
@@ -327,6 +344,7 @@ class Player:
             },
             delay={full(name): amount for name, amount in play.delay.items()},
             drop={full(name): amount for name, amount in play.drop.items()},
+            noise={full(name): amounts for name, amounts in play.noise.items()},
         )
 
     def _resolved(self, topic: str) -> str:
