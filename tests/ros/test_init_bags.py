@@ -73,6 +73,7 @@ def test_a_node_that_is_started(run, tmp_path):
     code, out, err = run("check", "study.yaml", "--no-sensitivity")
     assert (code, err) == (0, "")
     assert "the nodes match the study: 3 parameters and 9 signals\n" in out
+    assert "write answers: {/imu: /estimate} into play\n" in out
 
 
 def test_a_node_that_runs_already(run, tmp_path):

@@ -15,6 +15,7 @@ from bo_tuner.backends.ros.processes import NodeProcess
 from bo_tuner.backends.ros.started_nodes import found_program
 from bo_tuner.backends.ros.survey import survey
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.cli.answers import show_answers
 from bo_tuner.cli.chooser import Chooser
 from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_OK
@@ -34,7 +35,7 @@ from bo_tuner.study.offers import (
     suggested_parameters,
 )
 from bo_tuner.study.parameter_kinds import Kind
-from bo_tuner.study.playing import is_bag
+from bo_tuner.study.playing import Play, is_bag
 from bo_tuner.study.roles import is_commanded, is_plant
 from bo_tuner.study.seen import Seen, SeenNode
 from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
@@ -172,7 +173,7 @@ def write_estimator_study(
         before = {*others.nodes(tuner.node)}
         with _started(tuner, command, folder):
             seen, notes = survey(tuner, lambda seen: _has(seen, nodes, parameters, None))
-            heard = hear(tuner, bags[0], seen.nodes)
+            heard = hear(tuner, Play(bag=str(bags[0].absolute())), folder, seen.nodes)
     for note in notes:
         say(f"note: {note}")
     hearing = dict.fromkeys(name for topic in heard.heard for name in topic.listeners)
@@ -251,9 +252,7 @@ def _started(tuner: TunerNode, command: str, folder: Path) -> Iterator[None]:
 
 def _show_heard(heard: HeardBag, nodes: Sequence[str]) -> None:
     say(f"{listed(nodes)} heard {listed([topic.name for topic in heard.heard])}")
-    for topic, answer in heard.answers.items():
-        often = f", every {answer.every}," if answer.every > 1 else ""
-        say(f"messages on {topic}{often} are answered on {answer.topic}")
+    show_answers(heard.answers)
     for topic in heard.outputs:
         if topic.is_silent:
             say(f"note: nothing came on {topic.name} in the first {SECONDS:g} s of the bag")

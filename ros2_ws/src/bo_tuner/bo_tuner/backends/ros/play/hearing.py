@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -29,8 +30,8 @@ LONGEST = 120.0
 """Longest time [s] that this takes."""
 
 
-def hear(tuner: TunerNode, path: Path, nodes: Iterable[SeenNode]) -> HeardBag:
-    """Play the beginning of a bag to running nodes.
+def hear(tuner: TunerNode, play: Play, folder: Path, nodes: Iterable[SeenNode]) -> HeardBag:
+    """Play the beginning of a bag, as seen from a folder, to running nodes.
 
     Raises
     ------
@@ -39,15 +40,20 @@ def hear(tuner: TunerNode, path: Path, nodes: Iterable[SeenNode]) -> HeardBag:
     BackendError
         If a node does not follow.
     """
-    bag = Bag(path.absolute())
+    bag = Bag(folder / play.bag)
     ends = _Ends(tuner, nodes)
-    listeners = {name: ends.of(others.subscribers(tuner.node, name)) for name in bag.types}
+    listeners = {
+        name: ends.of(others.subscribers(tuner.node, play.remap.get(name, name)))
+        for name in bag.types
+    }
     if not any(listeners.values()):
         raise StudyError(_nothing_in_common(tuner, bag, ends))
     own: dict[str, OwnTopic] = {}
     clock = PlayClock(tuner, own, None)
+    last = play.begin + SECONDS
+    play = replace(play, end=last if play.end is None else min(play.end, last))
     try:
-        player = Player(tuner, Play(bag=str(bag.path), end=SECONDS), "", {}, own, clock, None)
+        player = Player(tuner, play, str(folder), {}, own, clock, None)
         try:
             return _play(tuner, player, clock, bag, ends, listeners)
         finally:
