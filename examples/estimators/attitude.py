@@ -87,7 +87,7 @@ def roll_pitch(rotation: Quaternion) -> tuple[float, float]:
     return math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), math.asin(sine)
 
 
-def flight(seed: int, seconds: float = 30.0) -> Flight:
+def flight(seed: int, seconds: float = 60.0) -> Flight:
     """Make a flight; the same one for the same seed."""
     rng = np.random.default_rng(seed)
     times = np.arange(round(seconds * RATE)) / RATE

@@ -16,7 +16,7 @@ class AttitudeNode(Node):
 
     def __init__(self) -> None:
         super().__init__("attitude")
-        names = {"gain": 1.0, "bias_gain": 0.1, "trust": 5.0}
+        names = {"gain": 5.0, "bias_gain": 0.1, "trust": 5.0}
         gains = [self.declare_parameter(name, value).value for name, value in names.items()]
         self.filter = Filter(*gains)
         self.began: int | None = None

@@ -115,16 +115,13 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("count", type=int)
     parser.add_argument("--first", type=int, default=1, help="number of the first one")
-    parser.add_argument("--seconds", type=float, help="length of each (default: 60, flights 30)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each")
     parser.add_argument("--flights", action="store_true", help="of the vehicle in the air")
     arguments = parser.parse_args()
-    make_one, name, usual = (write, "drive", 60.0)
-    if arguments.flights:
-        make_one, name, usual = (write_flight, "flight", 30.0)
-    seconds = arguments.seconds or usual
+    make_one, name = (write_flight, "flight") if arguments.flights else (write, "drive")
     for seed in range(arguments.first, arguments.first + arguments.count):
-        make_one(arguments.folder / f"{name}_{seed}", seed, seconds)
-    print(f"{arguments.count} {name}s of {seconds:g} s in {arguments.folder}")
+        make_one(arguments.folder / f"{name}_{seed}", seed, arguments.seconds)
+    print(f"{arguments.count} {name}s of {arguments.seconds:g} s in {arguments.folder}")
 
 
 if __name__ == "__main__":

@@ -300,6 +300,50 @@ def test_a_topic_that_is_heard_late(opened, drives, tmp_path):
         run(backend)
 
 
+OTHER = f"""
+import sys
+sys.path.insert(0, {str(FOLDER)!r})
+import ekf_node
+from rosgraph_msgs.msg import Clock
+
+class Other(ekf_node.EkfNode):
+    def __init__(self):
+        super().__init__()
+        if "clock" in sys.argv:
+            self.time = self.create_publisher(Clock, "/clock", 10)
+        else:
+            self.publisher.publish = lambda message: None
+
+    def take_rate(self, message):
+        if "clock" in sys.argv:
+            self.time.publish(Clock(clock=message.header.stamp))
+        super().take_rate(message)
+
+ekf_node.EkfNode = Other
+ekf_node.main()
+"""
+"""The filter with a clock of its own, or with nothing to say."""
+
+
+def other_node(folder, *arguments):
+    (folder / "other.py").write_text(OTHER)
+    command = shlex.join([sys.executable, str(folder / "other.py"), *arguments])
+    return {"ekf": {"node": "ekf", "command": command, "at_start": True}}
+
+
+def test_a_node_that_publishes_a_clock(opened, drives, tmp_path):
+    assert refused(opened, drives, "drive_1", nodes=other_node(tmp_path, "clock")) == (
+        "run.start[0].play: ekf publishes /clock, which in such a run is the time of the bag; "
+        "end that, or remap it"
+    )
+
+
+def test_a_node_that_answers_nothing(opened, drives, tmp_path):
+    outcome = run(opened(drives, "drive_1", nodes=other_node(tmp_path)))
+    assert outcome.state is EvaluationState.FAILED
+    assert outcome.reason.startswith("signal x (/estimate) has 0 messages in a run of ")
+
+
 def test_topics_that_are_named_are_waited_for(opened, drives, tmp_path):
     topics = ["/imu", "/ground_truth", "/wheel/odom", "/fix"]
     play = {"bag": "drive_1", "topics": topics}

@@ -251,6 +251,11 @@ class Player:
                     ("bag",),
                 )
         topics = self._find_topics(play, bag)
+        if timing := others.publishers(self._tuner.node, CLOCK):
+            raise StudyError(
+                f"{timing[0].node_name} publishes {CLOCK}, which in such a run is the time of the "
+                "bag; end that, or remap it"
+            )
         stamped = {name for name, topic in topics.items() if self._offer(topic, bag.types[name])}
         bag.check(topics, stamped)
         for key in ("answers", "delay", "drop", "noise"):
