@@ -136,6 +136,13 @@ def test_the_node_gets_each_message_in_its_turn(opened, drives):
     """The largest error is that of the same filter without ROS, which takes them in order."""
     backend = opened(drives, "drive_1")
     assert complete(backend)["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
+    outcome = run(backend)
+    assert outcome.notes.played == {
+        "/ground_truth": SECONDS * robot.RATE,
+        "/wheel/odom": SECONDS * robot.RATE / 2,
+        "/imu": SECONDS * robot.RATE,
+        "/fix": len(robot.drive(1, SECONDS).fixes),
+    }
     other = complete(backend, speed_noise=2.0)["worst"]
     assert other == pytest.approx(errors(1, speed_noise=2.0).max(), rel=1e-9)
 
@@ -419,6 +426,9 @@ def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     (tmp_path / "study.yaml").write_text(strict_yaml.dump(content))
     code, _, err = commands.run("tune", "--study", "study.yaml", "--quiet", folder=tmp_path)
     assert code == 0, err
+
+    code, out, err = commands.run("replay", "latest", folder=tmp_path)
+    assert (code, out.count("equal"), "confirmed" in out) == (0, 3, True), err
 
     def validate(*bags):
         words = ("--drives", *map(str, bags)) if bags else ()

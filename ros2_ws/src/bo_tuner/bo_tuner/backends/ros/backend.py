@@ -495,7 +495,9 @@ class RosBackend(SequentialBackend):
         if self._procedure is None:
             return outcome
         return outcome.noted(
-            signals=self._procedure.recording.counts(), streams=self._procedure.published()
+            signals=self._procedure.recording.counts(),
+            streams=self._procedure.published(),
+            played=self._procedure.played(),
         )
 
     def _rest(self, procedure: Procedure) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -58,6 +59,8 @@ class Player:
     ----------
     duration : float
         Time [s] that the bag in play takes.
+    played : mapping from str to int
+        Numbers of messages in the latest run, by topic.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class Player:
         self._listener = listener
         self._clock = clock
         self._known: dict[str, _Known] = {}
+        self.played: Counter[str] = Counter()
         self._over = threading.Event()
         self._over.set()
         self._stopped = threading.Event()
@@ -140,6 +144,7 @@ class Player:
         if self._play.lockstep:
             self._lockstep.begin(known.topics.values(), dict(self._play.answers))
         self._fault = None
+        self.played = Counter()
         self._stopped.clear()
         self._over.clear()
         self._thread = threading.Thread(target=self._go_on, name="player", daemon=True)
@@ -172,6 +177,7 @@ class Player:
                     # Timers of a node may be due.
                     self._lockstep.settle(CLOCK, self._play.timeout)
                 self._topics[topic].publish(data)
+                self.played[topic] += 1
                 if self._play.lockstep:
                     self._lockstep.settle(topic, self._play.timeout)
             self._refuse_late()
