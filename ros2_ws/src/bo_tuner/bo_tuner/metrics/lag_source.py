@@ -46,8 +46,11 @@ class LagSource:
                 f"four times `most`, and several in {metric.most:g} s"
             )
         times = np.arange(begin, end, step)
-        sampled = [np.interp(times, s.time, s.value) for s in (late, early)]
-        found = lag(*sampled, int(np.ceil(metric.most / step)))
+        found = lag(
+            np.interp(times, late.time, late.value),
+            np.interp(times, early.time, early.value),
+            int(np.ceil(metric.most / step)),
+        )
         if np.isnan(found):
             raise MissingMetricError(f"metric {metric.name}: a signal does not change")
         return float(np.clip(found * step, -metric.most, metric.most))

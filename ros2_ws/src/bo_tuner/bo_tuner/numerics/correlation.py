@@ -26,7 +26,7 @@ def lag(late: Array, early: Array, most: int) -> float:
         The lag in samples, from -most to most; NaN if one of the signals is constant.
     """
     count = len(late)
-    lags = np.arange(-most - 1, most + 2)
+    lags = range(-most - 1, most + 2)
     coefficients = np.array(
         [
             _coefficient(late[max(k, 0) : count + min(k, 0)], early[max(-k, 0) : count - max(k, 0)])

@@ -285,15 +285,19 @@ def _context_lines(bags: Sequence[str]) -> Iterator[str]:
 
 def _signals(task: Task) -> dict[str, tuple[SeenTopic, str]]:
     """Return topic and field of each signal: the truth first."""
-    estimate = task.pose[1]
+    truth, estimate = task.pose
     pairs: list[tuple[str, str, str]] = []
     if estimate.position:
         deep = task.estimate.fields.get(f"{estimate.position}.z")
         axes = "xyz" if deep else "xy"
-        pairs += [(axis, *(f"{p.position}.{axis}" for p in task.pose)) for axis in axes]
+        at = truth.position, estimate.position
+        pairs += [(axis, f"{at[0]}.{axis}", f"{at[1]}.{axis}") for axis in axes]
     if estimate.orientation:
         angles = ("yaw",) if estimate.position else ("roll", "pitch")
-        pairs += [(angle, *(f"{angle}({p.orientation})" for p in task.pose)) for angle in angles]
+        pairs += [
+            (angle, f"{angle}({truth.orientation})", f"{angle}({estimate.orientation})")
+            for angle in angles
+        ]
     if task.truth is not None and not pairs:
         pairs = [("estimate", _common(task), _common(task))]
     signals = {}
