@@ -66,8 +66,10 @@ def best(cost: Cost, start: Sequence[float]) -> tuple[list[float], float]:
     return found.x.tolist(), float(found.fun)
 
 
-def main(what: str, bags: Sequence[str]) -> None:
-    """Find them, and print them."""
+def main(what: str, *words: str) -> None:
+    """Find them, and print them; or the mean at values that are given by name."""
+    given = dict(word.split("=") for word in words if "=" in word)
+    bags = [word for word in words if "=" not in word]
     if what == "axis":
         heard = [list(messages(Path(bag))) for bag in bags]
 
@@ -75,18 +77,23 @@ def main(what: str, bags: Sequence[str]) -> None:
             noise = exponents[0], 10.0 ** exponents[1]
             return mean(surprise(each, axis.Filter(*noise)) for each in heard)
 
-        (exponent, variance), least = best(mean_surprise, [-3.0, -3.0])
-        print(f"lambda_kf {exponent:.3g}, measurement_variance {10.0**variance:.3g}: {least:.4g}")
+        cost, start, names = mean_surprise, [-3.0, -3.0], ("lambda_kf", "measurement_variance")
+        to_values, to_exponents = lambda x: (x[0], 10.0 ** x[1]), lambda v: (v[0], np.log10(v[1]))
+    else:
+        flights = [attitude.flight(int(bag.rpartition("_")[2])) for bag in bags]
+
+        def mean_error(exponents: Sequence[float]) -> float:
+            return mean(tilt_error(each, attitude.Filter(*np.exp(exponents))) for each in flights)
+
+        cost, start, names = mean_error, np.log([1.0, 0.1, 0.3]), ("gain", "bias_gain", "trust")
+        to_values, to_exponents = np.exp, np.log
+    if given:
+        print(f"mean {cost(to_exponents([float(given[name]) for name in names])):.4g}")
         return
-    flights = [attitude.flight(int(bag.rpartition("_")[2])) for bag in bags]
-
-    def mean_error(exponents: Sequence[float]) -> float:
-        return mean(tilt_error(each, attitude.Filter(*np.exp(exponents))) for each in flights)
-
-    exponents, least = best(mean_error, np.log([1.0, 0.1, 0.3]))
-    gain, bias_gain, trust = np.exp(exponents)
-    print(f"gain {gain:.3g}, bias_gain {bias_gain:.3g}, trust {trust:.3g}: {least:.4g} rad")
+    exponents, least = best(cost, start)
+    values = zip(names, to_values(exponents), strict=True)
+    print(f"{', '.join(f'{name} {value:.3g}' for name, value in values)}: mean {least:.4g}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    main(*sys.argv[1:])
