@@ -1,7 +1,7 @@
 """A trajectory and an estimate of it, and what the package evo makes of them.
 
 evo (M. Grupp, https://github.com/MichaelGrupp/evo, GPL 3.0) is no requirement. In an environment of
-its own, with evo 1.38.1 of PyPI, these numbers are of
+its own, with evo 1.38.1, these numbers are of
 
     python evo_trajectories.py          # writes truth.tum and estimate.tum
     evo_ape tum truth.tum estimate.tum
