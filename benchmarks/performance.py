@@ -40,6 +40,7 @@ SECTIONS = {
     "suggestion_time": ("Time of a proposal", cost.suggestion),
     "library": ("From Python", cost.library),
     "workers": ("Several workers", cost.workers),
+    "playing": ("Runs that play a bag", cost.playing),
     "recording": ("Cost of recording", cost.recording),
     "kill_soak": ("Killed at random moments", faults.kill),
     "helper_kills": ("Processes of a command are killed", faults.helpers),

@@ -50,7 +50,7 @@ CONTENTS = {
     ],
     "Notebooks": [
         "notebooks/pid", "notebooks/worst_case", "notebooks/mpc_weights",
-        "notebooks/gymnasium_task", "notebooks/reading_a_run",
+        "notebooks/gymnasium_task", "notebooks/estimators", "notebooks/reading_a_run",
     ],
     "Reference": ["commands", "study_keys", "study_file", "interfaces", "python_reference"],
     "Explanation": [

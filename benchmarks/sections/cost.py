@@ -88,6 +88,20 @@ def workers(result: Result) -> list[str]:
     return parts
 
 
+def playing(result: Result) -> list[str]:
+    """Tell how many runs in a minute a bag gives."""
+    times = result["runs"]
+    in_lockstep, (by_clock, *_) = times.values()
+    usual = statistics.median(in_lockstep)
+    return [
+        f"A drive of {result['seconds']:g} s played to the filter of the example, the new start of "
+        f"the node for each run included: {60.0 / usual:.2f} runs in a minute in lockstep (from "
+        f"{min(in_lockstep):.0f} to {max(in_lockstep):.0f} s each, on a computer that had other "
+        f"work), {60.0 / by_clock:.2f} at rate 1, as any player that keeps the time of the bag has "
+        f"it: {by_clock / usual:.1f} times as many.",
+    ]
+
+
 def recording(result: Result) -> list[str]:
     """Cost of recording a cut."""
     low, high = result["ratio_quartiles"]

@@ -9,6 +9,7 @@ import math
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from nodes import seconds_since, spin
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from robot import Filter
@@ -45,11 +46,7 @@ class EkfNode(Node):
 
     def take_rate(self, message: Imu) -> None:
         """Go on by a yaw rate, and publish."""
-        stamp = message.header.stamp
-        if self.began is None:
-            self.began = stamp.sec
-        # A double holds a time since 1970 to within a quarter of a microsecond only.
-        time = stamp.sec - self.began + 1e-9 * stamp.nanosec
+        self.began, time = seconds_since(self.began, message.header.stamp)
         self.filter.predict(time, message.angular_velocity.z)
         x, y, yaw, _ = self.filter.state
         estimate = Odometry(header=message.header, child_frame_id="base_link")
@@ -70,14 +67,7 @@ def half_turn(yaw: float) -> tuple[float, float]:
 def main() -> None:
     """Run the node."""
     rclpy.init()
-    node = EkfNode()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    spin(EkfNode())
 
 
 if __name__ == "__main__":

@@ -35,16 +35,16 @@ def backend_of(monkeypatch, tmp_path):
     """Function that opens the study of an example over ROS, as from the root of the repository."""
     opened = []
 
-    def backend(example, *changes):
+    def backend(example, *changes, study="study.yaml"):
         monkeypatch.chdir(ROOT)
         # A backend before this one has left its own here; each takes one that is free.
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-        text = (EXAMPLES / example / "study.yaml").read_text(encoding="utf-8")
+        text = (EXAMPLES / example / study).read_text(encoding="utf-8")
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)
-        study = replace(parse_study(text), folder=str(EXAMPLES / example))
-        opened.append(RosBackend(study, tmp_path))
+        made = replace(parse_study(text), folder=str(EXAMPLES / example))
+        opened.append(RosBackend(made, tmp_path))
         opened[0].open()
         return opened[0]
 

@@ -399,7 +399,7 @@ def test_a_file_that_is_there_is_not_overwritten(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("init", "mine"), "expected a file name that ends in .yaml, found mine"),
+        (("init", "mine"), "expected a file name that ends in .yaml, or a bag, found mine"),
         (("init", "none/mine.yaml"), "none/mine.yaml: there is no folder none"),
         (("init", "mine.yaml", "--no-attach"), "unrecognized arguments: --no-attach"),
         (("check", "benchmark", "--study", "full"), "unrecognized arguments: --study full"),

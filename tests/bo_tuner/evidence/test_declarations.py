@@ -1,6 +1,7 @@
 """What runs contradict: a range, a scale, and that they are alike."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,16 +39,23 @@ def test_a_run_outside_its_range(make_study):
 def test_equal_runs_with_messages_at_different_rates(make_study):
     """Of a simulator that does not wait; each signal is named once, other sets are no matter."""
 
-    def made(trial, gain, messages):
+    def made(trial, gain, messages, drive=""):
         rate = Rate(messages, 5.0 / messages, 6.0 / messages, 0.1, 5.0)
         notes = Notes(rates={"angle": rate, "event": None, "speed": rate})
         outcome = Outcome(EvaluationState.COMPLETE, {}, load=Load(0.0, None), notes=notes)
-        return Evaluation(trial, 0, Stage.DRAWN, {"gain": gain}, {}, 1, outcome)
+        return Evaluation(trial, 0, Stage.DRAWN, {"gain": gain}, {"drive": drive}, 1, outcome)
 
-    assert not [*uneven([made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)])]
-    (found,) = uneven([made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)])
+    study = make_study()
+    assert not [*uneven(study, [made(1, 0.5, 250), made(2, 0.7, 160), made(1, 0.5, 245)])]
+    runs = [made(1, 0.5, 250), made(1, 0.5, 78), made(2, 0.7, 250), made(2, 0.7, 160)]
+    (found,) = uneven(study, runs)
     assert (found.first.signal, found.others) == ("angle", ("speed",))
     assert (found.first.least, found.first.most) == pytest.approx((78 / 5, 250 / 5))
+
+    # A bag has its own gaps.
+    plays = SimpleNamespace(bag_in=lambda context: context["drive"])
+    assert not [*uneven(plays, [made(1, 0.5, 250, "a"), made(1, 0.5, 160, "b")])]
+    assert [*uneven(plays, [made(1, 0.5, 250, "a"), made(1, 0.5, 160, "a")])]
 
 
 def test_values_without_a_logarithm(make_study):

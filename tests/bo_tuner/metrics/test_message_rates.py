@@ -169,6 +169,12 @@ def test_a_signal_that_nothing_is_made_of_fails_no_run():
     assert used_signals(study_from_mapping(aborting)) - {"t"} == {"setpoint", "angle", "unused"}
 
 
+def test_a_bag_has_its_own_gaps():
+    run = {"clock": "sim", "start": [{"play": "drive"}], "end": "played"}
+    played = study_from_mapping(signal_study(run=run))
+    assert verdict(after(EVEN, EVEN, EVEN, of=played), FROZEN, of=played) == "whole"
+
+
 def test_what_is_said_of_a_gap():
     rates = after(EVEN, EVEN, EVEN)
     noted = rates.remarks(recording(STALLED))

@@ -1,5 +1,6 @@
 """Errors of trajectories, against poses as matrices and SciPy's rotations."""
 
+import evo_trajectories as evo
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -70,3 +71,25 @@ def test_drift_does_not_depend_on_the_frames(rng):
     assert errors == pytest.approx(np.zeros(25), abs=1e-12)
     moments, _ = relative_errors(times, truth, yaw, moved, yaw, 10.0)
     assert len(moments) == 0
+
+
+def statistics(errors):
+    """As evo has them."""
+    found = {"max": np.max, "mean": np.mean, "median": np.median}
+    return {name: float(f(errors)) for name, f in found.items()} | {
+        "rmse": float(np.sqrt(np.mean(errors**2)))
+    }
+
+
+def test_the_numbers_of_evo():
+    """The package that most use for this, of the same two trajectories."""
+    truth, estimate = evo.TRUTH, evo.ESTIMATE
+    plane = np.zeros((len(truth), 1))
+    places = [np.hstack([poses[:, :2], plane]) for poses in (truth, estimate)]
+    for align, expected in ((False, evo.ABSOLUTE), (True, evo.ALIGNED)):
+        found = statistics(absolute_errors(*places, align=align))
+        assert found == pytest.approx(expected, abs=1e-6)
+    _, errors = relative_errors(
+        evo.TIMES, truth[:, :2], truth[:, 2], estimate[:, :2], estimate[:, 2], 1.0
+    )
+    assert statistics(errors) == pytest.approx(evo.RELATIVE, abs=1e-6)

@@ -89,6 +89,7 @@ NOTED = Notes(
     signals={"angle": Messages(5, 1, 2)},
     rates={"angle": Rate(5.0, 0.1, 0.2, 0.3, 1.0), "once": None},
     streams={"/left": Published(10, 1, 0.001, 0.002, 0.1)},
+    played={"/imu": 3000},
     held={"pid.kp": 0.1, "pid.gains": "[1.0, 2.0]", "pid.on": True, "pid.n": 3},
 )
 

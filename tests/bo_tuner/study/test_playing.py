@@ -1,11 +1,15 @@
 """Bags in a study file."""
 
 import pytest
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.codec.reading import read
 from bo_tuner.errors import StudyError
 from bo_tuner.study.playing import Play, with_bags
 from bo_tuner.study.run import Run
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 def run(**changed):
@@ -43,6 +47,8 @@ def test_a_bag_is_all_that_a_run_is():
         ({"bag": "a", "drop": {"/a": 1.5}}, "drop./a: expected 0 to 1, found 1.5"),
         ({"bag": "a", "delay": {"/a": -1}}, "delay./a: expected 0 to 60 s, found -1"),
         ({"bag": "a", "answers": {"/a": {"topic": "/b", "every": 0}}}, "answers./a.every: exp"),
+        ({"bag": "a", "noise": {"/a": {"z": -1}}}, "noise./a.z: expected at least 0, found -1.0"),
+        ({"bag": "a", "noise": {"/a": 0.1}}, "noise./a: expected "),
     ],
 )
 def test_what_cannot_be_played(given, expected):
@@ -87,3 +93,33 @@ def test_bags_as_the_values_of_a_context(folder):
 )
 def test_bags_that_are_no_context(folder, given, expected):
     assert refusal(contexts, folder, **given).startswith(expected)
+
+
+def test_pieces_of_bags(tmp_path):
+    """About as long as wanted, those of one bag equally long, and weighted as one."""
+    for name, seconds in (("long", 130.0), ("short", 20.0)):
+        with Writer(tmp_path / name, version=9) as writer:
+            connection = writer.add_connection("/a", "std_msgs/msg/Bool", typestore=TYPES)
+            for time in (1.0, 1.0 + seconds):
+                writer.write(connection, round(time * 1e9), bytes(5))
+    made = contexts(tmp_path, bags=["long", "short"], split=60.0, weights=[1, 1])
+    assert made["values"] == ["long@0.000-65.000", "long@65.000-130.000", "short@0.000-20.000"]
+    assert made["probabilities"] == [0.25, 0.25, 0.5]
+    played = Play(bag="{drive}").filled({"drive": made["values"][1]})
+    assert (played.bag, played.begin, played.end) == ("long", 65.0, 130.0)
+    # A single one has several pieces.
+    assert len(contexts(tmp_path, bags=["long"], split=60.0)["values"]) == 2
+    assert refusal(contexts, tmp_path, bags=["none"], split=60.0).startswith(
+        f"contexts.drive.bags: '{tmp_path / 'none'}' cannot be read: "
+    )
+
+
+def test_contexts_in_braces():
+    play = read(Play, {"bag": "{drive}", "drop": {"/a": "{lost}"}, "noise": {"/b": {"z": "{sd}"}}})
+    assert [*play.names_in_braces] == [
+        (("bag",), "drive", False),
+        (("drop", "/a"), "lost", True),
+        (("noise", "/b", "z"), "sd", True),
+    ]
+    filled = play.filled({"drive": "one", "lost": 0.1, "sd": 0.2})
+    assert (filled.bag, filled.drop, filled.noise) == ("one", {"/a": 0.1}, {"/b": {"z": 0.2}})

@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import commands
@@ -135,6 +136,13 @@ def test_the_node_gets_each_message_in_its_turn(opened, drives):
     """The largest error is that of the same filter without ROS, which takes them in order."""
     backend = opened(drives, "drive_1")
     assert complete(backend)["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
+    outcome = run(backend)
+    assert outcome.notes.played == {
+        "/ground_truth": SECONDS * robot.RATE,
+        "/wheel/odom": SECONDS * robot.RATE / 2,
+        "/imu": SECONDS * robot.RATE,
+        "/fix": len(robot.drive(1, SECONDS).fixes),
+    }
     other = complete(backend, speed_noise=2.0)["worst"]
     assert other == pytest.approx(errors(1, speed_noise=2.0).max(), rel=1e-9)
 
@@ -180,9 +188,30 @@ def test_late_and_dropped_messages(opened, drives):
     assert none["worst"] == pytest.approx(distances.max(), rel=1e-9)
 
 
+def test_noise_that_is_added(opened, drives):
+    """White, and the same each time, so that the filter without ROS can have it, too."""
+    contexts = {"level": {"distribution": "uniform", "bounds": [0.0, 1.0]}}
+    play = {"bag": "drive_1", "noise": {"/imu": {"angular_velocity.z": "{level}"}}}
+    backend = opened(drives, play, contexts)
+    made, rng = robot.drive(1, SECONDS), np.random.default_rng(zlib.crc32(b"/imu"))
+    made.gyro = [(time, rate + 0.3 * rng.normal()) for time, rate in made.gyro]
+    estimates = robot.estimates(made, robot.Filter(**TUNED))
+    distances = np.hypot(*(estimates[:, 1:3] - made.truth[:, :2]).T)
+    noisy = complete(backend, {"level": 0.3})
+    assert noisy["worst"] == pytest.approx(distances.max(), rel=1e-9)
+    assert complete(backend, {"level": 0.0})["worst"] == pytest.approx(errors(1).max(), rel=1e-9)
+    play = {"bag": "drive_1", "noise": {"/imu": {"angular_velocity.w": 0.1}}}
+    assert "play.noise./imu.angular_velocity.w: " in refused(opened, drives, play)
+
+
 def test_a_part_of_a_bag(opened, drives):
     backend = opened(drives, {"bag": "drive_1", "begin": 2.0, "end": 5.0})
-    assert complete(backend)["length"] == pytest.approx(3.0, abs=0.05)
+    part = complete(backend)
+    assert part["length"] == pytest.approx(3.0, abs=0.05)
+    # As a piece of a bag has it, which is a context of its own.
+    contexts = {"drive": {"distribution": "discrete", "values": ["drive_1", "drive_1@2-5"]}}
+    backend = opened(drives, "{drive}", contexts)
+    assert complete(backend, {"drive": "drive_1@2-5"}) == part
 
 
 def test_answers_that_are_waited_for(opened, drives):
@@ -278,6 +307,50 @@ def test_a_topic_that_is_heard_late(opened, drives, tmp_path):
         run(backend)
 
 
+OTHER = f"""
+import sys
+sys.path.insert(0, {str(FOLDER)!r})
+import ekf_node
+from rosgraph_msgs.msg import Clock
+
+class Other(ekf_node.EkfNode):
+    def __init__(self):
+        super().__init__()
+        if "clock" in sys.argv:
+            self.time = self.create_publisher(Clock, "/clock", 10)
+        else:
+            self.publisher.publish = lambda message: None
+
+    def take_rate(self, message):
+        if "clock" in sys.argv:
+            self.time.publish(Clock(clock=message.header.stamp))
+        super().take_rate(message)
+
+ekf_node.EkfNode = Other
+ekf_node.main()
+"""
+"""The filter with a clock of its own, or with nothing to say."""
+
+
+def other_node(folder, *arguments):
+    (folder / "other.py").write_text(OTHER)
+    command = shlex.join([sys.executable, str(folder / "other.py"), *arguments])
+    return {"ekf": {"node": "ekf", "command": command, "at_start": True}}
+
+
+def test_a_node_that_publishes_a_clock(opened, drives, tmp_path):
+    assert refused(opened, drives, "drive_1", nodes=other_node(tmp_path, "clock")) == (
+        "run.start[0].play: ekf publishes /clock, which in such a run is the time of the bag; "
+        "end that, or remap it"
+    )
+
+
+def test_a_node_that_answers_nothing(opened, drives, tmp_path):
+    outcome = run(opened(drives, "drive_1", nodes=other_node(tmp_path)))
+    assert outcome.state is EvaluationState.FAILED
+    assert outcome.reason.startswith("signal x (/estimate) has 0 messages in a run of ")
+
+
 def test_topics_that_are_named_are_waited_for(opened, drives, tmp_path):
     topics = ["/imu", "/ground_truth", "/wheel/odom", "/fix"]
     play = {"bag": "drive_1", "topics": topics}
@@ -340,7 +413,11 @@ def test_two_bags_of_one_drive(opened, drives, tmp_path):
 @pytest.mark.slow
 def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     """What is tuned on two drives is run on others, and drives that were used are refused."""
-    content = mapping(drives, "{drive}", {"drive": {"bags": ["drive_1", "drive_2"]}})
+    contexts = {
+        "drive": {"bags": ["drive_1", "drive_2"]},
+        "late": {"distribution": "uniform", "bounds": [0.0, 0.1]},
+    }
+    content = mapping(drives, {"bag": "{drive}", "delay": {"/fix": "{late}"}}, contexts)
     content["constraints"] = {
         "kept": {"kind": "chance", "metric": "error", "upper": 50.0, "probability": 0.5}
     }
@@ -349,6 +426,9 @@ def test_from_a_study_to_the_next_drive(drives, tmp_path, ros_environment):
     (tmp_path / "study.yaml").write_text(strict_yaml.dump(content))
     code, _, err = commands.run("tune", "--study", "study.yaml", "--quiet", folder=tmp_path)
     assert code == 0, err
+
+    code, out, err = commands.run("replay", "latest", folder=tmp_path)
+    assert (code, out.count("equal"), "confirmed" in out) == (0, 3, True), err
 
     def validate(*bags):
         words = ("--drives", *map(str, bags)) if bags else ()

@@ -140,6 +140,8 @@ class Notes:
     signals, rates, streams
         By name the messages of the signals, how often they came, None of too few, and what was
         published.
+    played
+        Numbers of messages of a bag that were played, by their topics.
     held
         By node and parameter, as ``node.parameter``, the value that a device has in place of the
         one it was set to, since it keeps fewer digits; of an array a list as JSON.
@@ -167,4 +169,5 @@ class Notes:
     signals: Mapping[str, Messages] = field(default_factory=dict)
     rates: Mapping[str, Rate | None] = field(default_factory=dict)
     streams: Mapping[str, Published] = field(default_factory=dict)
+    played: Mapping[str, int] = field(default_factory=dict)
     held: Mapping[str, bool | int | float | str] = field(default_factory=dict)

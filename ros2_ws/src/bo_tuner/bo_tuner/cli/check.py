@@ -13,6 +13,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.cli.answers import find_answers
 from bo_tuner.cli.check_times import time_of
 from bo_tuner.cli.common import Parser, ended, guarded, opened, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
@@ -174,6 +175,7 @@ def _try(
             heard.extend(name for name, spec in signals.items() if spec.is_number)
             if not attach:
                 hold_against(study, tuner, attached=False)
+            find_answers(study, tuner)
 
         backend.at_nodes = look
         acts = True

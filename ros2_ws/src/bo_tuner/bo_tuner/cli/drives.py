@@ -114,8 +114,11 @@ def _contexts(study: Study, drives: Sequence[str]) -> list[Context]:
             'play: "{drive}"'
         )
     (name,) = names
-    values = variable.distribution.values
-    used = [Bag(Path(study.folder) / play.filled({name: value}).bag) for value in values]
+    space = study.context_space()
+    nominal = space.to_dict(space.nominal())
+    bags = [play.filled({**nominal, name: value}).bag for value in variable.distribution.values]
+    # Pieces of a bag are of one drive.
+    used = [Bag(Path(study.folder) / bag) for bag in dict.fromkeys(bags)]
     named: list[Bag] = []
     for drive in drives:
         bag = Bag(Path(drive))
@@ -126,8 +129,6 @@ def _contexts(study: Study, drives: Sequence[str]) -> list[Context]:
                         f"{drive} is of a drive {what}, {other.path.name}; expected others"
                     )
         named.append(bag)
-    space = study.context_space()
-    nominal = space.to_dict(space.nominal())
     return [{**nominal, name: drive} for drive in drives]
 
 

@@ -64,12 +64,16 @@ def two_kinds(study: Study, runs: Mapping[str, Sequence[Evaluation]]) -> Iterato
                     break
 
 
-def uneven(evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
-    """Yield a fact on signals that come less often in one run of a set than another."""
-    by_set: dict[ParameterSet, list[Evaluation]] = {}
+def uneven(study: Study, evaluations: Iterable[Evaluation]) -> Iterator[UnevenRates]:
+    """Yield a fact on signals that come less often in one run of a set than another.
+
+    A bag has its own gaps: only runs that play the same one are equal.
+    """
+    by_set: dict[tuple[ParameterSet, str], list[Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.outcome.complete and evaluation.outcome.notes.rates:
-            by_set.setdefault(evaluation.parameter_set, []).append(evaluation)
+            key = evaluation.parameter_set, study.bag_in(evaluation.context)
+            by_set.setdefault(key, []).append(evaluation)
     found: dict[str, UnevenRate] = {}
     for runs in by_set.values():
         outcomes = [e.outcome for e in runs]

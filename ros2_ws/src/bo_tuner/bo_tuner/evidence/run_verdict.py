@@ -221,7 +221,7 @@ def _with_load(record: RunRecord, verdict: Verdict) -> Verdict:
     high = high_load(record.study, record.evaluations)
     verdict = replace(verdict, high_load=high)
     of_times = [ComputingTimes(titles)] if titles else []
-    return _with(verdict, *of_times, *uneven(record.evaluations))
+    return _with(verdict, *of_times, *uneven(record.study, record.evaluations))
 
 
 def _certified(

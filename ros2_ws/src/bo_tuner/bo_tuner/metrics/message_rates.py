@@ -69,11 +69,12 @@ class MessageRates:
     """
 
     def __init__(self, study: Study) -> None:
-        # A signal with a `largest_gap` is judged by that; one that need not come may be silent.
+        # A signal with a `largest_gap` is judged by that; one that need not come may be silent, and
+        # so may those of a bag, which has its own gaps.
         self._signals = {
             name: spec
             for name, spec in study.signals.items()
-            if spec.largest_gap is None and spec.minimum_messages > 0
+            if spec.largest_gap is None and spec.minimum_messages > 0 and not study.plays_bags
         }
         self._all = list(study.signals)
         self._used = used_signals(study)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from bo_tuner.errors import StudyError
+from bo_tuner.metrics.lag_source import LagSource
 from bo_tuner.metrics.path_source import PathSource
 from bo_tuner.metrics.python_process import PythonProcess
 from bo_tuner.metrics.python_worker import Passed
@@ -19,6 +20,7 @@ from bo_tuner.numerics.signal_metrics import (
     UndefinedMetricError,
     options_of,
 )
+from bo_tuner.study.lag_metric import LagMetric
 from bo_tuner.study.metrics import PythonMetric, SignalMetric
 from bo_tuner.study.path_metric import PathMetric
 from bo_tuner.study.signals import expression
@@ -165,6 +167,8 @@ def signal_sources(
                 sources[name] = PathSource(metric, study, recording)
             elif isinstance(metric, TrajectoryMetric):
                 sources[name] = TrajectorySource(metric, recording)
+            elif isinstance(metric, LagMetric):
+                sources[name] = LagSource(metric, recording)
             elif isinstance(metric, PythonMetric):
                 sources[name] = PythonSource(metric, recording, process)
         yield sources

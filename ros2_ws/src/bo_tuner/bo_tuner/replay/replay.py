@@ -111,18 +111,22 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """Run a recorded evaluation again: the same parameter set, context and seed.
 
     A metric that is not reproducible, such as one of measured time or of signals over ROS,
-    is judged only if both the record and the replay are in process, where nothing is measured.
+    is judged only if both the record and the replay are in process, where nothing is measured; one
+    of signals also if a bag is played in lockstep, in which nodes hear and say the same again.
     """
     old = recorded
     new = Driver(backend).evaluate(old)
     bounds = old.outcome.notes.at_least
+    play = None if record.study.run is None else record.study.run.play
     exact = record.backend == backend.name == IN_PROCESS
+    same = play is not None and play.lockstep
     rows = tuple(
         Comparison(
             metric,
             old.outcome.metrics.get(name, bounds.get(name)),
             new.outcome.metrics.get(name),
-            (metric.reproducible or exact) and (not bounds or name in bounds),
+            (metric.reproducible or exact or (same and not metric.measures_time))
+            and (not bounds or name in bounds),
             at_least=name in bounds,
         )
         for name, metric in record.study.metrics.items()

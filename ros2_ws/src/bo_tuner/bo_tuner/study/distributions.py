@@ -55,7 +55,8 @@ class Distribution(Section, ABC):
             for position, label in enumerate(self.labels):
                 if checks.same_value(label, value):
                     return float(position)
-            raise ParameterError(f"expected one of {self.labels}, found {checks.show(value)}")
+            known = ", ".join(map(checks.show, self.labels))
+            raise ParameterError(f"expected one of {known}, found {checks.show(value)}")
         if isinstance(value, (bool, str)):
             raise ParameterError(f"expected a number, found {checks.show(value)}")
         return float(value)

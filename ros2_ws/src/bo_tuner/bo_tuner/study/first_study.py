@@ -61,7 +61,7 @@ def first_study(
     """
     stem = PurePath(source).stem
     tuned = [node for node in nodes if any(offer.node == node.name for offer in parameters)]
-    keys = _node_keys([*nodes, *seen.nodes])
+    keys = node_keys([*nodes, *seen.nodes])
     names = _signal_names(signals)
     own = {node.name for node in tuned}
     wanted = reference(signals, own)
@@ -75,13 +75,13 @@ def first_study(
     lines = [
         "# A first study, written by `init` from the nodes that were running.",
         f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
-        f"# Then: {_command('check', source, *ros_arguments)}",
-        f"#       {_command('tune', '--study', source, '--attach', *ros_arguments)}",
+        f"# Then: {command_line('check', source, *ros_arguments)}",
+        f"#       {command_line('tune', '--study', source, '--attach', *ros_arguments)}",
         f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
         "",
         *_process_lines(seen, own),
         "nodes:",
-        *(_node_line(keys[node.name], node, parameters) for node in tuned),
+        *(node_line(keys[node.name], node, parameters) for node in tuned),
         *(
             f"  # {keys[node.name]}: {dump_line({'node': node.name})}"
             for node in seen.nodes
@@ -90,7 +90,7 @@ def first_study(
         "",
         "# `check` tries which move a metric: a node may read some only while it starts.",
         "parameters:",
-        *_parameter_lines(nodes, parameters, keys),
+        *parameter_lines(nodes, parameters, keys),
         *_context_lines(seen.nodes, parameters, keys),
         *_seed_lines(nodes, keys),
         "",
@@ -114,7 +114,8 @@ def first_study(
     return "\n".join(lines) + "\n"
 
 
-def _command(*words: str) -> str:
+def command_line(*words: str) -> str:
+    """Return a command as a line of a comment."""
     return one_line(shlex.join(words))
 
 
@@ -136,7 +137,8 @@ def _process_lines(seen: Seen, tuned: Collection[str]) -> Iterator[str]:
             yield f"# {one_line(listed(names))} run in one process: what starts one starts all."
 
 
-def _node_line(key: str, node: SeenNode, parameters: Iterable[ParameterOffer]) -> str:
+def node_line(key: str, node: SeenNode, parameters: Iterable[ParameterOffer]) -> str:
+    """Return the entry of a node that is tuned."""
     line = f"  {key}: {dump_line(_node_fields(node, parameters))}"
     return f"{line}  # {CHECK}: unwatched has changed by itself" if node.changing else line
 
@@ -150,6 +152,8 @@ def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[s
         if name in arrays and isinstance(seen.value, (list, tuple))
     }
     fields: dict[str, Any] = {"node": node.name}
+    if node.command:
+        fields |= {"command": node.command, "at_start": True}
     if values:
         fields["parameters"] = values
     if node.changing:
@@ -157,7 +161,7 @@ def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[s
     return fields
 
 
-def _node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
+def node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
     """Return the keys of nodes in the study: the last part of the name where that is clear."""
     names = list(dict.fromkeys(node.name for node in nodes))
     last = [name.rpartition("/")[2] for name in names]
@@ -167,20 +171,30 @@ def _node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
     }
 
 
-def _parameter_lines(
-    nodes: Sequence[SeenNode], taken: Sequence[ParameterOffer], keys: Mapping[str, str]
+def parameter_lines(
+    nodes: Sequence[SeenNode],
+    taken: Sequence[ParameterOffer],
+    keys: Mapping[str, str],
+    tied: Mapping[ParameterOffer, ParameterOffer] | None = None,
 ) -> Iterator[str]:
+    """Yield the parameters that are taken, those that are tied to another one, and offers."""
+    tied = tied or {}
     names = [study_name(offer.name) for offer in taken]
+
+    def name_of(offer: ParameterOffer) -> str:
+        name = study_name(offer.name)
+        return f"{keys[offer.node]}.{name}" if names.count(name) > (offer in taken) else name
+
     for node in nodes:
         offers, others = parameter_offers(node)
         possible = [offer for offer in offers if offer in taken or offer.kind is not Kind.PLANT]
         # First the parameters that are taken, last those that are hardly for tuning.
         for offer in sorted(possible, key=lambda o: 0 if o in taken else 2 - o.suggested):
-            key = keys[node.name]
-            fields: dict[str, Any] = {"node": key, **offer.fields}
-            name = study_name(offer.name)
-            if names.count(name) > (offer in taken):
-                name = f"{key}.{name}"
+            name = name_of(offer)
+            own = offer.fields
+            if offer in tied:
+                own = {"type": "double", "tied_to": name_of(tied[offer])}
+            fields: dict[str, Any] = {"node": keys[node.name], **own}
             if name != offer.name:
                 fields["parameter"] = offer.name
             remark = f"  # {offer.remark}" if offer.remark else ""

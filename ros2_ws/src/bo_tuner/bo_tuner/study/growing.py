@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_FALLS
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.lag_metric import LagMetric
 from bo_tuner.study.metrics import (
     COMPUTED,
     PythonMetric,
@@ -28,6 +29,8 @@ def why_not(metric: StudyMetric) -> str:
         return "it is computed from other metrics"
     if isinstance(metric, PythonMetric):
         return "it is a function of a whole run"
+    if isinstance(metric, LagMetric):
+        return "it is of two whole signals"
     if isinstance(metric, TrajectoryMetric):
         return "it is of a whole trajectory"
     if metric.measure not in NEVER_FALLS:

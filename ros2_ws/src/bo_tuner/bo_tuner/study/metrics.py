@@ -16,6 +16,7 @@ from bo_tuner.codec.rules import POSITIVE, SECONDS, Chosen, Matching
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study.distance_metric import DistanceMetric
+from bo_tuner.study.lag_metric import LagMetric
 from bo_tuner.study.measures import check_measure
 from bo_tuner.study.metric_keys import MetricKeys, ScaledMetricKeys
 from bo_tuner.study.parts import LINEAR
@@ -192,7 +193,15 @@ class CombinedMetric(ScaledMetricKeys):
 
     _of: ClassVar[Expression]
     parts: ClassVar[
-        tuple[ReportedMetric | SignalMetric | PathMetric | TrajectoryMetric | PythonMetric, ...]
+        tuple[
+            ReportedMetric
+            | SignalMetric
+            | PathMetric
+            | TrajectoryMetric
+            | LagMetric
+            | PythonMetric,
+            ...,
+        ]
     ] = ()
     """The metrics that it is computed from; there as soon as it is `joined` to a study."""
 
@@ -327,6 +336,7 @@ StudyMetric = (
     | SignalMetric
     | PathMetric
     | TrajectoryMetric
+    | LagMetric
     | PythonMetric
     | CombinedMetric
     | RelativeMetric
@@ -337,7 +347,7 @@ def signals_of(metric: object, signals: Iterable[str]) -> Iterator[str]:
     """Yield the names of the signals that a metric is computed from, of those of a study."""
     if isinstance(metric, PythonMetric):
         yield from signals
-    elif isinstance(metric, DistanceMetric):
+    elif isinstance(metric, DistanceMetric | LagMetric):
         yield from metric.signals
     elif isinstance(metric, SignalMetric):
         for text in metric.expressions:
@@ -351,6 +361,8 @@ def metric_kind(fields: object) -> type[StudyMetric]:
         return PathMetric
     if "truth" in keys or "estimate" in keys:
         return TrajectoryMetric
+    if "lag" in keys or "behind" in keys:
+        return LagMetric
     if "of" in keys or "measure" in keys:
         return SignalMetric
     if "expression" in keys:

@@ -24,6 +24,8 @@ MOST_SUGGESTED = 8
 """Parameters that are suggested; each one more asks for some twenty trials."""
 MOST_ITEMS = 12
 """Largest array that has its items offered; longer ones are images, scans, covariances."""
+COVARIANCE = re.compile(r"covariance|(^|[_.])cov([_.]|$)", re.IGNORECASE)
+"""Name of an array that may be a covariance matrix, row by row."""
 SEED = re.compile(r"(^|[_.])seed$", re.IGNORECASE)
 """Name of a parameter that seeds noise."""
 DECADES = 100.0
@@ -97,7 +99,7 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
             continue
         if name in node.changing:
             others[name] = "the node changes it by itself"
-        elif described.read_only:
+        elif described.read_only and not node.command:
             others[name] = "read-only"
         elif described.type in ("double", "integer", "boolean"):
             try:
@@ -105,7 +107,7 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
             except StudyError as error:
                 others[name] = error.problem
         elif described.type == "double_array" and isinstance(described.value, (list, tuple)):
-            if len(described.value) > MOST_ITEMS:
+            if len(described.value) > MOST_ITEMS and not diagonal(name, described.value):
                 others[name] = f"an array of {len(described.value)}; write its items as {name}[0]"
             offers += _items(node.name, name, described, kind_of[name])
         elif described.type == "string":
@@ -164,7 +166,7 @@ def suggested_nodes(offers: Mapping[str, Sequence[ParameterOffer]]) -> list[str]
 def kinds_of(node: SeenNode) -> dict[str, Kind]:
     """Return what each parameter of a node is by its name."""
     descriptions = {name: item.description for name, item in node.parameters.items()}
-    return kinds(node.name, descriptions)
+    return kinds(node.name, descriptions, is_estimator=node.is_estimator)
 
 
 def _context(name: str, described: Described) -> ContextOffer:
@@ -267,15 +269,30 @@ def is_seed(name: str, described: Described) -> bool:
 
 def _items(node: str, name: str, array: Described, kind: Kind) -> Iterator[ParameterOffer]:
     values = array.value if isinstance(array.value, (list, tuple)) else ()
-    for index, value in enumerate(values[:MOST_ITEMS]):
-        item = f"{name}[{index}]"
+    variances = diagonal(name, values)
+    for index in variances or range(min(len(values), MOST_ITEMS)):
+        value, item = values[index], f"{name}[{index}]"
         try:
             fields = {"type": "double", **_guessed(value), **_unit(array)}
             Parameter(name=study_name(item), parameter=item, node=node, **fields)
         except StudyError:
             continue
         remark = _by_name(kind, f"{CHECK}: a guess; an array has no range")
-        yield ParameterOffer(node, item, fields, remark, kind, suggested=False)
+        is_variance = index in variances and value > 0.0 and kind is Kind.TUNING
+        yield ParameterOffer(node, item, fields, remark, kind, suggested=is_variance)
+
+
+def diagonal(name: str, values: Sequence[object]) -> range:
+    """Return the places of the variances in an array that is a covariance; none if it is not.
+
+    By its name it is one, and as a matrix it has nothing beside its diagonal.
+    """
+    rows = math.isqrt(len(values))
+    places = range(0, len(values), rows + 1)
+    is_matrix = rows > 1 and rows * rows == len(values)
+    if not is_matrix or not COVARIANCE.search(name):
+        return range(0)
+    return range(0) if any(v for i, v in enumerate(values) if i not in places) else places
 
 
 def _guessed(value: object) -> dict[str, Any]:

@@ -96,7 +96,9 @@ _MASS = re.compile(r"kg\b")
 _CLAUSE_END = re.compile(r"[\[(,;:.]")
 
 
-def kinds(node: str, parameters: Mapping[str, str]) -> dict[str, Kind]:
+def kinds(
+    node: str, parameters: Mapping[str, str], *, is_estimator: bool = False
+) -> dict[str, Kind]:
     """Return what each parameter of a node is.
 
     Parameters
@@ -105,10 +107,12 @@ def kinds(node: str, parameters: Mapping[str, str]) -> dict[str, Kind]:
         Name of the node.
     parameters
         What the node says of each in words, by name.
+    is_estimator
+        Whether it is known to be an estimator; otherwise names tell.
     """
     of_node = _words(node)
     texts = [of_node, *(_words(name) for name in parameters)]
-    is_estimator = any(_ESTIMATOR.search(text) for text in texts)
+    is_estimator = is_estimator or any(_ESTIMATOR.search(text) for text in texts)
     noise = Kind.TUNING if is_estimator else Kind.PLANT
     by_name = {
         name: _kind(name, description, noise, is_compliant=bool(_COMPLIANT.search(of_node)))

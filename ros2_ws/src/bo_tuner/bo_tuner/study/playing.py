@@ -1,9 +1,14 @@
 """A bag that is played to the nodes in a run."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
+
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.errors import ReaderError
 
 from bo_tuner.codec import checks
 from bo_tuner.codec.findings import under
@@ -12,11 +17,15 @@ from bo_tuner.codec.rules import POSITIVE, SECONDS, Alone, Expected, Matching, W
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.braces import Values, filled, names_in
 from bo_tuner.study.signals import GRAPH_NAME
+from bo_tuner.text import one_line
 
 PATTERN = "*?["
 """Characters that make a name one of several."""
 MOST_DELAY = 60.0
 """Longest time [s] by which messages of a topic may come late."""
+
+PIECE = re.compile(r"(?P<bag>.+)@(?P<begin>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)")
+"""A piece of a bag: its times [s] after the name."""
 
 _TOPIC = Matching(GRAPH_NAME, "a topic name such as /imu")
 
@@ -64,6 +73,14 @@ class Answer(Section):
     alone = Alone(str, lambda topic: {"topic": topic}, "a topic such as /odometry")
 
 
+def in_short(answers: Mapping[str, Answer]) -> dict[str, object]:
+    """Return answers as a study file has them."""
+    return {
+        topic: item.topic if item.every == 1 else {"topic": item.topic, "every": item.every}
+        for topic, item in answers.items()
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class Play(Section):
     """Plays a bag to the nodes, by whose time the run goes.
@@ -100,6 +117,10 @@ class Play(Section):
     drop : mapping from str to float
         Shares, 0 to 1, of the messages of topics that are left out, in each run the same ones; may
         be contexts in braces.
+    noise : mapping from str to mapping
+        Standard deviations of noise that is added to numbers in messages of topics, by the field,
+        as in ``{/imu: {angular_velocity.z: 0.01}}``; in each run the same noise. They may be
+        contexts in braces.
     timeout : float
         Longest time [s] that a node takes for a message.
     """
@@ -119,6 +140,16 @@ class Play(Section):
     drop: Annotated[
         Mapping[str, Annotated[float | str, _Amount(Within(least=0.0, most=1.0))]], _topics
     ] = field(default_factory=dict)
+    noise: Annotated[
+        Mapping[
+            str,
+            Annotated[
+                Mapping[str, Annotated[float | str, _Amount(Within(least=0.0))]],
+                Expected("standard deviations by field"),
+            ],
+        ],
+        _topics,
+    ] = field(default_factory=dict)
     timeout: Annotated[float, SECONDS] = 5.0
 
     alone = Alone(str, lambda bag: {"bag": bag}, "a bag, or a mapping such as {bag: drive}")
@@ -132,7 +163,11 @@ class Play(Section):
 
     def filled(self, values: Values) -> "Play":
         """Return it with values for names in braces."""
-        given = {key: filled(getattr(self, key), values) for key in ("bag", "delay", "drop")}
+        keys = ("bag", "delay", "drop", "noise")
+        given = {key: filled(getattr(self, key), values) for key in keys}
+        if piece := PIECE.fullmatch(given["bag"]):
+            given |= {"bag": piece["bag"], "begin": float(piece["begin"])}
+            given |= {"end": float(piece["end"])}
         return replace(self, **given)
 
     @property
@@ -144,6 +179,10 @@ class Play(Section):
             for topic, amount in getattr(self, key).items():
                 for name in names_in(amount):
                     yield (key, topic), name, True
+        for topic, amounts in self.noise.items():
+            for path, amount in amounts.items():
+                for name in names_in(amount):
+                    yield ("noise", topic, path), name, True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,10 +199,14 @@ class Bags(Section):
         called.
     weights : tuple of float
         How often each comes in operation, relative to the others; equally often unless given.
+    split : float, optional
+        Length [s] of the pieces into which bags are cut, about: those of one bag are equally long.
+        An estimator then begins within a drive. They make no further drives.
     """
 
     bags: Annotated[tuple[str, ...], Expected("a list of bags")]
     weights: Annotated[tuple[Annotated[float, POSITIVE], ...], Expected("a list of numbers")] = ()
+    split: Annotated[float, POSITIVE] | None = None
 
     def values(self, folder: Path | None) -> dict[str, object]:
         """Return the fields of the discrete distribution; `folder` is that of the study file.
@@ -171,7 +214,7 @@ class Bags(Section):
         Raises
         ------
         StudyError
-            If there are fewer than two bags, or not a weight for each.
+            If there are fewer than two, or not a weight for each bag.
         """
         found: dict[str, None] = {}
         for index, text in enumerate(self.bags):
@@ -179,21 +222,46 @@ class Bags(Section):
                 if name in found:
                     raise StudyError(f"'{name}' is named twice", ("bags", index))
                 found[name] = None
-        if len(found) < 2:
+        pieces = {name: self._pieces(name, folder) for name in found}
+        values = [piece for each in pieces.values() for piece in each]
+        if len(values) < 2:
             raise StudyError(
-                f"expected at least two bags, found {len(found)}; a single one is no context: "
+                f"expected at least two bags, found {len(values)}; a single one is no context: "
                 "write it into play",
                 ("bags",),
             )
-        made: dict[str, object] = {"distribution": "discrete", "values": list(found)}
+        made: dict[str, object] = {"distribution": "discrete", "values": values}
         if self.weights:
             if len(self.weights) != len(found):
                 raise StudyError(
                     f"expected one for each of {len(found)} bags, found {len(self.weights)}",
                     ("weights",),
                 )
-            made["probabilities"] = [weight / sum(self.weights) for weight in self.weights]
+            total = sum(self.weights)
+            made["probabilities"] = [
+                weight / total / len(each)
+                for weight, each in zip(self.weights, pieces.values(), strict=True)
+                for _ in each
+            ]
         return made
+
+    def _pieces(self, name: str, folder: Path | None) -> list[str]:
+        """Return the pieces of a bag, as `Play` reads them; without `split` the bag itself."""
+        if self.split is None:
+            return [name]
+        seconds = _seconds(Path(folder or "", name))
+        count = max(round(seconds / self.split), 1)
+        ends = [f"{seconds * k / count:.3f}" for k in range(count + 1)]
+        return [f"{name}@{begin}-{end}" for begin, end in pairwise(ends)]
+
+
+def _seconds(path: Path) -> float:
+    """Return the length [s] of a bag."""
+    try:
+        with Reader(path) as reader:
+            return float(reader.duration * 1e-9)
+    except (ReaderError, OSError, ValueError) as error:
+        raise StudyError(f"'{path}' cannot be read: {one_line(str(error))}", ("bags",)) from None
 
 
 def _named(text: str, folder: Path | None, index: int) -> list[str]:

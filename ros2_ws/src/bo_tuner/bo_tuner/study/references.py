@@ -14,6 +14,7 @@ from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study.braces import without_names
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distance_metric import DistanceMetric
+from bo_tuner.study.lag_metric import LagMetric
 from bo_tuner.study.metric_scale import check_limits
 from bo_tuner.study.metrics import (
     COMPUTED,
@@ -120,7 +121,7 @@ def check_signals(
     """Refuse expressions with signals that are not there, in metrics and in a run."""
     findings = Findings()
     for name, metric in metrics.items():
-        if isinstance(metric, SignalMetric | DistanceMetric):
+        if isinstance(metric, SignalMetric | DistanceMetric | LagMetric):
             with findings.under("metrics", name):
                 metric.check_signals(signals)
     if run is not None:
@@ -135,7 +136,7 @@ def check_kinds(
     """Refuse whole messages where numbers are needed, and numbers where whole messages are."""
     findings = Findings()
     for name, metric in metrics.items():
-        if isinstance(metric, SignalMetric | DistanceMetric):
+        if isinstance(metric, SignalMetric | DistanceMetric | LagMetric):
             with findings.under("metrics", name):
                 metric.check_kinds(signals)
     for text, path in () if run is None else run.conditions:

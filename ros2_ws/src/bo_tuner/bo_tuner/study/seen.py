@@ -23,11 +23,17 @@ class SeenNode:
         What it says of its parameters.
     changing
         Names of the parameters that it was seen to change by itself.
+    command
+        What has started it, so that it takes all parameters at a new start; empty if not known.
+    is_estimator
+        Whether it is known to be an estimator, whatever its name.
     """
 
     name: str
     parameters: Mapping[str, Described]
     changing: tuple[str, ...] = ()
+    command: str = ""
+    is_estimator: bool = False
 
     @property
     def uses_sim_time(self) -> bool:

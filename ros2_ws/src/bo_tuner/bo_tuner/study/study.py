@@ -19,6 +19,7 @@ from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.activity import Activity
 from bo_tuner.study.at_start import start_names
+from bo_tuner.study.braces import filled_text
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.configuring import check_parked, configured_by_steps
 from bo_tuner.study.constraint import MODEL_NAMES, OBJECTIVE, OUTLIERS, Constraint
@@ -340,6 +341,11 @@ class Study:
     def plays_bags(self) -> bool:
         """Whether its runs play bags."""
         return self.run is not None and self.run.play is not None
+
+    def bag_in(self, context: Context) -> str:
+        """Return the bag, or the piece of one, that a run in a context plays; empty without any."""
+        play = None if self.run is None else self.run.play
+        return "" if play is None else filled_text(play.bag, context)
 
     @property
     def steps(self) -> Iterable[tuple[KeyPath, Step]]:

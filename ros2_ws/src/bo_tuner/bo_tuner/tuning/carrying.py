@@ -36,6 +36,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.lag_metric import LagMetric
 from bo_tuner.study.metrics import (
     COMPUTED,
     PythonMetric,
@@ -413,7 +414,7 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
 
 def _measures(metric: StudyMetric) -> StudyMetric:
     """Return a metric without what is for display and models only."""
-    if isinstance(metric, RelativeMetric):
+    if isinstance(metric, RelativeMetric | LagMetric):
         return dataclasses.replace(metric, label="", unit="")
     return dataclasses.replace(metric, label="", unit="", scale=LINEAR)
 

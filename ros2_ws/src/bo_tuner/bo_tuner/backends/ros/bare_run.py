@@ -167,7 +167,11 @@ class BareRun:
         """Return an outcome with the messages of the run."""
         if self._procedure is None:
             return outcome
-        return outcome.noted(signals=self.recording.counts(), streams=self._procedure.published())
+        return outcome.noted(
+            signals=self.recording.counts(),
+            streams=self._procedure.published(),
+            played=self._procedure.played(),
+        )
 
     @property
     def recording(self) -> Recording:

@@ -221,6 +221,10 @@ class Procedure:
         """Return how the messages of each stream came out in the last run."""
         return self._streams.published()
 
+    def played(self) -> dict[str, int]:
+        """Return how many messages of a bag were played in the last run, by topic."""
+        return {} if self._player is None else dict(self._player.played)
+
     @property
     def reason_of_abort(self) -> str:
         """Return why the last run was to be aborted, as far as was seen; empty if it was not."""

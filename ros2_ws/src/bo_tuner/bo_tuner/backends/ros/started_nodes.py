@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bo_tuner.backends.ros.errors import DiedError
 from bo_tuner.backends.ros.processes import NodeProcess, find_executable, search_path, stop_all
+from bo_tuner.codec.findings import under
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import to_yaml
@@ -137,13 +138,8 @@ class StartedNodes:
         elif spec.launch:
             command = [*_ros2_launch(spec), *spec.words(self._values_of(key))]
         elif spec.command:
-            program, *arguments = spec.words(self._values_of(key))
-            # A path is not searched for: it is relative to the study's folder.
-            place = str(Path(self._study.folder, program)) if os.sep in program else program
-            executable = shutil.which(place, path=search_path())
-            if executable is None:
-                raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
-            command = [executable, *arguments]
+            with under("nodes", spec.name, "command"):
+                command = found_program(spec.words(self._values_of(key)), self._study.folder)
         else:
             return []
         return self._with_values(key, command)
@@ -176,6 +172,17 @@ class StartedNodes:
         if not path.is_file():
             raise StudyError(f"there is no file {path}", ("nodes", key, "parameter_file"))
         return path
+
+
+def found_program(words: list[str], folder: str) -> list[str]:
+    """Return a command with its program in full; a path is relative to the folder."""
+    program, *arguments = words
+    # A path is not searched for.
+    place = str(Path(folder, program)) if os.sep in program else program
+    executable = shutil.which(place, path=search_path())
+    if executable is None:
+        raise StudyError(f"there is no program {place}")
+    return [executable, *arguments]
 
 
 def _ros2_launch(spec: NodeSpec) -> list[str]:

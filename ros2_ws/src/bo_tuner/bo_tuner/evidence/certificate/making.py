@@ -89,7 +89,7 @@ def make_certificate(
         high_load=_busy(study, findings, tuned),
         drifts=tuple(drifts(study, drawn)),
         two_kinds=tuple(two_kinds(study, drawn)),
-        uneven=tuple(uneven(tuned.evaluations)),
+        uneven=tuple(uneven(study, tuned.evaluations)),
         provenance=made_by,
         finished=datetime.now().astimezone().isoformat(timespec="seconds"),
     )

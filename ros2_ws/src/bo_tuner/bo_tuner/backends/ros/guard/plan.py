@@ -109,6 +109,8 @@ class Plan:
         if run is None:
             return cls(study.name, nodes, safe, configured=configured)
         steps = [step for _, step in run.steps]
+        # A bag that is played is in a time that nobody else has, and moves nothing.
+        plays = run.play is not None
         return cls(
             study.name,
             nodes,
@@ -120,9 +122,9 @@ class Plan:
                 for topic in step.publish.ending(study.folder)
             ),
             tuple(dict.fromkeys(s.send_goal.action for s in steps if s.send_goal is not None)),
-            run.abort_when,
+            "" if plays else run.abort_when,
             study.signals,
-            run.clock,
+            WALL if plays else run.clock,
             configured,
         )
 

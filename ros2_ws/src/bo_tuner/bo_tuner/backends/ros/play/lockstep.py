@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from rcl_interfaces.srv import GetParameters
@@ -40,6 +41,15 @@ class Lockstep:
     the node has published meanwhile has come by then, too.
 
     `settle` is for the thread that plays; the others are for that of the tuner, ahead of it.
+
+    Attributes
+    ----------
+    latest
+        The latest message on each topic that is heard.
+    settled
+        Numbers of messages, by their topic, since the beginning.
+    answered
+        Of how many of these, by their topic and one that is heard, something came on the latter.
     """
 
     def __init__(self, tuner: TunerNode, stopped: threading.Event) -> None:
@@ -55,9 +65,11 @@ class Lockstep:
         self._executor.add_node(self._node)
         self._questions: dict[str, Client] = {}
         self._counts: dict[str, int] = {}
+        self.latest: dict[str, bytes] = {}
+        self.settled: Counter[str] = Counter()
+        self.answered: Counter[tuple[str, str]] = Counter()
         self._followers: dict[str, list[str]] = {}
         self._answers: dict[str, Answer] = {}
-        self._sent: dict[str, int] = {}
 
     def hear(self, topic: str) -> None:
         """Count the answers on a topic."""
@@ -74,6 +86,7 @@ class Lockstep:
 
         def count(message: bytes) -> None:
             self._counts[topic] += 1
+            self.latest[topic] = message
 
         self._counts[topic] = 0
         cls, qos = interface_class(infos[0].topic_type), weakest([i.qos_profile for i in infos])
@@ -94,13 +107,26 @@ class Lockstep:
             before = now
             self._executor.spin_once(timeout_sec=POLL_PERIOD)
         self._counts = dict.fromkeys(self._counts, 0)
-        self._sent = dict.fromkeys(answers, 0)
+        self.settled.clear()
+        self.answered.clear()
 
     def settle(self, topic: str, timeout: float) -> None:
         """Wait until nodes are done with a message on a topic."""
+        before = dict(self._counts)
+        self.settled[topic] += 1
         if topic in self._answers:
             self._settle_by_answer(topic, self._answers[topic], timeout)
-            return
+        else:
+            self._settle_by_question(topic, timeout)
+        came = [heard for heard, count in self._counts.items() if count > before[heard]]
+        self.answered.update((topic, heard) for heard in came)
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _settle_by_question(self, topic: str, timeout: float) -> None:
         asked = [(name, self._questions[name]) for name in self._followers[topic]]
         answers = [(name, client, client.call_async(QUESTION)) for name, client in asked]
         try:
@@ -110,13 +136,8 @@ class Lockstep:
             for _, client, answer in answers:
                 client.remove_pending_request(answer)
 
-    def close(self) -> None:
-        """Leave ROS."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-
     def _settle_by_answer(self, topic: str, answer: Answer, timeout: float) -> None:
-        self._sent[topic] = sent = self._sent[topic] + 1
+        sent = self.settled[topic]
         problem = f"no answer on {answer.topic} to message {sent} of {topic}"
         due = sent // answer.every
         self._spin_until(lambda: self._counts[answer.topic] >= due, problem, timeout)

@@ -3,7 +3,8 @@
 import dataclasses
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -15,8 +16,10 @@ from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.messages import has_header, interface_class
 from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.play.answering import answers
 from bo_tuner.backends.ros.play.bag import Bag, Message
 from bo_tuner.backends.ros.play.lockstep import Lockstep, StoppedError
+from bo_tuner.backends.ros.play.noise import Noise
 from bo_tuner.backends.ros.play.play_clock import DEPTH, PlayClock
 from bo_tuner.backends.ros.publication import CONNECT_TIMEOUT
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, UNKNOWN_NODE, TunerNode, is_own
@@ -56,6 +59,8 @@ class Player:
     ----------
     duration : float
         Time [s] that the bag in play takes.
+    played : mapping from str to int
+        Numbers of messages in the latest run, by topic.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Player:
         self._listener = listener
         self._clock = clock
         self._known: dict[str, _Known] = {}
+        self.played: Counter[str] = Counter()
         self._over = threading.Event()
         self._over.set()
         self._stopped = threading.Event()
@@ -100,6 +106,26 @@ class Player:
             total = (bag.end - bag.start) * 1e-9
             raise StudyError(f"the bag is {total:.3g} s long", ("begin",))
 
+    def hear(self, topics: Iterable[str]) -> None:
+        """Note what nodes answer on some topics, in runs to come."""
+        for topic in topics:
+            self._lockstep.hear(topic)
+
+    @property
+    def heard(self) -> Sequence[str]:
+        """The topics of the bag in play that a node hears."""
+        return self._known[self._play.bag].heard
+
+    @property
+    def answers(self) -> dict[str, Answer]:
+        """On which of the topics that are noted messages were answered in the latest run."""
+        return answers(self._lockstep.settled, self._lockstep.answered)
+
+    @property
+    def latest(self) -> Mapping[str, bytes]:
+        """The latest message on each of the topics that are noted."""
+        return self._lockstep.latest
+
     @property
     def is_over(self) -> bool:
         """Whether the bag has been played, or not begun."""
@@ -118,6 +144,7 @@ class Player:
         if self._play.lockstep:
             self._lockstep.begin(known.topics.values(), dict(self._play.answers))
         self._fault = None
+        self.played = Counter()
         self._stopped.clear()
         self._over.clear()
         self._thread = threading.Thread(target=self._go_on, name="player", daemon=True)
@@ -150,6 +177,7 @@ class Player:
                     # Timers of a node may be due.
                     self._lockstep.settle(CLOCK, self._play.timeout)
                 self._topics[topic].publish(data)
+                self.played[topic] += 1
                 if self._play.lockstep:
                     self._lockstep.settle(topic, self._play.timeout)
             self._refuse_late()
@@ -172,12 +200,27 @@ class Player:
             {in_bag[topic]: float(amount) for topic, amount in amounts.items()}
             for amounts in (play.delay, play.drop)
         )
+        noise = self._noise(play, known.bag, known.topics)
         try:
             for message in known.bag.messages(known.topics, play.begin, play.end, delay, drop):
-                yield message._replace(topic=known.topics[message.topic])
+                topic, data = known.topics[message.topic], message.data
+                if topic in noise:
+                    data = noise[topic](data)
+                yield Message(message.time, topic, data)
         except StudyError as error:
             # It has been read before: it is gone or changed since.
             raise BackendError(str(error)) from error
+
+    @staticmethod
+    def _noise(play: Play, bag: Bag, topics: Mapping[str, str]) -> dict[str, Noise]:
+        """Return what adds noise, by the topic as it is played."""
+        made = {}
+        for name, topic in topics.items():
+            if topic in play.noise:
+                amounts = {path: float(item) for path, item in play.noise[topic].items()}
+                with under("noise", topic):
+                    made[topic] = Noise(topic, bag.types[name], amounts)
+        return made
 
     def _refuse_late(self) -> None:
         """Raise `StudyError` if a node hears a topic by now that was therefore not played."""
@@ -214,11 +257,17 @@ class Player:
                     ("bag",),
                 )
         topics = self._find_topics(play, bag)
+        if timing := others.publishers(self._tuner.node, CLOCK):
+            raise StudyError(
+                f"{timing[0].node_name} publishes {CLOCK}, which in such a run is the time of the "
+                "bag; end that, or remap it"
+            )
         stamped = {name for name, topic in topics.items() if self._offer(topic, bag.types[name])}
         bag.check(topics, stamped)
-        for key in ("answers", "delay", "drop"):
+        for key in ("answers", "delay", "drop", "noise"):
             for name in getattr(play, key):
                 checks.reference(name, "topic that is played", topics.values(), key, name)
+        self._noise(play, bag, topics)
         for name, spec in play.answers.items():
             with under("answers", name):
                 self._lockstep.hear(spec.topic)
@@ -306,6 +355,7 @@ class Player:
             },
             delay={full(name): amount for name, amount in play.delay.items()},
             drop={full(name): amount for name, amount in play.drop.items()},
+            noise={full(name): amounts for name, amounts in play.noise.items()},
         )
 
     def _resolved(self, topic: str) -> str:
