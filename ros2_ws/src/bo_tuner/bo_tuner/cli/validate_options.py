@@ -21,7 +21,7 @@ verdict is clear, and continues where an interrupted one stopped.
 
 EPILOG = """\
 PASS requires all of these; a constraint not proven counts as violated:
-  chance constraint   the upper bound of the probability that a test run violates
+  chance constraint   the upper bound of the probability that a test run is over
                       it is at most 1 - probability
   worst-case          in each of the worst contexts of the search, the upper
   constraint          bound of the mean over noise is within the limit, or of
@@ -38,9 +38,9 @@ the search has not used. PASS requires that as large a share of drives as the
 limits ask for is within all of them, with the confidence of the study, by the
 count of those that are; a failed run is not. It writes RUN/drives/0001.json.
 
-writes RUN/certificates/0001.json, or the next number, and the test runs as
-CSV beside it; earlier certificates stay. For `apply` a certificate needs the
-test runs and the confidence that the study requires, and no later FAIL of the same
+A certificate is written to RUN/certificates/0001.json, or the next number, and
+its test runs as CSV beside it; earlier ones stay. For `apply` it needs the test
+runs and the confidence that the study requires, and no later FAIL of the same
 parameters.
 
 --against tests whether the machine has drifted since a certificate: with a few
@@ -67,7 +67,7 @@ examples:
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest --until-pass 3      up to two more if the result fails
-  validate runs/latest --with-default      the default, too, in the same contexts
+  validate runs/latest --with-default      the default, too, in the same ones
   validate --parameters my_params.yaml --study my_study.yaml    without a run
   validate latest --junit report.xml       for a CI server
   validate --against runs/latest/certificates/0001.json    drifted since?
