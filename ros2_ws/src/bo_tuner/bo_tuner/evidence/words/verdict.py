@@ -158,10 +158,10 @@ def _besides(verdict: Verdict) -> Iterator[str]:
 
 
 def advice(verdict: Verdict) -> tuple[str, ...]:
-    """Return why nothing was found feasible, and what to do, in sentences."""
+    """Return what to do when nothing was found feasible, and why it was not, in sentences."""
     if verdict.infeasible is None:
         return ()
-    return (*reasons_in_words(verdict.infeasible), *advice_in_words(verdict.infeasible))
+    return (*advice_in_words(verdict.infeasible), *reasons_in_words(verdict.infeasible))
 
 
 def _outliers(numbers: Sequence[int]) -> Iterator[str]:
