@@ -15,6 +15,9 @@ from bo_tuner.study.study_file import study_from_mapping
 pytestmark = pytest.mark.slow
 
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
+UNCUT = """[...document.querySelectorAll('#asked, #asked .scroll, .best')]
+    .every(part => part.scrollWidth <= part.clientWidth)"""
+"""Whether every number of a question is within its card."""
 
 
 NODES = {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}}
@@ -129,6 +132,11 @@ def test_what_is_asked_is_answered_by_a_key(chromium, axe, tmp_path):
             return [event.kind for event in read_journal(journal).events][:1]
 
         wait_until(lambda: answered() == [EventKind.ACCEPT], "the answer", process, file.read_text)
+        chromium.wait_for(f"{question}.textContent.includes('May trial 1 be tried?')")
+        assert chromium.evaluate(f"{question}.querySelectorAll('.band').length") > 0
+        for width in (1440, 1280, 390):
+            chromium.set_size(width, 900)
+            assert chromium.evaluate(UNCUT)
     finally:
         process.kill()
         process.communicate()

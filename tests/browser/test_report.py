@@ -118,6 +118,11 @@ def test_the_table_of_the_first_screen_is_seen_whole(chromium, feed_axis_page, w
         ".map(part => part.getBoundingClientRect()).map(({left, right}) => [left, right]))"
     )
     assert len(boxes) == 2
+    # The marks on a bar are those of its values alone.
+    assert browser.evaluate(
+        "[...document.querySelectorAll('.against')].every(bar => ['::before', '::after']"
+        ".every(part => getComputedStyle(bar, part).content === 'none'))"
+    )
     for (left, right), (begin, end) in boxes:
         assert left < begin < end < right <= width
 

@@ -106,7 +106,7 @@ def test_a_certificate():
     found = verdict(-2.5, State.CERTIFIED)
     found = replace(found, quantities=(objective, replace(limited, limit_verdict=proven)))
     assert headline(found) == "PASS: error -25 %; the limit proven"
-    assert page_title(found) == "Error -25 %; the limit proven"
+    assert page_title(found) == "Error -25\N{NO-BREAK SPACE}%; the limit proven"
     conditional = replace(proven, condition=Assumption("peak"))
     found = replace(found, quantities=(objective, replace(limited, limit_verdict=conditional)))
     assert headline(found).endswith("; the limit shown with an assumption")

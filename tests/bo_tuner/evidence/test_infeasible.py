@@ -183,10 +183,10 @@ class TestWords:
             "solve time: 17 of 17 trials over the limit 2 ms; the best has 2.012 ms (trial 4), of "
             "those within all other limits 2.307 ms (trial 9).",
             "lowest distance: 5 of 17 trials over the limit 0.5 m; the best has 0.9 m (trial 2).",
-            "Nearest to all limits at once by its own runs: trial 9, which exceeds the most that "
-            "of solve time (2.307 ms, limit 2 ms).",
-            "Run more trials: the models give the best parameter set within the bounds 12 % to "
-            "keep all limits.",
+            "Nearest to all limits in its own runs: trial 9, whose solve time is farthest over "
+            "(2.307 ms, limit 2 ms).",
+            "Run more trials: by the models, the best parameter set within the bounds is 12 % "
+            "likely to keep all limits.",
             "Loosen the limit of solve time to at least 2.31 ms.",
             "The models expect feasible parameter sets beyond the upper bound of gain: widen that "
             "range.",

@@ -9,7 +9,7 @@ import pytest
 from in_process import call
 
 from bo_tuner.cli import report as report_command
-from bo_tuner.evidence.words.verdict import basis, headline
+from bo_tuner.evidence.words.verdict import basis, mark_in_words, page_title
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
 from bo_tuner.report.content import number
@@ -35,15 +35,16 @@ def rows(section):
 def test_the_verdicts_are_those_of_the_runs(both, parts):
     found = rows(parts["verdicts"])
     for name, analysis in zip(names(both), both, strict=True):
-        told, trial, evidence, *_ = found[name]
-        assert headline(analysis.verdict) in told
+        state, told, trial, evidence, *_ = found[name]
+        assert (state, told) == (mark_in_words(analysis.verdict), page_title(analysis.verdict))
         assert trial == str(analysis.verdict.trial)
         assert evidence == basis(analysis.verdict)
     good, bad = both
     assert (good.verdict.feasible, bad.verdict.feasible) == (True, False)
-    assert found[names(both)[1]][0] == (
-        "✗ No feasible parameter set was found: no trial keeps the limit of peak"
-    )
+    assert found[names(both)[1]][:2] == [
+        "not feasible",
+        "No feasible parameter set was found: no trial keeps the limit of peak",
+    ]
 
 
 def test_parameters_and_numbers_stand_side_by_side(both, parts):

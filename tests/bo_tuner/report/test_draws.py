@@ -61,4 +61,4 @@ def test_a_bound_is_beside_the_limit_that_it_is_of(analysis):
         name: [e.value for e in panel.elements if isinstance(e, Limit)]
         for name, panel in panels.items()
     }
-    assert limits == {"peak": [1.0, 0.7], "often": [1.0]}
+    assert limits == {"peak (peak)": [1.0, 0.7], "peak (often)": [1.0]}

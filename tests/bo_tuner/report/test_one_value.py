@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rich.console import Console
 
 import bo_tuner as bt
 from bo_tuner.evidence.run_verdict import run_verdict
+from bo_tuner.evidence.trial_row import TrialOutcome
 from bo_tuner.evidence.words.certificate_table import certificate_lines, certificate_rows
 from bo_tuner.evidence.words.quantities import basis, gain
 from bo_tuner.evidence.words.terminal import print_verdict
@@ -22,6 +24,7 @@ from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.text import shown
+from bo_tuner.tuning.front import pareto_front
 from bo_tuner.web.runs import Runs
 
 BUDGET = bt.Budget(
@@ -153,7 +156,7 @@ def stars(panel):
     return (star.x[0], star.y[0]), own
 
 
-def test_the_star_stands_on_its_own_circle(tuned_only, tmp_path):
+def test_the_star_stands_on_its_own_circle(tuned_only, tmp_path, monkeypatch):
     analysis = Analysis(read_run(tuned_only.folder))
     (figure,) = trade_off(analysis).figures
     star, own = stars(figure.panels[0])
@@ -166,3 +169,24 @@ def test_the_star_stands_on_its_own_circle(tuned_only, tmp_path):
     star, own = stars(front_figure(analysis).panels[0])
     assert len(own) >= 3
     assert set(own) == {star}
+
+    # One far off, over a limit, is at the edge and leaves the others their room.
+    known = pareto_front(analysis.study, analysis.ranked)
+    far = known[-1].trial
+    outcome, estimate = Analysis.outcome, Analysis.estimate
+
+    def outlying(self, trial, name):
+        found = estimate(self, trial, name)
+        return replace(found, value=1e6) if trial.number == far else found
+
+    def over(self, trial):
+        return TrialOutcome.VIOLATES if trial.number == far else outcome(self, trial)
+
+    monkeypatch.setattr(Analysis, "estimate", outlying)
+    monkeypatch.setattr(Analysis, "outcome", over)
+    monkeypatch.setattr("bo_tuner.report.sections.front.pareto_front", lambda *_: known[:-1])
+    points = [e for e in front_figure(analysis).panels[0].elements if isinstance(e, Points)]
+    (off,) = [e for e in points if e.name == "off the scale"]
+    assert list(off.trials) == [far]
+    assert "1e+06" in off.hover[0]
+    assert max(max(e.y) for e in points) == off.y[0] < 1e3

@@ -9,7 +9,7 @@ from scipy.stats import beta
 from bo_tuner.evidence.certificate.deaths import deaths_in
 from bo_tuner.evidence.verdict import State, Verdict
 from bo_tuner.evidence.words.certificate import of_deaths
-from bo_tuner.evidence.words.verdict import headline
+from bo_tuner.evidence.words.verdict import headline, mark_in_words
 from bo_tuner.run_notes import Notes
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
@@ -96,4 +96,6 @@ def test_deaths_in_a_context_are_found(study):
 def test_a_pass_says_of_which_runs_it_is():
     verdict = Verdict(state=State.CERTIFIED, trial=0)
     assert "of runs that ended" not in headline(verdict)
-    assert headline(replace(verdict, of_ended=True)).startswith("PASS of runs that ended: ")
+    of_ended = replace(verdict, of_ended=True)
+    assert mark_in_words(of_ended) == "PASS of runs that ended"
+    assert headline(of_ended).startswith("PASS of runs that ended: ")

@@ -219,7 +219,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     for row in result.metrics:
         values = (row.recorded, row.replayed)
         table.add_row(
-            row.metric.name,
+            row.metric.title,
             row.metric.unit,
             *("-" if value is None else f"{value:.6g}" for value in values),
             "-" if row.difference is None else f"{row.difference:.3g}",
@@ -228,7 +228,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     print_table(plain_console(), table)
     bounded = result.recorded.outcome.notes.at_least
     measured = [
-        row.metric.name
+        row.metric.title
         for row in result.metrics
         if not row.judged and (not bounded or row.at_least)
     ]

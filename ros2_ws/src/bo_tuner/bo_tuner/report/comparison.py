@@ -6,10 +6,9 @@ from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.evidence.quantity import Quantity
-from bo_tuner.evidence.verdict import Status
 from bo_tuner.evidence.words.limits import in_words as limit_in_words
 from bo_tuner.evidence.words.quantities import gain
-from bo_tuner.evidence.words.verdict import basis, headline
+from bo_tuner.evidence.words.verdict import basis, mark_in_words, page_title
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
@@ -35,7 +34,6 @@ Row = tuple[str, str]
 Cell = tuple[str, Value | None]
 """A run's value in words, and as it is."""
 NO_VALUE: Cell = ("–", None)
-MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
 
 
 def comparison(runs: Mapping[str, Analysis]) -> list[Section]:
@@ -58,12 +56,12 @@ def names(analyses: Sequence[Analysis]) -> list[str]:
 
 def verdicts_table(runs: Mapping[str, Analysis], caption: str) -> Table:
     """Return a table of runs, each with its verdict, in a row."""
-    columns = ["verdict", "trial", "evidence", "study", "how", "trials"]
+    columns = ["state", "verdict", "trial", "evidence", "study", "how", "trials"]
     rows = []
     for name, analysis in runs.items():
         of_run = in_a_row(analysis)
         rows.append([name, *(of_run[column] for column in columns)])
-    return Table(caption=caption, header=["run", *columns], rows=rows, numeric=[2, 6])
+    return Table(caption=caption, header=["run", *columns], rows=rows, numeric=[3, 7])
 
 
 def in_a_row(analysis: Analysis) -> dict[str, str]:
@@ -79,8 +77,9 @@ def in_a_row(analysis: Analysis) -> dict[str, str]:
         # What a set that breaks a limit gains in the objective is no gain.
         gains = []
     return {
-        "verdict": MARKS[verdict.status] + headline(verdict),
-        "objective": "; ".join(gains) or "–",
+        "state": mark_in_words(verdict),
+        "verdict": page_title(verdict),
+        "objective": "; ".join(gains),
         "trial": "–" if verdict.trial is None else str(verdict.trial),
         "evidence": basis(verdict),
         "study": analysis.study.name,

@@ -57,7 +57,7 @@ def objective_panel(study: Study, trials: Sequence[Trial], best: Mapping[int, in
             Line(
                 x=[*(count - 1.0 for count in counts), len(trials) - 0.5],
                 y=[math.nan if number is None else values[number] for number in numbers],
-                name="best within limits",
+                name="best within limits, by the models",
                 color=RESULT[0],
                 step=True,
             )
@@ -81,7 +81,7 @@ def limit_panels(study: Study, trials: Sequence[Trial]) -> list[Panel]:
         line = of_limit(constraint, constraint.limit)
         title = with_unit(study.limit_title(constraint), unit)
         side = "≤" if constraint.sign > 0.0 else "≥"
-        limit = with_unit(f"{constraint.limit:g}", metric.unit)
+        limit = f"{constraint.limit:g} {metric.unit}".rstrip()
         panels.append(
             Panel(
                 title=f"{title}, limit {side} {limit}",
@@ -212,7 +212,7 @@ def step_in_words(change: Change) -> str:
         return "same"
     if isinstance(now, bool | str) or isinstance(then, bool | str):
         return "other"
-    return f"{then - now:+.4g}"
+    return f"{then - now:+.3g}"
 
 
 def _mean(trial: Trial, metric: str) -> float:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.evidence.certificate.store import certificate_paths
+from bo_tuner.evidence.verdict import Status
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, in_a_row
 from bo_tuner.report.content import Forecast, Table
@@ -47,7 +48,7 @@ NOT_READ = "…"
 """What stands there in its place."""
 MOST_COMPARED = 8
 """Runs side by side; more columns and lines cannot be told apart."""
-COLUMNS = ("verdict", "objective", "study", "how", "trials")
+COLUMNS = ("state", "verdict", "objective", "study", "how", "trials")
 """What the list has of each run, beside its name."""
 
 Signatures = tuple[tuple[int, int] | None, ...]
@@ -79,6 +80,7 @@ class _Known:
 
     files: Signatures
     row: Mapping[str, str] = field(default_factory=dict)
+    status: Status = Status.OPEN
     problem: str = ""
 
 
@@ -138,6 +140,7 @@ class Runs:
         begin = page * MOST_RUNS
         listed = names[begin : begin + MOST_RUNS]
         rows, problems = [], []
+        statuses: dict[str, Status] = {}
         unread, end = 0, time.monotonic() + PATIENCE
         is_first = True
         for name in listed:
@@ -153,6 +156,7 @@ class Runs:
                 problems.append(f"{name}: {run.problem}")
                 continue
             rows.append([name, *(run.row[column] for column in COLUMNS)])
+            statuses[name] = run.status
         if count > 1:
             problems.append(
                 f"Runs {begin + 1} to {begin + len(listed)} of {len(names)}, the latest first; the "
@@ -168,6 +172,7 @@ class Runs:
                 rows=rows,
                 numeric=[1 + COLUMNS.index("trials")],
             ),
+            "statuses": statuses,
             "notes": problems,
             "most": MOST_COMPARED,
             "home": HOME,
@@ -319,7 +324,8 @@ class Runs:
         if not self._is_known(name):
             files = self._signatures(name)
             try:
-                self._known[name] = _Known(files, in_a_row(self._analysis(name)))
+                analysis = self._analysis(name)
+                self._known[name] = _Known(files, in_a_row(analysis), analysis.verdict.status)
             except BoTunerError as error:
                 self._known[name] = _Known(files, problem=str(error))
         return self._known[name]

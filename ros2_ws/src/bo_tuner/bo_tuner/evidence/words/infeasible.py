@@ -86,10 +86,10 @@ def _nearest(facts: Infeasible) -> Iterator[str]:
     if nearest is None:
         return
     item = facts.of(nearest.limit)
-    farthest = "exceeds the most" if nearest.excess > 0.0 else "keeps with the least to spare"
+    worst = "is farthest over" if nearest.excess > 0.0 else "has the least to spare"
     yield (
-        f"Nearest to all limits at once by its own runs: trial {nearest.trial}, which {farthest} "
-        f"that of {item.title} ({_value(item, nearest.value)}, limit {_limit(item)})."
+        f"Nearest to all limits in its own runs: trial {nearest.trial}, whose {item.title} {worst} "
+        f"({_value(item, nearest.value)}, limit {_limit(item)})."
     )
 
 
@@ -97,12 +97,12 @@ def _of_more_trials(facts: Infeasible) -> str:
     chance = percent(facts.chance)
     if not promising(facts):
         return (
-            "More trials promise little: the models give the best parameter set within the bounds "
-            f"{chance} to keep all limits."
+            "More trials promise little: by the models, the best parameter set within the bounds "
+            f"is {chance} likely to keep all limits."
         )
     return (
-        f"Run more trials: the models give the best parameter set within the bounds {chance} to "
-        "keep all limits."
+        f"Run more trials: by the models, the best parameter set within the bounds is {chance} "
+        "likely to keep all limits."
     )
 
 

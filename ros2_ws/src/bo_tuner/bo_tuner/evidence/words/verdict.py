@@ -51,18 +51,16 @@ def headline(verdict: Verdict) -> str:
         case State.VALIDATED:
             return f"{capitalized(gain_in_words(verdict))}; {trust(verdict)}"
         case State.CERTIFIED:
-            of_ended = " of runs that ended" * verdict.of_ended
-            return f"{PASS}{of_ended}: {gain_in_words(verdict)}"
+            return f"{mark_in_words(verdict)}: {gain_in_words(verdict)}"
         case State.REFUSED:
             titles = [each.title for each in verdict.limits if each.standing is not Standing.SHOWN]
             return f"{FAIL}: not proven to stay within {limits_of(titles) or 'all limits'}"
 
 
 def page_title(verdict: Verdict) -> str:
-    """Return the same beside `mark_in_words`."""
-    if verdict.feasible:
-        return capitalized(gain_in_words(verdict))
-    return capitalized(headline(verdict).removeprefix(f"{FAIL}: "))
+    """Return the same beside `mark_in_words`; no line of a page begins with a percent sign."""
+    words = gain_in_words(verdict) if verdict.feasible else headline(verdict)
+    return capitalized(words.removeprefix(f"{FAIL}: ")).replace(" %", "\N{NO-BREAK SPACE}%")
 
 
 def mark_in_words(verdict: Verdict) -> str:
@@ -74,7 +72,8 @@ def mark_in_words(verdict: Verdict) -> str:
         State.UNPROVEN: "not proven",
         State.VALIDATED: "not certified",
     }
-    return verdict.certificate or words[verdict.state]
+    of_ended = " of runs that ended" * (verdict.certificate == PASS and verdict.of_ended)
+    return f"{verdict.certificate}{of_ended}" if verdict.certificate else words[verdict.state]
 
 
 def basis(verdict: Verdict) -> str:
@@ -158,10 +157,10 @@ def _besides(verdict: Verdict) -> Iterator[str]:
 
 
 def advice(verdict: Verdict) -> tuple[str, ...]:
-    """Return why nothing was found feasible, and what to do, in sentences."""
+    """Return what to do when nothing was found feasible, and why it was not, in sentences."""
     if verdict.infeasible is None:
         return ()
-    return (*reasons_in_words(verdict.infeasible), *advice_in_words(verdict.infeasible))
+    return (*advice_in_words(verdict.infeasible), *reasons_in_words(verdict.infeasible))
 
 
 def _outliers(numbers: Sequence[int]) -> Iterator[str]:

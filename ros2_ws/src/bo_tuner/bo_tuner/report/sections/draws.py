@@ -84,7 +84,7 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
             )
         )
     return Panel(
-        title=constraint.name,
+        title=analysis.study.limit_title(constraint),
         x=Axis(label=metric.title, unit=metric.unit, limits=_around(elements)),
         y=Axis(label="test runs", unit="%", limits=(0.0, 101.0)),
         elements=elements,

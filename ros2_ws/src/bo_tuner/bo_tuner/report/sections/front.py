@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bo_tuner.evidence.trial_row import OF_VALUE
+from bo_tuner.evidence.trial_row import OF_VALUE, TrialOutcome
 from bo_tuner.evidence.words.next_steps import Step, to_use
 from bo_tuner.figures.figure import (
     Color,
@@ -18,9 +19,17 @@ from bo_tuner.figures.figure import (
     Panel,
     Points,
 )
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Choice, Section, Table, number
-from bo_tuner.report.sections.convergence import mean_axis, trial_points
+from bo_tuner.report.marks import OFF_SCALE
+from bo_tuner.report.sections.convergence import (
+    beyond,
+    describe,
+    mean_axis,
+    scale_end,
+    trial_points,
+)
 from bo_tuner.report.sections.trajectories import response_of
 from bo_tuner.study.function_study import FUNCTION
 from bo_tuner.study.parts import Objective
@@ -181,6 +190,14 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
         )
         for name in (first, second)
     )
+    good = [analysis.outcome(trial) is TrialOutcome.WITHIN for trial in trials]
+    seen = (x, y)
+    (x, far_across), (y, far_up) = (
+        _up_to_end(values, scale_end(good, values, axis.scale, objective.sign, ()), objective.sign)
+        for values, axis, objective in zip(seen, (across, up), pair, strict=True)
+    )
+    far = np.flatnonzero(far_across | far_up)
+    near = np.flatnonzero(~(far_across | far_up))
     elements: list[Element] = []
     if len(analysis.study.objectives) == 2:
         elements.append(
@@ -199,7 +216,7 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
             name=f"{100 * CONFIDENCE:g} % interval",
             color=Color.GRAY,
         ),
-        *trial_points(analysis, trials, x, y),
+        *trial_points(analysis, [trials[k] for k in near], x[near], y[near]),
         Points(
             x=[p.means[first].value for p in points],
             y=[p.means[second].value for p in points],
@@ -216,7 +233,30 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
             trials=[p.trial for p in points],
         ),
     ]
+    if len(far):
+        elements.append(
+            Points(
+                x=x[far],
+                y=y[far],
+                name="off the scale",
+                color=OFF_SCALE[0],
+                marker=OFF_SCALE[1],
+                size=9,
+                hover=[
+                    f"{describe(analysis, trials[k])}\n{across.label} {number(float(seen[0][k]))}\n"
+                    f"{up.label} {number(float(seen[1][k]))}"
+                    for k in far
+                ],
+                trials=[trials[k].number for k in far],
+            )
+        )
     return Panel(x=across, y=up, elements=elements)
+
+
+def _up_to_end(values: Array, end: float, sign: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return values (n,) with those beyond the end of a scale at it, and which these are."""
+    far = beyond(values, end, sign)
+    return np.where(far, end, values), far
 
 
 def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
