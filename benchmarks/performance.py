@@ -29,6 +29,7 @@ paper and other optimizers, is in `docs/results.md`.
 """
 
 SECTIONS = {
+    "plain_problem": ("The plain problem", answers.plain_problem),
     "certificates": ("Certificates", answers.certificates),
     "example_certificates": ("Certificates of the examples", answers.example_certificates),
     "false_passes": ("Limits that are broken, and passes", answers.false_passes),

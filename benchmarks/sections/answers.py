@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from sections.layout import Result
 
+from bo_tuner.text import counted
 from tuning_benchmark.pages.tables import markdown
 
 SAVED = "13daafaf5a"
@@ -257,3 +258,60 @@ def _shares(cases: Iterable[Sequence[float]]) -> list[list[str]]:
     for change, _, share, runs in cases:
         rows.setdefault(change, [f"{change:g}"]).append(f"{share:.1%}, {runs:g} runs")
     return list(rows.values())
+
+
+FUNCTIONS = {
+    "plain": {
+        "f1": "sphere",
+        "f2": "ellipsoid",
+        "f3": "Rastrigin",
+        "f6": "attractive sector",
+        "f7": "step ellipsoid",
+        "f8": "Rosenbrock",
+        "f11": "discus",
+        "f12": "bent cigar",
+        "f13": "sharp ridge",
+        "f14": "different powers",
+        "f17": "Schaffers",
+        "f21": "Gallagher",
+    },
+    "with limits": {"f2": "sphere", "f8": "ellipsoid", "f26": "discus", "f44": "Rastrigin"},
+}
+"""Names of the functions of `plain_problem`, by kind."""
+
+
+def plain_problem(result: Result) -> list[str]:
+    """Ranks on functions without contexts and noise, beside other optimizers."""
+    groups = result["groups"]
+    optimizers = list(next(iter(groups.values()))["summary"])
+    rows = [
+        [
+            group,
+            len(entry["functions"]),
+            *(f"{entry['summary'][name]['mean rank']:.1f}" for name in optimizers),
+            entry["summary"]["boundary"]["first"],
+        ]
+        for group, entry in groups.items()
+    ]
+    behind = [
+        f"{FUNCTIONS[group.partition(',')[0]][number]} ({group}, {entry['ranks']['boundary']:g}, "
+        f"first {min(entry['ranks'], key=entry['ranks'].__getitem__)})"
+        for group, found in groups.items()
+        for number, entry in found["functions"].items()
+        if entry["ranks"]["boundary"] > min(entry["ranks"].values())
+    ]
+    seconds = [
+        [group, *(f"{entry['summary'][name]['seconds']:.1f}" for name in optimizers)]
+        for group, entry in groups.items()
+    ]
+    return [
+        f"BBOB functions without contexts and noise, {result['evaluations']} evaluations each, "
+        "begun with the same design; `boundary` and Optuna's GPSampler are told that there is no "
+        "noise. By the lowest value seen within all limits, the median over "
+        f"{counted(result['instances'], 'instance')} of each function, the optimizers are ranked: "
+        "mean rank, and on how many functions `boundary` is first.",
+        markdown(["", "functions", *optimizers, "`boundary` first"], rows),
+        f"Not first, with its rank: {'; '.join(behind) or 'nowhere'}.",
+        "Time of the processor for all proposals of a run [s], the median, one thread:",
+        markdown(["", *optimizers], seconds),
+    ]

@@ -16,7 +16,7 @@ class DrawnContexts:
     Attributes
     ----------
     drawn
-        How many, unless the study says otherwise.
+        How many, unless the study says otherwise, or a second run tells nothing.
     """
 
     drawn: int
@@ -29,9 +29,11 @@ class DrawnContexts:
         return [(Stage.DRAWN, contexts.to_dict(row)) for row in drawn]
 
     def count(self, study: Study) -> int:
-        """Return the number that the study says, or else `drawn`."""
+        """Return the number that the study says, or else `drawn`; 1 where a run tells all."""
         declared = study.budget.drawn_contexts
-        return self.drawn if declared is None else declared
+        if declared is not None:
+            return declared
+        return 1 if study.a_run_tells_all else self.drawn
 
     def refusal(self, then: Study, now: Study, moved: Sequence[str]) -> str:
         """Refuse trials with means over another distribution."""

@@ -3,7 +3,9 @@
 A proposal that did not know of the trials that are pending would ask for the same as they do. So
 the posterior mean at a pending trial is taken for its result, as if it had been observed: the
 kriging believer of Ginsbourger, Le Riche and Carraro (2010, Sec. 4.1). The models of a method then
-have little uncertainty left there, and its acquisition function looks elsewhere.
+have little uncertainty left there, and its acquisition function looks elsewhere. Hyperparameters
+are those of the results alone, as there: fitted to means as well, length scales would grow, and
+noise would vanish.
 
 References
 ----------

@@ -62,6 +62,8 @@ class Fitting:
         Draws starting points of the hyperparameter fits.
     start
         Hyperparameters of an earlier fit, by the names of the models.
+    keep
+        Whether these are kept, whatever the number of trials.
 
     Attributes
     ----------
@@ -81,6 +83,8 @@ class Fitting:
         trials: Sequence[Trial],
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]] | None,
+        *,
+        keep: bool = False,
     ) -> None:
         self.study = study
         self.rng = rng
@@ -88,7 +92,7 @@ class Fitting:
         self.minimum = self._space.minimum_length_scales()
         self.coding = Coding(self._space.levels)
         self._start = start or {}
-        self._keep = not fitted_after(len(trials))
+        self._keep = keep or not fitted_after(len(trials))
         self._cubes: dict[int, Array] = {}
         self.models: dict[str, Fitted] = {}
 

@@ -136,10 +136,11 @@ class PooledModels:
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]] | None = None,
         weights: Array | None = None,
+        keep: bool = False,
     ) -> PooledSurrogates:
         """Fit all models; see `FitSurrogates`."""
         trials = pooled(trials)
-        fitting = Fitting(study, trials, rng, start)
+        fitting = Fitting(study, trials, rng, start, keep=keep)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers = fitting.outliers(complete) if complete else frozenset()
         simulated = self.simulation

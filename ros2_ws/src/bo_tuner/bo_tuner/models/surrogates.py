@@ -119,6 +119,7 @@ class FitSurrogates(Protocol[S_co]):
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]] | None = None,
         weights: Array | None = None,
+        keep: bool = False,
     ) -> S_co:
         """Fit all models.
 
@@ -136,4 +137,6 @@ class FitSurrogates(Protocol[S_co]):
         weights : ndarray, shape (k,), optional
             The cost is the scalarization of the study's k objectives with these weights, without a
             unit. Without them it is that of the first objective alone.
+        keep
+            Keep the hyperparameters of `start` in any case.
         """

@@ -24,6 +24,7 @@ from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
     ACQUISITION,
+    RANDOM,
     REFINEMENT,
     SPACE_FILLING,
     DesignedOptimizer,
@@ -41,6 +42,9 @@ The reinterpolation model has little variance between close points, so its expec
 vanish everywhere although noise leaves the incumbent uncertain. The remaining trials then maximize
 the improvement under the noisy model, which refines the estimates around the incumbent.
 """
+
+FEWEST = 2
+"""Trials that must be more before a model tells anything, with one or two parameters."""
 
 STARTS = 8
 """Number of particles of the swarm that start near the most promising points."""
@@ -243,6 +247,22 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         self.pending = tuple(pending)
         return self.initial() or self.propose(self._most_promising)
 
+    def initial(self) -> Proposal | None:
+        """Return a proposal of no model: of the initial design, or while hardly a trial has ended.
+
+        A model of one or two results, and of what it believes of the others, asks for corners.
+        """
+        designed = super().initial()
+        if designed is not None or not self.pending or self.suffice(len(self.trials)):
+            return designed
+        tried = [trial.parameters for trial in (*self.trials, *self.pending)]
+        (point,) = self.space.latin_hypercube(1, self.rng(), tried)
+        return Proposal(self.space.to_parameters(point), RANDOM)
+
+    def suffice(self, known: int) -> bool:
+        """Return whether so many trials tell a model something of each parameter."""
+        return known > max(self.space.dimension, FEWEST)
+
     def propose(self, points: PointRule[S], protocol: tuple[int, int] | None = None) -> Proposal:
         """Propose the first of `points` that was not tried before, evaluated by `protocol`.
 
@@ -254,10 +274,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         outliers: frozenset[int] = frozenset()
         warm = latest_hyperparameters(self.trials)
         try:
-            known = [*self.trials, *self._fantasies()]
-            surrogates = self._models(
-                self.study, known, rng=rng, start=warm, weights=self._weights()
-            )
+            surrogates = self._fitted(rng, warm)
             warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
             for point, origin in points(surrogates, rng):
@@ -278,10 +295,22 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         tried = self.space.cube_of(t.parameters for t in (*self.trials, *self.pending))
         return self.space.to_parameters(space_filling(self.space, tried, rng)), SPACE_FILLING
 
-    def _fantasies(self) -> list[Trial]:
-        """Return what is believed of the trials that are pending."""
-        rng = generator(self.study.seed, Stream.FANTASIES, self.number)
-        return fantasies(self.study, self.trials, self.pending, rng)
+    def _fitted(self, rng: np.random.Generator, start: Mapping[str, Sequence[float]]) -> S:
+        """Fit the surrogates to what is known, and condition them on what is pending."""
+        weights = self._weights()
+        surrogates = self._models(self.study, self.trials, rng=rng, start=start, weights=weights)
+        draws = generator(self.study.seed, Stream.FANTASIES, self.number)
+        believed = fantasies(self.study, self.trials, self.pending, draws)
+        if not believed:
+            return surrogates
+        return self._models(
+            self.study,
+            [*self.trials, *believed],
+            rng=rng,
+            start=surrogates.warm_starts,
+            weights=weights,
+            keep=True,
+        )
 
     def _weights(self) -> Array | None:
         """Draw the weights (k,) of k objectives, uniformly; None for a single one."""

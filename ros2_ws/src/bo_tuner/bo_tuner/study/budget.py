@@ -43,7 +43,7 @@ class Budget(Section):
         Number of trials in the initial design, at most `trials`.
     drawn_contexts : int, optional
         Evaluations per trial in contexts drawn from their distribution. Unless given, the
-        algorithm's: 5, or 2 for boundary.
+        algorithm's: 5, or 2 for boundary; without contexts and noise 1.
     search_evaluations : int, optional
         Largest number of evaluations per trial in the search for the worst context, for all
         worst-case constraints together. Unless given, the algorithm's: 10, or 3 for boundary.

@@ -94,9 +94,10 @@ class TrialModels:
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]] | None = None,
         weights: Array | None = None,
+        keep: bool = False,
     ) -> Surrogates:
         """Fit all models; see `FitSurrogates`."""
-        fitting = Fitting(study, trials, rng, start)
+        fitting = Fitting(study, trials, rng, start, keep=keep)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         rejecting = self.reject_outliers and bool(complete)
         outliers = fitting.outliers(complete) if rejecting else frozenset()

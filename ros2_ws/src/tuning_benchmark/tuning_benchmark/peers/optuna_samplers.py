@@ -105,7 +105,7 @@ class OptunaGP(_Optuna):
     """Gaussian processes and constrained log expected improvement, defaults."""
 
     def __init__(self, study: Study, seed: int) -> None:
-        super().__init__(study, GPSampler(seed=seed))
+        super().__init__(study, GPSampler(seed=seed, deterministic_objective=study.is_noiseless))
 
 
 class OptunaTPE(_Optuna):

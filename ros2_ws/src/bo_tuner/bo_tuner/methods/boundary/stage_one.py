@@ -53,9 +53,6 @@ DRAWN, WORST = 1, 2
 """Evaluations of a new point: in drawn contexts, and where limits are most doubtful."""
 
 
-LEAST = 2
-"""Complete trials that must be more before a run of the initial design may be cut short."""
-
 Avoidance = Callable[[Study, Sequence[Trial]], float]
 """Returns the largest probability of a failure of a proposal, by all trials so far."""
 
@@ -204,7 +201,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     def _bounded(self, initial: Proposal) -> Proposal:
         """Return a proposal of the initial design with what is hopeless, if enough is known."""
         complete = sum(trial.state is TrialState.COMPLETE for trial in self.trials)
-        if not self.study.budget.cut_short or complete <= max(self.space.dimension, LEAST):
+        if not self.study.budget.cut_short or not self.suffice(complete):
             return initial
         try:
             surrogates = self._models(self.study, self.trials, rng=self.rng())
