@@ -5,7 +5,8 @@ Functions of the BBOB test suites (Hansen and others 2009), plain and constraine
 noise, and so is Optuna's GPSampler. Every optimizer begins with the initial design that ``init``
 gives a study of that many parameters, and has as many evaluations; what counts is the lowest value
 seen that keeps all limits. Of the median over the instances each function ranks the optimizers.
-One thread; times are those of the processor, of all proposals of a run after the initial design.
+One thread; times are those of the processor, of all proposals of a run. The record is written after
+each instance, and says how many there were.
 
 References
 ----------
