@@ -31,7 +31,7 @@ def folder(tmp_path_factory, make_study):
         budget=budget | {"validation_draws": 5},
         # Kept where the gain is at most 0.3, in the worst context.
         constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 0.69}},
-        certificate={"runs": 10, "confidence": 0.6},
+        certificate={"draws": 10, "confidence": 0.6},
     )
     write_study(folder, study, error="(self.gain - 0.9) ** 2 + 0.1 * self.load", peak=PEAK)
     code, _, err = run(

@@ -37,7 +37,7 @@ def folder(tmp_path_factory, make_study):
         constraints={
             "peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.5}
         },
-        certificate={"runs": 5, "confidence": 0.5},
+        certificate={"draws": 5, "confidence": 0.5},
     )
     write_study(folder, study, error=error, peak="0.2 * self.load")
     code, _, err = run(
