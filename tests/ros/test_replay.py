@@ -84,7 +84,7 @@ def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsy
 def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attached):
     record, code, lines = attached
     assert code == 0
-    assert lines[0] == "measured, so different in each run, and not judged: return_time"
+    assert lines[0] == "measured, so different in each run, and not judged: solve time (p99)"
     assert lines[1:3] == ["complete, as recorded", "confirmed"]
     data = custom_data(bag_of(record))
     recorded = find_evaluation(record, 1, None).outcome.metrics

@@ -9,7 +9,7 @@ import pytest
 from bo_tuner.methods.boundary.approach import Approach
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import ACQUISITION
-from bo_tuner.optimizers.bayesian import Box
+from bo_tuner.optimizers.box import Box
 from bo_tuner.tuning.driver import Driver
 from bo_tuner.tuning.loop import Tuning
 

@@ -97,7 +97,7 @@ class TestProbability:
     def test_what_the_document_says_of_who_keeps_a_limit_by_little(self, most):
         told = re.search(
             r"probability\sof 0\.02 where 0\.04 is allowed, (\d+) % pass the first certificate "
-            r"within 1000 draws, (\d+) % within 300; with 0\.01, (all) and\s(\d+) %",
+            r"within 1000 test runs, (\d+) % within 300; with 0\.01, (all) and\s(\d+) %",
             PAGE,
         )
         of_1000, of_300, all_of_1000, rest_of_300 = told.groups()

@@ -267,7 +267,11 @@ class TestRefused:
                 "where[0]: 'kp < 0' holds for none of the parameter sets within the bounds, of "
                 "which 65536 were drawn; expected at least 0.01 %",
             ),
-            (["kp == 2 * ki"], "where[0]: 'kp == 2 * ki' holds for none"),
+            (
+                ["kp == 2 * ki"],
+                "where[0]: 'kp == 2 * ki' does not hold for the defaults: ki is 0.5, where the "
+                "others leave 1",
+            ),
             (
                 ["kp + ki < 4", "ki < kp", "steps > 1", "ki > kp + 1"],
                 "where[3]: 'ki < kp' and 'ki > kp + 1' hold together for none",

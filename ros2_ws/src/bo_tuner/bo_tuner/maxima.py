@@ -12,7 +12,7 @@ TEST_RUNS = 100_000
 NODES = 100
 PARAMETERS = 500
 """Tuned, tied and fixed parameters."""
-TUNED = 50
+TUNED = 200
 CONDITIONS = 50
 """Conditions between parameters."""
 CHOICES = 50

@@ -19,7 +19,6 @@ from bo_tuner.models.fantasies import fantasies
 from bo_tuner.models.protocol import Model
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
@@ -31,6 +30,8 @@ from bo_tuner.optimizers.base import (
     Hopeless,
     Proposal,
 )
+from bo_tuner.optimizers.box import Box
+from bo_tuner.optimizers.trust_region import MANY, trust_region
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, Value, count_evaluations
@@ -58,30 +59,6 @@ S = TypeVar("S", bound=Surrogates)
 
 PointRule = Callable[[S, np.random.Generator], Iterator[tuple[Array, str]]]
 """Yields points (d,) to try, the most promising one first, each with the origin of its proposal."""
-
-
-@dataclass(frozen=True, eq=False)
-class Box:
-    """Part of the unit cube that a search is confined to.
-
-    Attributes
-    ----------
-    lower, upper : ndarray, shape (d,)
-        Its bounds.
-    """
-
-    lower: Array
-    upper: Array
-
-    def nearest(self, points: Array) -> Array:
-        """Return the points (m, d) of the box that are nearest to points (m, d)."""
-        return np.clip(points, self.lower, self.upper)
-
-    def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw points (count, d)."""
-        spread = latin_hypercube(count, len(self.lower), rng)
-        points: Array = self.lower + (self.upper - self.lower) * spread
-        return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +302,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     ) -> Iterator[tuple[Array, str]]:
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
-        within = self.around(surrogates) if search.incumbent is None else None
+        within = self.within(surrogates, found=search.incumbent is not None)
         avoid = self.avoid
         maximum = search.maximize(avoid=avoid, within=within)
         if not np.isfinite(maximum.value):
@@ -335,7 +312,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         origin = ACQUISITION
         model = surrogates.objective
         if model is not None and maximum.is_negligible(model.scale):
-            maximum = search.maximize(avoid=avoid, reinterpolate=False)
+            maximum = search.maximize(avoid=avoid, reinterpolate=False, within=within)
             origin = REFINEMENT
         if np.isfinite(maximum.value):
             yield maximum.position, origin
@@ -348,6 +325,17 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     def hopeless(self, surrogates: S, parameters: Mapping[str, Value]) -> Hopeless:
         """Return beyond what a run of a parameter set is hopeless; by default nothing is."""
         return Hopeless()
+
+    def within(self, surrogates: S, *, found: bool) -> Box | None:
+        """Return where a point is searched, None for the whole cube.
+
+        Many parameters are searched in a trust region; of few it is the whole cube once a feasible
+        parameter set is `found`.
+        """
+        if self.space.dimension <= MANY:
+            return None if found else self.around(surrogates)
+        model = surrogates.objective
+        return trust_region(self.study, self.trials, None if model is None else model.length_scales)
 
     def around(self, surrogates: S) -> Box | None:
         """Return where a first feasible parameter set is searched, None for the whole cube."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from bo_tuner.models.narrowness import relative_excess
 from bo_tuner.models.pooled_models import PooledSurrogates
-from bo_tuner.optimizers.bayesian import Box
+from bo_tuner.optimizers.box import Box
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 

@@ -39,10 +39,10 @@ from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Hopeless, Propo
 from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,
     BayesianOptimization,
-    Box,
     PointRule,
     lowest_believed,
 )
+from bo_tuner.optimizers.box import Box
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, Value, count_evaluations, count_trials
 
@@ -233,7 +233,7 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
         search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
-        within = self.around(surrogates) if lowest_believed(surrogates) is None else None
+        within = self.within(surrogates, found=lowest_believed(surrogates) is not None)
         for avoid in (self.avoid, 1.0):
             result = search.maximize(avoid=avoid, within=within)
             if np.isfinite(result.value):

@@ -70,7 +70,7 @@ STYLES = {
     TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
     TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
     TrialOutcome.UNPREPARED: (Color.GRAY, Marker.DIAMOND, True),
-    TrialOutcome.WITHDRAWN: (Color.GRAY, Marker.DIAMOND, True),
+    TrialOutcome.WITHDRAWN: (Color.GRAY, Marker.CROSS, True),
 }
 """Colour, marker and whether the marker is filled, by the outcome of a trial."""
 
