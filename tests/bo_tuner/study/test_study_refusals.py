@@ -122,7 +122,8 @@ class TestRefusedValues:
             (
                 "parameters/window/type",
                 "float",
-                "unknown 'float'; expected one of double, integer, boolean, string",
+                "unknown 'float'; expected one of double, integer, boolean, string, double_array, "
+                "integer_array, boolean_array, string_array",
             ),
             (
                 "parameters/window/minimum_correlation",

@@ -3,11 +3,12 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bo_tuner.study.distributions import Distribution
+from bo_tuner.trials import Value
 
 When = str | Mapping[str, object]
 
@@ -91,7 +92,7 @@ class Boolean(Entry):
 
 @dataclass(frozen=True)
 class Choice(Entry):
-    """One of several texts or numbers, with the hand-tuned one.
+    """One of several texts, numbers or lists, with the hand-tuned one.
 
     Attributes
     ----------
@@ -101,24 +102,27 @@ class Choice(Entry):
         Hand-tuned value, with which all is compared.
     ordered
         Whether they have the order in which they are listed; that of numbers unless given, and
-        none of texts.
+        none of texts and lists.
     when
         As of `Double`.
     """
 
-    choices: Sequence[str | int | float]
+    choices: Sequence[Value | Sequence[Value]]
     _: dataclasses.KW_ONLY
-    default: str | int | float
+    default: Value | Sequence[Value]
     ordered: bool | None = None
     when: When = ""
 
     @property
     def mapping(self) -> dict[str, object]:
         """What a study file has for it: of the type that all values have."""
-        values = [*self.choices, self.default]
-        kinds = {str: "string", int: "integer"}
+        values: list[Any] = [plain(value) for value in (*self.choices, self.default)]
+        suffix = "_array" if all(isinstance(value, list) for value in values) else ""
+        if suffix:
+            values = [item for value in values for item in value]
+        kinds = {str: "string", int: "integer", bool: "boolean"}
         kind = next((kinds[k] for k in kinds if all(type(v) is k for v in values)), "double")
-        return {"type": kind, **super().mapping}
+        return {"type": kind + suffix, **super().mapping}
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Result:
     def best(self) -> dict[str, Value] | None:
         """Value of every parameter that the result has, by name; None while there is none."""
         trial = self._record.result
-        return None if trial is None else self._record.study.search_space().active(trial.parameters)
+        return None if trial is None else self._record.study.as_given(trial.parameters)
 
     @property
     def verdict(self) -> Verdict:

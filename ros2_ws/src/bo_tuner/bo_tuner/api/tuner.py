@@ -85,7 +85,7 @@ class Run:
             evaluation.trial,
             evaluation.index,
             str(evaluation.stage),
-            study.search_space().active(evaluation.parameters),
+            study.as_given(evaluation.parameters),
             dict(evaluation.context),
             evaluation.seed,
             evaluation,
@@ -399,11 +399,12 @@ class Tuner:
         if not given:
             return {}
         checks.mapping(given, "parameters")
+        asked = run.evaluation.parameters
         try:
-            whole = self._run.study.search_space().permitted({**run.parameters, **given})
+            whole = self._run.study.search_space().permitted({**asked, **given})
         except (ParameterError, ConditionError) as error:
             raise StudyError(str(error), ("parameters",)) from None
-        return {name: value for name, value in whole.items() if value != run.parameters[name]}
+        return {name: value for name, value in whole.items() if value != asked[name]}
 
     def _check_knows(self, given: object, what: str) -> None:
         """Refuse what the models of some methods do not know."""

@@ -95,7 +95,7 @@ class FunctionBackend(SequentialBackend):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Call the function; any exception but those that end a program is a failed evaluation."""
         try:
-            parameters = self._study.search_space().active(planned.parameters)
+            parameters = self._study.as_given(planned.parameters)
             returned = self._function(parameters, dict(planned.context), planned.seed)
         except Failed as error:
             return failed(str(error))

@@ -266,6 +266,9 @@ def _named_value(text: str) -> tuple[str, Value]:
         parsed = strict_yaml.parse(value).value
     except StudyError:
         parsed = None
+    if isinstance(parsed, list):
+        # Of a parameter that is a list, as trials have it.
+        parsed = value
     if not name or not isinstance(parsed, (bool, int, float, str)):
         raise argparse.ArgumentTypeError(f"{text}: expected NAME=VALUE, such as load=1.5")
     return name, parsed

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from bo_tuner.codec import checks
 from bo_tuner.errors import KeyPath, StudyError
@@ -51,12 +52,14 @@ def _of_nodes(
         by_node: dict[str, Value] = {}
         for node in full_names(sections, study.nodes[item.node].node, namespace):
             source = sources(sections, node).get(item.array or item.parameter)
-            if source is None or source.written.is_list != bool(item.array):
+            if source is None or source.written.is_list != bool(item.array or item.is_list):
                 continue
             at = item.item if item.array else 0
-            if at < len(source.written.items):
-                by_node[node] = source.written.items[at].value
-                lines[(name,)] = source.written.items[at].line
+            items = source.written.items
+            if at < len(items):
+                lines[(name,)] = items[at].line
+                value: Any = [each.value for each in items] if item.is_list else items[at].value
+                by_node[node] = item.in_trials(value, name)
         if len({(type(value), value) for value in by_node.values()}) > 1:
             raise StudyError(f"has several values: of {' and of '.join(by_node)}", (name,))
         if by_node:

@@ -189,7 +189,7 @@ def _is_condition(node: ast.expr, parameters: Mapping[str, Parameter]) -> bool:
 
 def _levels(item: Parameter, parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
     """Return the values that a text parameter may have; empty if it is no text."""
-    if item.type != "string":
+    if not item.is_text:
         return ()
     leader = item.leader(parameters)
     return tuple(map(str, leader.choices or (leader.fixed,)))

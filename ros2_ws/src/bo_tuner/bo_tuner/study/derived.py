@@ -36,7 +36,7 @@ class Derived:
 
     def __init__(self, item: Parameter, parameters: Mapping[str, Parameter]) -> None:
         path = ("parameters", item.name)
-        numbers = tuple(name for name, other in parameters.items() if other.type != "string")
+        numbers = tuple(name for name, other in parameters.items() if not other.is_text)
         expression = str(item.tied_to)
         self._expression = named_expression(expression, numbers, "number", *path, TIED_TO)
         self._is_integer = item.is_integer

@@ -120,7 +120,8 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                 if array not in _constants(mapping, key):
                     _add_constant(mapping, key, array, list(value))
                 value = value[index] if index < len(value) else None
-            item.setdefault("type", described.type.removesuffix("_array"))
+            kind_of_node = described.type.removesuffix("_array") if array else described.type
+            item.setdefault("type", kind_of_node)
             if "fixed" in item or "tied_to" in item:
                 continue
             if value is not None:

@@ -1,5 +1,7 @@
 """A parameter of a study: tuned, tied to another one, or fixed."""
 
+import contextlib
+import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -22,6 +24,7 @@ Number = int | float
 
 CHOICES = "a list of two or more different values (or tied_to or fixed instead)"
 TYPES = ("double", "integer", "boolean", "string")
+LISTS = tuple(f"{kind}_array" for kind in TYPES)
 _TUNED_ONLY = ("bounds", "step", "choices", "ordered", "minimum_correlation", "travel", "prior")
 Bounds = Annotated[tuple[Number, Number], Expected("bounds [lower, upper]")]
 _CHECKS: dict[str, Callable[..., Any]] = {
@@ -29,7 +32,10 @@ _CHECKS: dict[str, Callable[..., Any]] = {
     "double": checks.number,
     "boolean": checks.boolean,
     "string": checks.text,
+    **dict.fromkeys(LISTS, checks.text),
 }
+LIST = Written(tuple[Value, ...])
+"""What may stand in place of a single value."""
 WHEN = "when"
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
@@ -39,8 +45,8 @@ LARGEST_BOUND = 2**53
 class Parameter(Titled):
     """A parameter of the study: of a node, or a value in steps of `run` or what starts a node.
 
-    A tuned one has `bounds` (a number), `choices` (a string, or a number that takes a few values)
-    or only a default (a boolean); any other has `tied_to` or `fixed`.
+    A tuned one has `bounds` (a number), `choices` (a string, a list, or a number that takes a few
+    values) or only a default (a boolean); any other has `tied_to` or `fixed`.
 
     Attributes
     ----------
@@ -51,7 +57,8 @@ class Parameter(Titled):
         or in the `command`, `launch` or `env` of a node, by its name in braces: `request: {kp:
         "{kp}"}`, `kp:={kp}`.
     type : str
-        `double`, `integer`, `boolean` or `string`, as ROS calls the type.
+        `double`, `integer`, `boolean` or `string`, as ROS calls the type; with ``_array`` that of
+        a list.
     bounds : tuple of two numbers, optional
         Smallest and largest value of a tuned number.
     step : int, float or str, optional
@@ -59,11 +66,12 @@ class Parameter(Titled):
         With a factor such as ``2x`` it is the lower bound times a power of it: short for these
         `choices`.
     choices : tuple of bool, int, float or str, optional
-        The values of a tuned text, or of a number that takes only these.
+        The values of a tuned text or list, or of a number that takes only these. A list is one
+        value, as in ``[[1.0, 2.0], [0.5, 4.0]]``; trials and screens have it as text.
     ordered : bool, optional
         Whether `choices` have the order in which they are listed, so that neighbours are alike.
         Numbers that increase or decrease have it unless told otherwise; others, and texts, have
-        none.
+        none, and lists cannot have it.
     tied_to : str, optional
         Tuned or fixed parameter that this one takes its value from, or an expression of several,
         such as ``0.1 * kp``; then `bounds` are what every parameter set keeps.
@@ -100,14 +108,17 @@ class Parameter(Titled):
 
     name: Annotated[str, KEY, checks.parameter_or_item]
     node: str = ""
-    type: Annotated[str, OneOf(TYPES)]
+    type: Annotated[str, OneOf((*TYPES, *LISTS))]
     bounds: Bounds | None = None
     step: Annotated[Number | None, Written(str)] = None
-    choices: Annotated[tuple[Value, ...], Expected(CHOICES), AtMost(maxima.CHOICES)] | None = None
+    choices: (
+        Annotated[tuple[Annotated[Value, LIST], ...], Expected(CHOICES), AtMost(maxima.CHOICES)]
+        | None
+    ) = None
     ordered: bool | None = None
     tied_to: str | None = None
-    fixed: Annotated[Value | None, LATER] = None
-    default: Annotated[Value | None, LATER] = None
+    fixed: Annotated[Value | None, LATER, LIST] = None
+    default: Annotated[Value | None, LATER, LIST] = None
     scale: Annotated[str, OneOf(SCALES)] = LINEAR
     label: Label = ""
     unit: str = ""
@@ -121,6 +132,7 @@ class Parameter(Titled):
         """Check the fields; references to other parts of a study are checked there."""
         if isinstance(self.step, str):
             self._write_powers_out(self.step)
+        self._write_lists_as_text()
         if not isinstance(self.when, str):
             object.__setattr__(self, "when", _condition(self.when))
         super().__post_init__()
@@ -141,6 +153,16 @@ class Parameter(Titled):
     def is_tuned(self) -> bool:
         """Whether the optimizer chooses the value."""
         return self.fixed is None and self.tied_to is None
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the value is a list, which trials have as text."""
+        return self.type in LISTS
+
+    @property
+    def is_text(self) -> bool:
+        """Whether trials have the value as text."""
+        return self.type == "string" or self.is_list
 
     @property
     def is_integer(self) -> bool:
@@ -198,13 +220,56 @@ class Parameter(Titled):
         StudyError
             If it has another one, or is no choice.
         """
+        value = self.in_trials(value, *path)
         if self.type == "string" and self.choices is not None:
             return checks.choice(value, [str(choice) for choice in self.choices], *path)
         checked: Value = _CHECKS[self.type](value, *path)
         if self.choices is not None and checked not in self.choices:
-            known = ", ".join(map(checks.show, self.choices))
-            raise StudyError(f"expected one of {known}, found {checks.show(value)}", path)
+            show = str if self.is_list else checks.show
+            known = ", ".join(map(show, self.choices))
+            raise StudyError(f"expected one of {known}, found {show(value)}", path)
         return checked
+
+    def in_trials(self, value: object, *path: str | int) -> Any:
+        """Return a value as trials have it: a list, or its text, as text in one line.
+
+        Raises
+        ------
+        StudyError
+            If the parameter is a list, and the value none of its type.
+        """
+        if not self.is_list:
+            return value
+        kind = self.type.removesuffix("_array")
+        if isinstance(value, str):
+            with contextlib.suppress(ValueError, RecursionError):
+                value = json.loads(value)
+        items = checks.sequence(value, f"a list, as it is a {self.type}", *path)
+        if not items:
+            raise StudyError("expected at least one item in the list", path)
+        checks.at_most(items, maxima.CONSTANTS, *path)
+        checked = [_CHECKS[kind](item, *path, index) for index, item in enumerate(items)]
+        return json.dumps(checked, ensure_ascii=False)
+
+    def as_sent(self, value: Value) -> Any:
+        """Return a value of a trial as nodes and functions take it: a list as a list."""
+        return json.loads(str(value)) if self.is_list else value
+
+    def _write_lists_as_text(self) -> None:
+        choices = self.choices if isinstance(self.choices, list | tuple) else ()
+        if self.type in TYPES and any(isinstance(each, list | tuple) for each in choices):
+            expected = f"expected {self.type}_array, or such, for choices that are lists"
+            raise StudyError(f"{expected}, found {self.type}", ("type",))
+        if not self.is_list:
+            return
+        if self.array:
+            raise StudyError("an item of an array is no list", ("type",))
+        if choices:
+            texts = tuple(self.in_trials(item, "choices", i) for i, item in enumerate(choices))
+            object.__setattr__(self, "choices", texts)
+        for key in ("fixed", "default"):
+            if (value := getattr(self, key)) is not None:
+                object.__setattr__(self, key, self.in_trials(value, key))
 
     def _check_fixed(self) -> None:
         self._refuse("a fixed parameter", *_TUNED_ONLY, "tied_to")
@@ -262,6 +327,8 @@ class Parameter(Titled):
         if len(choices) < 2 or len(set(choices)) < len(choices):
             raise StudyError(f"expected {CHOICES}", ("choices",))
         object.__setattr__(self, "choices", choices)
+        if self.is_list and self.ordered:
+            raise StudyError("lists have no order; leave it out", ("ordered",))
         if self.type not in ("double", "integer"):
             return
         pairs = list(pairwise(choices))

@@ -118,7 +118,7 @@ class ParameterSpace:
             each.check_default(default, follows)
         self.defaults = {name: complete[name] for name in self._by_name}
 
-    def row(self, parameters: Mapping[str, Value]) -> Array:
+    def row(self, parameters: Mapping[str, checks.ParameterValue]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
 
         Tied and fixed parameters may be left out, and conditional ones: those that are not active

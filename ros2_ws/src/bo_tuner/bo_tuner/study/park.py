@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from bo_tuner.codec.checks import ParameterValue
 from bo_tuner.codec.reading import Section
 from bo_tuner.codec.rules import Expected
-from bo_tuner.trials import Value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class Park(Section):
         that failed, and at the end.
     """
 
-    parameters: Annotated[Mapping[str, Value], Expected("values by parameter")] = field(
+    parameters: Annotated[Mapping[str, ParameterValue], Expected("values by parameter")] = field(
         default_factory=dict
     )
     between_runs: bool = False

@@ -68,7 +68,7 @@ def named_safe(
             continue
         of_node = by_node.setdefault(item.node, {})
         if not item.array:
-            of_node[item.parameter] = safe[item.name]
+            of_node[item.parameter] = item.as_sent(safe[item.name])
             continue
         had = of_node.get(item.array, previous[item.node].get(item.array))
         if isinstance(had, list) and item.item < len(had):

@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bo_tuner.codec.checks import ParameterValue
 from bo_tuner.errors import ConditionError, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
@@ -189,7 +190,7 @@ class SearchSpace:
         """Return all parameters for the tuned ones."""
         return self._space.complete(self._space.row(parameters))
 
-    def permitted(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+    def permitted(self, parameters: Mapping[str, ParameterValue]) -> dict[str, Value]:
         """Return all parameters for the tuned ones of a set that satisfies order and conditions.
 
         Raises

@@ -102,6 +102,8 @@ def check_braces(
             if name in contexts and name in parameters:
                 raise StudyError(f"'{name}' is both a context and a parameter; rename one", path)
             item = known[name]
+            if isinstance(item, Parameter) and item.is_list:
+                raise StudyError(f"'{name}' is a list, which stands in no braces", path)
             if is_number and item is not None and item.type == "string":
                 raise StudyError(f"'{name}' is a text; expected a number or a truth value", path)
     for section, items in (("contexts", contexts), ("parameters", parameters)):

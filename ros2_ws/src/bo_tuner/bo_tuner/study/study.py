@@ -94,13 +94,17 @@ PAIR = "[smaller, larger], two names of parameters"
 SETS = f"parameter sets, or {DEFAULT_SET}"
 
 
-def _set(given: Mapping[str, Value] | str) -> Mapping[str, Value] | str:
+GivenSet = Mapping[str, checks.ParameterValue]
+"""Values of parameters as a file has them: a list need not be text."""
+
+
+def _set(given: GivenSet | str) -> GivenSet | str:
     if isinstance(given, str) and given != DEFAULT_SET:
         raise StudyError(f"expected {SETS}, found {checks.show(given)}")
     return given
 
 
-ParameterSet = Annotated[Mapping[str, Value] | str, Expected(SETS), _set]
+ParameterSet = Annotated[GivenSet | str, Expected(SETS), _set]
 
 
 def _without_null(value: object) -> str:
@@ -471,7 +475,7 @@ class Study:
         contexts = self.context_space()
         return self.assignments(parameters, contexts.to_dict(contexts.nominal()), 0)
 
-    def complete_set(self, given: Mapping[str, Value]) -> dict[str, Value]:
+    def complete_set(self, given: GivenSet) -> dict[str, Value]:
         """Return the parameter set with some values given, and the default elsewhere.
 
         Raises
@@ -490,16 +494,14 @@ class Study:
             self.parameters[name].check_grid(value, name)
         return complete
 
-    def _check_given(
-        self, given: Mapping[str, Value], complete: Mapping[str, Value], *path: str
-    ) -> None:
+    def _check_given(self, given: GivenSet, complete: Mapping[str, Value], *path: str) -> None:
         """Refuse values that a complete set, made of them, does not have."""
         inactive = self.search_space().inactive(complete)
         for name, value in given.items():
             if name in inactive:
                 when = self.parameters[name].when
                 raise StudyError(f"is there only when {when}", (*path, name))
-            if not _agree(complete[name], value):
+            if not _agree(complete[name], self.parameters[name].in_trials(value, *path, name)):
                 raise StudyError(
                     f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
                     (*path, name),
@@ -617,6 +619,11 @@ class Study:
             values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
         return values
 
+    def as_given(self, parameters: Mapping[str, Value]) -> dict[str, Any]:
+        """Return a parameter set as a function has it: what is active, and lists as lists."""
+        active = self.search_space().active(parameters)
+        return {name: self.parameters[name].as_sent(value) for name, value in active.items()}
+
     def node_parameters(
         self, parameters: Mapping[str, Value]
     ) -> dict[str, dict[str, checks.ParameterValue]]:
@@ -642,7 +649,8 @@ class Study:
                 continue
             of_node = values.setdefault(item.node, {})
             if not item.array:
-                of_node[item.parameter] = value
+                sent = item.as_sent(value)
+                of_node[item.parameter] = tuple(sent) if item.is_list else sent
                 continue
             items = of_node.get(item.array, self.nodes[item.node].parameters[item.array])
             if isinstance(items, tuple):
