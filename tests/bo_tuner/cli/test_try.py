@@ -127,7 +127,11 @@ def test_the_response(here, place, make_study):
         (["nothing.yaml"], "nothing.yaml: "),
         (["axis.yaml", "--parameters", "nothing.yaml"], "nothing.yaml: "),
         (["axis.yaml", "--context", "load"], "expected NAME=VALUE, such as load=1.5"),
-        (["axis.yaml", "--context", "load=[1]"], "expected NAME=VALUE"),
+        (["axis.yaml", "--context", "load={a: 1}"], "expected NAME=VALUE"),
+        (
+            ["axis.yaml", "--context", "load=[1]"],
+            "--context: load: expected a number, found text '[1]'",
+        ),
         (["axis.yaml", "--context", "lode=1"], "--context: expected load, found 'lode'"),
         (
             ["axis.yaml", "--context", "load=5"],

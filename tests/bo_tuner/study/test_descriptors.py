@@ -25,6 +25,7 @@ parameters:
   rate: {node: pid, parameter: loop.rate}
   mode: {node: pid, choices: [a, b]}
   fast: {node: pid}
+  weights: {node: pid, choices: [[1, 2], [3]]}
   "gains[1]": {node: pid, bounds: [0, 9]}
   steps: {node: pid, type: integer, bounds: [1, 5], default: 2}
   frame: {node: pid, fixed: map}
@@ -40,6 +41,7 @@ NODE = {
     "mode": Described("string", "b"),
     "fast": Described("boolean", True),
     "gains": Described("double_array", [1.0, 2.0]),
+    "weights": Described("integer_array", [3]),
     "steps": Described("integer", 3, 1.0, 5.0, 1.0),
     "frame": Described("string", "odom"),
     "locked": Described("double", 1.0, read_only=True),
@@ -60,6 +62,7 @@ def test_what_the_study_leaves_open_comes_from_the_node():
     assert (found["rate"].bounds, found["rate"].step, found["rate"].default) == ((10, 100), 10, 30)
     assert (found["mode"].type, found["mode"].default) == ("string", "b")
     assert (found["fast"].type, found["fast"].default) == ("boolean", True)
+    assert (found["weights"].type, found["weights"].default) == ("integer_array", "[3]")
     assert (found["gains[1]"].type, found["gains[1]"].default) == ("double", 2.0)
     assert study.nodes["pid"].parameters["gains"] == (1.0, 2.0)
     # What the study says counts.
@@ -71,7 +74,7 @@ def test_a_whole_study_asks_no_node():
     text = TEXT.replace(
         "kp: {node: pid}", "kp: {node: pid, type: double, bounds: [0, 1], default: 1}"
     )
-    for name in ("rate", "mode", "fast", '"gains', "frame"):
+    for name in ("rate", "mode", "fast", "weights", '"gains', "frame"):
         text = "\n".join(line for line in text.splitlines() if not line.startswith(f"  {name}"))
     parse_study(text, describe=lambda nodes: pytest.fail("asked"))
 

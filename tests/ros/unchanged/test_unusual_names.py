@@ -1,4 +1,4 @@
-"""Nodes in other namespaces, and parameters of joints: names that ROS takes, and a study, too."""
+"""Nodes in other namespaces, parameters of joints, and lists: what ROS takes, and a study, too."""
 
 import contextlib
 
@@ -25,6 +25,11 @@ NAMES = {
     "spaced": "a b",
 }
 DOUBLE = {"node": "servo", "type": "double", "bounds": [0.0, 9.0], "default": 1.0}
+LISTS = {
+    "weights": {"type": "double_array", "choices": [[1.0, 2.0], [0.5]], "default": [1.0, 2.0]},
+    "frames": {"type": "string_array", "choices": [["map"], ["y", "1e5"]], "default": ["map"]},
+}
+OF_LISTS = {"weights": "[0.5]", "frames": '["y", "1e5"]'}
 TRIAL = {"wrist": 0.25, "elbow": 0.5, "grip": 2.5, "spaced": 3.0}
 
 
@@ -35,6 +40,12 @@ class Arm(System):
         super().__init__(context, namespace="/arm")
         for name in NAMES.values():
             self.declare_parameter(name, 1.0)
+        for name, item in LISTS.items():
+            self.declare_parameter(name, item["default"])
+
+    @property
+    def lists(self):
+        return [list(self.get_parameter(name).value) for name in LISTS]
 
     @property
     def gains(self):
@@ -48,9 +59,10 @@ def arm(patient):
 
 
 def arm_study(node="/arm/servo", **others):
+    lists = {name: {"node": "servo", **item} for name, item in LISTS.items()}
     return study(
         nodes={"servo": {"node": node}},
-        parameters={key: DOUBLE | {"parameter": name} for key, name in NAMES.items()},
+        parameters={key: DOUBLE | {"parameter": name} for key, name in NAMES.items()} | lists,
         signals={
             "setpoint": {"topic": "/arm/setpoint", "field": "data"},
             "angle": {"topic": "/arm/joint_states", "field": "position[motor]"},
@@ -66,24 +78,27 @@ def arm_study(node="/arm/servo", **others):
 def test_they_are_set_and_given_back(arm, tmp_path):
     made = RosBackend(arm_study(), tmp_path, attach=True)
     made.open()
-    outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, TRIAL, {}, 1))
+    outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, TRIAL | OF_LISTS, {}, 1))
     assert outcome.state is EvaluationState.COMPLETE, outcome
     assert arm.gains == TRIAL
+    assert arm.lists == [[0.5], ["y", "1e5"]]
     made.close()
     assert arm.gains == dict.fromkeys(NAMES, 1.0)
+    assert arm.lists == [[1.0, 2.0], ["map"]]
 
 
 def test_apply_sets_them(arm):
-    values = node_values(arm_study(), TRIAL)
+    values = node_values(arm_study(), TRIAL | OF_LISTS)
     assert list(values) == ["/arm/servo"]
     with contextlib.closing(LiveParameters(list(values), [], lambda: None)) as live:
         live.set("/arm/servo", values["/arm/servo"])
     assert arm.gains == TRIAL
+    assert arm.lists == [[0.5], ["y", "1e5"]]
 
 
 def test_ros_reads_them_from_the_file_of_a_result(ros_environment, tmp_path):
     """As `--params-file`, by its own parser."""
-    values = node_values(arm_study(), TRIAL)
+    values = node_values(arm_study(), TRIAL | OF_LISTS)
     text = to_yaml(values)
     assert from_yaml(text) == values
     (tmp_path / "parameters.yaml").write_text(text)
@@ -98,6 +113,8 @@ def test_ros_reads_them_from_the_file_of_a_result(ros_environment, tmp_path):
     )
     try:
         assert {k: node.get_parameter(n).value for k, n in NAMES.items()} == TRIAL
+        lists = [list(node.get_parameter(name).value) for name in LISTS]
+        assert lists == [[0.5], ["y", "1e5"]]
     finally:
         node.destroy_node()
         context.try_shutdown()
