@@ -32,7 +32,7 @@ BUDGET = {"trials": 5, "initial_trials": 3}
         ({"budget": BUDGET | {"search_evaluations": 10**12}}, "search_evaluations", "at most"),
         ({"budget": BUDGET | {"validation_draws": 10**12}}, "validation_draws", "at most 100000,"),
         ({"parameters": many(9_000, DOUBLE)}, "parameters", "at most 500 entries, found 9000"),
-        ({"parameters": many(51, DOUBLE)}, "parameters", "at most 50 tuned ones, found 51"),
+        ({"parameters": many(201, DOUBLE)}, "parameters", "at most 200 tuned ones, found 201"),
         ({"metrics": {"error": NODE, "peak": NODE} | many(199, NODE)}, "metrics", "at most 200"),
         (
             {"contexts": many(51, NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]})},
