@@ -17,7 +17,9 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web.started import RunningError, Started
 
-SAYS = "import sys, time; print(*sys.argv[1:], flush=True); time.sleep({})"
+# As our commands do: whoever runs the tests may have them ignore the signal.
+HEARS = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+SAYS = HEARS + "import sys, time; print(*sys.argv[1:], flush=True); time.sleep({})"
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +93,8 @@ class TestStarted:
         assert second["exit_code"] == 0
 
     def test_the_end_of_the_server_ends_it_and_waits(self):
-        code = (
-            "import signal, sys, time\n"
+        code = HEARS + (
+            "import sys, time\n"
             "try:\n    print('on', flush=True); time.sleep(600)\n"
             "except KeyboardInterrupt:\n    print('safe')\n"
         )
