@@ -10,6 +10,7 @@ from commands import run
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.other_space import with_bounds
 from bo_tuner.study.study_file import study_to_yaml
 
 
@@ -147,7 +148,7 @@ class TestOtherBounds:
         # The sets that it began with lie outside.
         assert code == 2
         assert "--bounds: start[1]: gain: 0.3 lies outside the bounds (0.4, 0.6)" in err
-        study = dataclasses.replace(earlier.study, start=()).with_bounds({"gain": (0.4, 0.6)})
+        study = with_bounds(dataclasses.replace(earlier.study, start=()), {"gain": (0.4, 0.6)})
         file = commands.file("narrow.yaml", study_to_yaml(study))
         code, _, err = run(
             "tune", "--from", earlier.path, "--study", file, "--trials", "7", "--output",

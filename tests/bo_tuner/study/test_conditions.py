@@ -9,6 +9,7 @@ from bo_tuner.method_names import SAFE
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.optimizers.base import INITIAL
 from bo_tuner.report.grid import permitted
+from bo_tuner.study.other_space import with_bounds
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.search_space import STEP, SearchSpace
 from bo_tuner.study.study_file import parse_study, study_to_yaml
@@ -329,7 +330,7 @@ class TestRefused:
     def test_other_bounds_that_leave_nothing(self):
         study = study_with(where=["ki <= kp / 2"])
         with pytest.raises(StudyError, match=r"where\[0\]: 'ki <= kp / 2' holds for "):
-            study.with_bounds({"ki": (0.5, 1e6)})
+            with_bounds(study, {"ki": (0.5, 1e6)})
 
 
 def test_a_study_file_keeps_them():

@@ -10,6 +10,7 @@ from bo_tuner.storage.parameter_file import from_yaml, node_values, to_yaml
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.descriptors import Described, problem
+from bo_tuner.study.other_space import with_fixed
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.safe_values import named_safe
 from bo_tuner.study.search_space import SearchSpace
@@ -65,7 +66,7 @@ def test_nodes_have_lists(study):
     safe = named_safe(study, {"axis": {"weights": WEIGHTS[0], "gain": 0.5}})
     assert safe == {"axis": {"weights": WEIGHTS[1]}}
     assert named_safe(study, {"axis": {"weights": WEIGHTS[1], "gain": 0.5}}) == {"axis": {}}
-    assert study.with_fixed({"weights": WEIGHTS[2]}).parameters["weights"].fixed == "[3.0]"
+    assert with_fixed(study, {"weights": WEIGHTS[2]}).parameters["weights"].fixed == "[3.0]"
 
 
 def test_a_study_is_read_as_it_was_written(study):

@@ -12,6 +12,7 @@ from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.trust import trust
+from bo_tuner.study.other_space import with_bounds, with_fixed
 from bo_tuner.study.parameter import Number
 from bo_tuner.study.strict_yaml import plain_scalar
 from bo_tuner.study.study import Study
@@ -85,11 +86,11 @@ def changed_study(study: Study, arguments: argparse.Namespace, namespace: str) -
     if arguments.bounds:
         bounds = _each_once("--bounds", arguments.bounds)
         with _in_option("--bounds"):
-            study = study.with_bounds(bounds)
+            study = with_bounds(study, bounds)
     if arguments.fix:
         values = _each_once("--fix", arguments.fix)
         with _in_option("--fix"):
-            study = study.with_fixed(values)
+            study = with_fixed(study, values)
     sets = [
         read_parameter_set(path, study, namespace)
         for path in getattr(arguments, "start", None) or ()

@@ -17,7 +17,6 @@ from bo_tuner.codec.reading import check_fields
 from bo_tuner.codec.rules import Expected, Matching, OneOf, Whole, Written
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.activity import Activity
 from bo_tuner.study.at_start import start_names
 from bo_tuner.study.braces import filled_text
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -38,7 +37,7 @@ from bo_tuner.study.metrics import (
     StudyMetric,
 )
 from bo_tuner.study.nodes import NodeSpec
-from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     INTEGER,
@@ -707,63 +706,6 @@ class Study:
             seed=self.seed if seed is None else seed,
             start=(*self.start, *start),
         )
-
-    def with_bounds(self, bounds: Mapping[str, tuple[Number, Number]]) -> "Study":
-        """Return the study with other bounds of some tuned numbers, checked again.
-
-        Parameters
-        ----------
-        bounds : mapping from str to tuple of two numbers
-            Smallest and largest value, in the parameter's unit, by its name.
-
-        Raises
-        ------
-        StudyError
-            If there is no such tuned number, or its bounds violate a rule.
-        """
-        parameters = dict(self.parameters)
-        for name, pair in bounds.items():
-            checks.reference(name, "parameter", parameters)
-            item = parameters[name]
-            if item.bounds is None:
-                raise StudyError("has no bounds; expected a tuned number", (name,))
-            with under("parameters", name):
-                parameters[name] = dataclasses.replace(item, bounds=pair)
-        return dataclasses.replace(self, parameters=parameters)
-
-    def with_fixed(self, values: Mapping[str, Value]) -> "Study":
-        """Return the study with some tuned parameters kept at a value, checked again.
-
-        What `start` and `park` say of these is left out, and what is never active with them is
-        fixed as well.
-
-        Raises
-        ------
-        StudyError
-            If there is no such tuned parameter, or it cannot have the value.
-        """
-        parameters = dict(self.parameters)
-        for name in values:
-            checks.reference(name, "parameter", parameters)
-            if not parameters[name].is_tuned:
-                raise StudyError("is not tuned", (name,))
-        complete = self.complete_set(values)
-        for name in values:
-            parameters[name] = parameters[name].fixed_at(complete[name])
-        for name in Activity(parameters).never_active():
-            if parameters[name].is_tuned:
-                parameters[name] = parameters[name].fixed_at(complete[name])
-        tuned = {name for name, item in parameters.items() if item.is_tuned}
-        fixed = self.parameters.keys() - tuned
-        start = tuple(
-            given
-            if isinstance(given, str)
-            else {name: value for name, value in given.items() if name not in fixed}
-            for given in self.start
-        )
-        kept = {k: value for k, value in self.park.parameters.items() if k not in fixed}
-        park = dataclasses.replace(self.park, parameters=kept)
-        return dataclasses.replace(self, parameters=parameters, start=start, park=park)
 
     def _check_park(self) -> None:
         """Refuse safe parameters that the study cannot set."""
