@@ -129,8 +129,6 @@ def _merit(study: Study, trial: Trial) -> Merit:
     mean = trial.mean(objective.metric)
     if trial.state is not TrialState.COMPLETE or mean is None:
         return FAILED
-    violation = 0.0
-    for limit in study.constraints.values():
-        over = limit.sign * (held_against(limit, trial) - limit.limit)
-        violation += max(over, 0.0) / (abs(limit.limit) or 1.0)
+    limits = study.constraints.values()
+    violation = sum(max(limit.excess(held_against(limit, trial)), 0.0) for limit in limits)
     return violation, float(objective.to_cost(mean))
