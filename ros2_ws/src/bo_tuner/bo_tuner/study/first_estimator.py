@@ -6,11 +6,9 @@ What is the truth, and what is its estimate, can only be guessed by names and ty
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import PurePath
 from typing import Any, NamedTuple
 
-from bo_tuner.codec import checks
-from bo_tuner.study.first_study import command_line, node_keys, node_line, parameter_lines
+from bo_tuner.study.first_study import heading, node_keys, node_line, parameter_lines
 from bo_tuner.study.offers import CHECK, ParameterOffer
 from bo_tuner.study.parameter import array_and_item
 from bo_tuner.study.playing import Answer, in_short
@@ -234,7 +232,6 @@ def first_estimator(
     str
         YAML that `bo_tuner.study.study_file.parse_study` reads.
     """
-    stem = PurePath(source).stem
     used = [node for node in nodes if any(offer.node == node.name for offer in parameters)]
     keys = node_keys(nodes)
     ties = tied(parameters)
@@ -245,11 +242,7 @@ def first_estimator(
     )
     return "\n".join(
         [
-            "# A first study, written by `init` from a bag and the nodes that have heard it.",
-            f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
-            f"# Then: {command_line('check', source, *ros_arguments)}",
-            f"#       {command_line('tune', '--study', source, *attach, *ros_arguments)}",
-            f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
+            *heading(source, "a bag and the nodes that have heard it", attach, ros_arguments),
             "",
             "nodes:",
             *(node_line(keys[node.name], node, parameters) for node in used),

@@ -59,7 +59,6 @@ def first_study(
     str
         YAML that `bo_tuner.study.study_file.parse_study` reads.
     """
-    stem = PurePath(source).stem
     tuned = [node for node in nodes if any(offer.node == node.name for offer in parameters)]
     keys = node_keys([*nodes, *seen.nodes])
     names = _signal_names(signals)
@@ -73,11 +72,7 @@ def first_study(
         limits_runs="# constraints:" in metrics,
     )
     lines = [
-        "# A first study, written by `init` from the nodes that were running.",
-        f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
-        f"# Then: {command_line('check', source, *ros_arguments)}",
-        f"#       {command_line('tune', '--study', source, '--attach', *ros_arguments)}",
-        f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
+        *heading(source, "the nodes that were running", ("--attach",), ros_arguments),
         "",
         *_process_lines(seen, own),
         "nodes:",
@@ -112,6 +107,20 @@ def first_study(
         f"budget: {dump_line(budget)}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def heading(
+    source: str, origin: str, attach: Sequence[str], ros_arguments: Sequence[str]
+) -> list[str]:
+    """Return the first lines of a study in the file `source`, what it is made from and its name."""
+    stem = PurePath(source).stem
+    return [
+        f"# A first study, written by `init` from {origin}.",
+        f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
+        f"# Then: {command_line('check', source, *ros_arguments)}",
+        f"#       {command_line('tune', '--study', source, *attach, *ros_arguments)}",
+        f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
+    ]
 
 
 def command_line(*words: str) -> str:
