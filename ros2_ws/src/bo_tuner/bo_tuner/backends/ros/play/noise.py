@@ -1,7 +1,7 @@
 """Noise that is added to messages while they are played."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -32,19 +32,18 @@ class Noise:
     def __init__(self, topic: str, kind: str, amounts: Mapping[str, float]) -> None:
         self._rng = np.random.default_rng(zlib.crc32(topic.encode()))
         self._cls: Any = interface_class(kind)
-        self._fields: list[tuple[FieldPath, float]] = []
+        self._fields: list[tuple[FieldPath, Callable[[Any], float], float]] = []
         for text, amount in amounts.items():
             with under(text):
                 path = parsed_field(text)
                 if not isinstance(path, tuple):
                     raise StudyError("expected a field alone, such as angular_velocity.z")
                 number_writer(self._cls(), path)
-                self._fields.append((path, amount))
+                self._fields.append((path, field_reader(self._cls, path), amount))
 
     def __call__(self, data: bytes) -> bytes:
         """Return a message with noise."""
         message = decode(data, self._cls)
-        for path, amount in self._fields:
-            value = field_reader(self._cls, path)(message)
-            number_writer(message, path).write(value + amount * self._rng.normal())
+        for path, read, amount in self._fields:
+            number_writer(message, path).write(read(message) + amount * self._rng.normal())
         return bytes(serialize_message(message))
