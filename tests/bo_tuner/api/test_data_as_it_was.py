@@ -274,3 +274,26 @@ class TestPart:
             with pytest.raises(bt.MetricsError, match="'peek' is no metric"):
                 tuner.tell(run, {"peek": 1.0}, more=True)
             tuner.tell(run, {"peak": 0.5})
+
+    @pytest.mark.parametrize("sessions", [1, 2])
+    def test_what_was_told_of_a_lost_run_is_of_no_other(
+        self, make_function_study, function, tmp_path, sessions
+    ):
+        with make_function_study().tuner(tmp_path / "run") as tuner:
+            run = tuner.ask()
+            tuner.tell(run, {"error": 99.0}, parameters={"gain": 0.9}, more=True)
+            tuner.lose(run, "the cable came off")
+            if sessions == 2:
+                tuner.close()
+                tuner = make_function_study().tuner(tmp_path / "run")
+            again = tuner.ask()
+            assert again == run
+            with pytest.raises(bt.MetricsError, match="metric error is missing"):
+                tuner.tell(again, {"peak": 0.5})
+            tuner.tell(again, function(run.parameters, run.context, run.seed))
+            tuner.close()
+        last = journal(tmp_path / "run").evaluations[-1].outcome
+        assert (last.metrics["error"], last.notes.as_set) == (
+            function(run.parameters, run.context, run.seed)["error"],
+            {},
+        )

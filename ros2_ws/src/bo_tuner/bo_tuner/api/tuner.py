@@ -103,10 +103,10 @@ class _Part:
 
 @dataclass(frozen=True)
 class _PartOfRun:
-    """A part as the journal has it: the key of its run, and what was told."""
+    """A part as the journal has it: the key of its run, and what was told; None: forget all."""
 
     run: str
-    told: _Part
+    told: _Part | None
 
 
 @dataclass
@@ -146,7 +146,8 @@ class Tuner:
         for event in run.events:
             if event.kind is EventKind.PART:
                 part = read(_PartOfRun, json.loads(event.detail), JSON)
-                self._parts.setdefault(part.run, []).append(part.told)
+                known = self._parts.setdefault(part.run, [])
+                known[:] = [] if part.told is None else [*known, part.told]
         with self._working():
             self._phases = self._all_phases()
             self._next_phase()
@@ -347,6 +348,9 @@ class Tuner:
         with self._one_thread:
             pending = self._awaited(run)
             with self._working():
+                if pending.parts and outcome.state is EvaluationState.LOST:
+                    # It is run again, and what was told of it is of no run that counts.
+                    self._note_event(EventKind.PART, _PartOfRun(_text(pending.due), None))
                 del self._pending[_key(pending.due)]
                 try:
                     pending.due = pending.runs.send(outcome)
