@@ -239,6 +239,23 @@ class TestAsSet:
         assert evaluation.outcome.notes.as_set == {}
 
 
+def test_a_parameter_that_is_not_active_is_refused(make_function_study, function, tmp_path):
+    parameters = {
+        "gain": bt.Double(0.0, 1.0, default=0.5),
+        "lead": bt.Double(0.0, 1.0, default=0.5, when="gain > 0.8"),
+    }
+    said = r"^parameters\.lead: is there only when gain > 0\.8$"
+    with make_function_study(parameters=parameters).tuner(tmp_path / "run") as tuner:
+        run = tuner.ask()
+        metrics = function(run.parameters, run.context, run.seed)
+        with pytest.raises(bt.StudyError, match=said):
+            tuner.tell(run, metrics, parameters={"lead": 0.1})
+        with pytest.raises(bt.StudyError, match=said):
+            tuner.add({"gain": 0.1, "lead": 0.1}, {}, metrics)
+        tuner.add({"gain": 0.9, "lead": 0.1}, {}, metrics)
+        tuner.tell(run, metrics)
+
+
 class TestPart:
     def test_a_metric_that_comes_later(self, make_function_study, function, tmp_path):
         folders = [tmp_path / "at once", tmp_path / "later", tmp_path / "in another session"]

@@ -1,12 +1,13 @@
 """Runs that were made by others, by whatever, as trials: ahead of a run, or while it goes on."""
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bo_tuner.backends.function import Returned, failed
 from bo_tuner.codec import checks
-from bo_tuner.errors import MetricsError, RunRecordError, StudyError
+from bo_tuner.errors import MetricsError, ParameterError, RunRecordError, StudyError
 from bo_tuner.methods.protocol import Method
 from bo_tuner.storage.record import record_of_study
 from bo_tuner.study.function_study import FUNCTION
@@ -65,6 +66,10 @@ def added_trial(
     Raises as `first_trials`, at once.
     """
     (trial,) = _trials(study, [run])
+    # What is no parameter set is refused below.
+    with contextlib.suppress(ParameterError):
+        whole = study.search_space().completed(trial.parameters)
+        study.check_given(run.parameters, whole, "parameters")
     record = replace(record_of_study(study, Path(ADDED), FUNCTION), trials=(trial,))
     try:
         (taken,) = carry_over(record, study, method, run=ADDED).trials

@@ -408,6 +408,7 @@ class Tuner:
             whole = self._run.study.search_space().permitted({**asked, **given})
         except (ParameterError, ConditionError) as error:
             raise StudyError(str(error), ("parameters",)) from None
+        self._run.study.check_given(given, whole, "parameters")
         return {name: value for name, value in whole.items() if value != asked[name]}
 
     def _check_knows(self, given: object, what: str) -> None:

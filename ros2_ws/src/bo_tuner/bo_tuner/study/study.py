@@ -488,13 +488,19 @@ class Study:
             complete = space.permitted({**space.defaults, **given})
         except ParameterError as error:
             raise StudyError(str(error)) from None
-        self._check_given(given, complete)
+        self.check_given(given, complete)
         for name, value in given.items():
             self.parameters[name].check_grid(value, name)
         return complete
 
-    def _check_given(self, given: GivenSet, complete: Mapping[str, Value], *path: str) -> None:
-        """Refuse values that a complete set, made of them, does not have."""
+    def check_given(self, given: GivenSet, complete: Mapping[str, Value], *path: str) -> None:
+        """Refuse values, at a path, that a complete set made of them does not have.
+
+        Raises
+        ------
+        StudyError
+            If a parameter is not active there, or computed to be another value.
+        """
         inactive = self.search_space().inactive(complete)
         for name, value in given.items():
             if name in inactive:
@@ -718,7 +724,7 @@ class Study:
             safe = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
-        self._check_given(self.park.parameters, safe, *path)
+        self.check_given(self.park.parameters, safe, *path)
 
     def _check_ramp(self) -> None:
         """Refuse a ramp on whose way orders and conditions need not hold."""
