@@ -102,7 +102,9 @@ class Problem:
         self, kind: str, dimension: int, evaluations: int, function: int, instance: int
     ) -> None:
         # A problem lives as long as its suite.
-        self._suite = importlib.import_module("cocoex").Suite(SUITES[kind][0], "", "")
+        self._suite = importlib.import_module("cocoex").Suite(
+            SUITES[kind][0], f"instances: {instance}", ""
+        )
         self._problem = self._suite.get_problem_by_function_dimension_instance(
             function, dimension, instance
         )
